@@ -11,17 +11,17 @@ unit vectors n of their multipliers, the tangent (du, dx) obeys
 
     K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
 
-For a number q_u'u + q_x'x the adjoint (z, y) obeys
+For a goal q_u'u + q_x'x the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-Both systems are equal for Q = 0; bounds that follow the pressure make the equations unsymmetric.
-The number changes by z'df + y'do + (q_x - B z)'n dg, and its error is
+For Q = 0 both systems have the same matrix; bounds that follow the pressure make it unsymmetric.
+The goal changes by z'df + y'do + (q_x - B z)'n dg, and its error is
 a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
 estimation in finite element methods, 2001), plus a term of order h^2, for any degree, from nodes
-that change their state: y grows like r^(-1/2) towards the edge of a contact zone. If bodies float,
-K z + B'y = q_u has a solution if y balances q_u as contact forces balance the load: the equations
-of equilibrium (`floating/equilibrium.py`) with other values.
+that change their state: at the distance r from the edge of a contact zone y grows like r^(-1/2).
+If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact forces balance the
+load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other values.
 """
 
 from __future__ import annotations
@@ -51,21 +51,23 @@ from dolfinx_tresca.optimise.reductions import norm
 #: adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
 
-#: Residual of GCR, over the residual at the start, that is rounding of its products.
+#: Residual of GCR, divided by the residual at the start, up to which it is rounding of products.
 RESIDUAL_ROUNDING = 1e-10
 
-#: Residual of the equilibrium, over the weights of the number, above which no adjoint exists.
+#: Residual of the equations of equilibrium, divided by the size of the data (derivatives of the
+#: goal, or changes of the load), above which no adjoint or tangent exists.
 UNMET = 1e-6
 
-#: Error of z by an iterative solver for K over the error that y may have, both in the energy norm.
+#: Error of z that an iterative solver for K may leave, divided by the tolerable error of y, both in
+#: the energy norm.
 SHARE = 0.03
 
-#: Distance of a traction from another contact state, over the largest traction, up to which its
-#: node is at the edge of its state, even if the solution is more accurate.
+#: Distance of a traction from another contact state, divided by the largest traction, up to which
+#: its node counts as at the edge of its state, even if the solution is more accurate.
 EDGE = 1e-9
 
-#: States of the nodes at the edge: as in the solution (None), pressed and sticking, or open and
-#: slipping.
+#: States of the nodes at the edge: as in the solution (None), pressed and sticking ("held"), or
+#: open and slipping ("released").
 EdgeState: TypeAlias = 'Literal["held", "released"] | None'
 
 
@@ -93,7 +95,7 @@ class LinearisedContact:
             dual: the problem.
             x: multipliers.
             r: gradient.
-            edge: state of the nodes `at_edge`.
+            edge: state that the nodes `at_edge` get.
 
         Raises:
             InputError: a slip bound depends on the slip.
@@ -106,7 +108,7 @@ class LinearisedContact:
             x, target = x.copy(), target.copy()
             target[rows] = 1.0 if held else -1.0
             if not held:
-                x[rows] = 0.0  # and with the pressure the bound that depends on it
+                x[rows] = 0.0  # a bound that depends on this pressure becomes zero as well
             lam = cones.section(x)
             norms, factor = lam.norms(target), np.ones_like(lam.radius)
             beyond = 0.0 if held else 2.0 * lam.radius
@@ -137,8 +139,8 @@ class LinearisedContact:
 
         Args:
             diagonal: (size,) diagonal D of the model of A.
-            transpose: whether they are those of the adjoint, T = P (I + Q') and V = P, else of the
-                tangent, T = P and V = (I + Q) P.
+            transpose: True: the maps of the adjoint, T = P (I + Q') and V = P; False: the maps of
+                the tangent, T = P and V = (I + Q) P.
         """
         project, change = self.face.project, self.with_bound_change
         weight = 1.0 / (diagonal + self.curvature)
@@ -212,9 +214,9 @@ def tangent(
     Args:
         dual: the problem.
         state: contact state at which the problem is linearised.
-        force: change of the right-hand side of K u = f, with that of prescribed values in their
-            rows.
-        offset: (size,) change of the offsets (d; s) over `JumpOperator.length_scale`.
+        force: change of the right-hand side of K u = f; rows of prescribed values have the change
+            of these values.
+        offset: (size,) change of the offsets (d; s), divided by `JumpOperator.length_scale`.
         radius: (n_discs,) change of the radii of the discs.
         accuracy: relative error of dx in the energy norm.
 
@@ -309,12 +311,12 @@ def _solved(
 ) -> tuple[Array, Array]:
     """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
 
-    Without `transpose` y = (I + Q) P y with P ((A + C) y - G c) = right, and the same second one.
+    Without `transpose` the first equation is P ((A + C) y - G c) = right with y = (I + Q) P y.
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
-    system with the model of A from all known products, also from products of this call. The second
-    equation therefore holds from the first step on. The displacement follows y, so that a product
-    needs no accuracy beyond a part of its step. Collective.
+    system with the model of A from all known products, including products of this call. The second
+    equation therefore holds from the first step on. The displacement follows y, so that the error
+    of a product only has to be small compared with its step. Collective.
 
     Raises:
         ConvergenceError: no solution exists.

@@ -24,12 +24,12 @@ class EnergyBound(PetscOwner):
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,
 
     a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
-    slip since the last one, here and below. Here v = u + w, where w moves contact nodes alone,
-    weighted by the diagonal of K, such that the jump at every node takes its best value with the
-    neighbours fixed. Nodes that should close or stick do so. If K has rows of a pressure too, w
-    moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the
-    pressure eliminated. There is no bound for a tangent with such rows: the factorisation of that
-    lift would double the cost of a Newton step.
+    slip since the last step, here and below. The displacement v is u + w, where w moves contact
+    nodes alone, weighted by the diagonal of K, such that the jump at every node takes its best
+    value with the neighbours fixed. Nodes that should close or stick do so. If K also has rows for
+    a pressure, w moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone,
+    with the pressure eliminated. There is no bound for a tangent with such rows: the factorisation
+    for `SaddleLift` would double the cost of a Newton step.
 
     Owns PETSc objects: call `destroy()`.
     """

@@ -33,11 +33,12 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: and more of them save few products with A (slender strip: 4.3 instead of 4.6 a step).
 NEAR_CAPACITY = 40
 
-#: Largest share of the degrees of freedom with which the near field costs less than the products
-#: with A that it saves: with a direct solver and a single solve from zero for K (two bricks: as
-#: fast with as without at N = 26, slower at N = 16), and otherwise (multigrid, plate 6 cells thick,
-#: share 0.43: 1.3 times slower; Cholesky, refined meshes, start from the tractions of the previous
-#: mesh: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 of the time).
+#: Largest share of the degrees of freedom in the near field with which it costs less than the
+#: products with A that it saves. The first number is for a direct solver and a single solve from
+#: zero with this K (two bricks: as fast as without near field at N = 26, slower at N = 16), the
+#: second for all other cases (multigrid, plate 6 cells thick, share 0.43: 1.3 times slower;
+#: Cholesky, refined meshes, start from the tractions of the previous mesh: 60 -> 14, 29 -> 12,
+#: 24 -> 12 products, in 0.83, 1.0, 1.03 of the time).
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 
 
@@ -51,7 +52,7 @@ class ContactCompliance(PetscOwner):
     Attributes:
         jump: B.
         operator: A.
-        nodal_stiffness: (size,) force over jump of a node whose neighbours are fixed, the same for
+        nodal_stiffness: (size,) force per jump of a node whose neighbours are fixed, the same for
             all directions of a friction disc.
         floating: the floating bodies; None if no body floats.
     """
@@ -69,8 +70,8 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: solver for the system's K plus the springs.
             springs: springs that fix floating bodies; None if no body floats.
-            before: compliance for a similar K and the same B or another one of the same pairs, the
-                products of which give the first model of A; None: there is none.
+            before: an earlier compliance for a similar K, and for the same B or another B of the
+                same pairs; its products give the first model of A. None: there is none.
 
         Raises:
             StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
@@ -88,7 +89,7 @@ class ContactCompliance(PetscOwner):
                 )
             )
             if jump.system.component is not None:
-                _ = self.certificate  # now, since its errors are errors of the scene
+                _ = self.certificate  # now, since it raises errors of the scene
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
         self._near_store: ProductStore | None = None
@@ -130,7 +131,7 @@ class ContactCompliance(PetscOwner):
         """Begin the model of A with the far field of another compliance. Collective.
 
         The far field is the part of A that bodies away from the contact contribute, see `FarField`.
-        Without known products of the other compliance there is none, and nothing is done.
+        If the other compliance has no known products it has no far field, and nothing is done.
         """
         store, near = before._store, before._near_store
         if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
@@ -209,8 +210,8 @@ class ContactCompliance(PetscOwner):
 
         Returns:
             the store, empty at first; None if the near field would cost more than it saves, or if u
-            has other components: the clamped nodes round an incompressible near field would fix its
-            volume.
+            is a part of a mixed space: the clamped nodes round an incompressible near field would
+            fix its volume.
         """
         store = self.known_products()
         if self.jump.system.component is not None or not isinstance(store, ProductStore):

@@ -32,8 +32,8 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
 
     The mean of x_i (A x)_i estimates the mean of A_ii (Hutchinson 1989, A stochastic estimator of
     the trace of the influence matrix). A_ii is nearly proportional to the compliance of a node
-    whose neighbours are fixed, which depends on materials, edges and cell sizes: one factor is
-    fitted to all normal multipliers of a pair, one to all tangential ones.
+    whose neighbours are fixed, which depends on materials, edges and cell sizes. Therefore only two
+    factors are fitted for a pair: one for all normal multipliers, one for all tangential ones.
 
     Args:
         jump: B.
@@ -54,8 +54,8 @@ def rescaled_diagonal(
 ) -> Array:
     """Return an estimate (size,) of diag(A) from diag(A) of an earlier B or K. Collective.
 
-    The sums of both diagonals have the ratio of the sums of the compliances, for the normal and for
-    the tangential multipliers of each pair.
+    The estimate is the compliance times the ratio of the earlier diag(A) to the earlier compliance,
+    both summed over the normal or over the tangential multipliers of each pair.
 
     Args:
         jump: B.

@@ -30,8 +30,9 @@ CELLS_AT_ONCE = 50_000
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
 #: Approximate ratio of the error to the difference of gradients, by the degree of the displacement
-#: and whether cells are simplices. Only the mean of degree 1 is of higher order, and singular edges
-#: lower its difference by up to a third; factors are mid-range values of benchmarks/estimate.py.
+#: and whether cells are simplices. Only for degree 1 has the mean gradient a higher order than the
+#: gradient, and singular edges lower their difference by up to a third; factors are mid-range
+#: values of benchmarks/estimate.py.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -40,30 +41,32 @@ class DiscretisationError:
 
     The gradient of a finite element displacement jumps from cell to cell; the mean at the nodes,
     weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
-    difference an estimate of the error. It only needs the form `a`, in which it replaces the
-    gradient, and works for any cell and material. Means are taken of the gradient at the Gauss
-    points of order 2 (degree - 1), where it is most accurate (Barlow, 1976), continued to the
-    nodes: at a node of a quadrilateral or hexahedron the derivative along an edge depends on that
-    edge alone, so that there would be no difference on a boundary with its singular edges.
+    difference of the two is an estimate of the error. The energy of this difference follows from
+    the form `a`, in which it replaces the gradient, for any cell and material. Means are taken of
+    the gradient at the Gauss points of order 2 (degree - 1), where it is most accurate (Barlow,
+    1976), continued to the nodes. Taken directly at a node of a quadrilateral or hexahedron, the
+    derivative along an edge would depend on that edge alone, and on a boundary with its singular
+    edges the difference would be zero.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
-    singular edges and Poisson's ratios of up to 0.49. It is no bound. Closer to 0.5 cells lock, an
-    error that spreads from its origin, and the estimate is lower; at the corners of inclusions that
-    are 1000 times stiffer it is up to 1.7 times the error for degree 2. If the material inside a
-    body changes abruptly, the true gradient jumps too: each material then has means of its own, for
-    up to `MOST_MATERIALS` materials. If the material varies from cell to cell without gaps between
-    the stiffnesses, the estimate is too large.
+    singular edges and Poisson's ratios of up to 0.49. It is not a bound. For ratios closer to 0.5
+    cells lock; the error spreads from its origin, and the estimate is lower. At the corners of
+    inclusions that are 1000 times stiffer it is up to 1.7 times the error for degree 2. If the
+    material inside a body changes abruptly, the true gradient jumps too: each material then has
+    means of its own, for up to `MOST_MATERIALS` materials. If the material varies from cell to cell
+    without gaps between the stiffnesses, the estimate is too large.
 
-    Of degree 2 the gradient differs from the true one by c h^2 P_2(x), with Legendre's polynomial
-    P_2, which is equal on both sides of a node if neighbouring cells are alike. Where a smooth
-    solution varies along one direction of such a mesh, gradients hardly jump and the estimate over
-    the error falls with h; where it varies in two directions it does not (Babuska and Yu, 1987,
-    Asymptotically exact a posteriori error estimator for biquadratic elements: errors of even
-    degree are in the cells' interiors, not in jumps). Edges of contact have no such symmetry.
+    For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
+    polynomial P_2, which is equal on both sides of a node if neighbouring cells are alike. Where a
+    smooth solution varies along one direction of such a mesh, gradients hardly jump, and the ratio
+    of the estimate to the error falls with h; where the solution varies in two directions, the
+    ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator for
+    biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). Edges of
+    contact have no such symmetry.
 
     In bodies of revolution the error of the hoop strain u_r / r counts as zero: it is of higher
-    order than that of the gradient, except in the cells at the axis. A mean of u_r / r would be
-    less accurate than u_r / r itself: for quadrilaterals of degree 2 it makes the estimate 1.5
+    order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would
+    be less accurate than u_r / r itself: for quadrilaterals of degree 2 it makes the estimate 1.5
     times the error, in place of 1.0.
 
     Penetration between the few nodes of a stiff secondary surface causes no strain and is not
@@ -77,7 +80,7 @@ class DiscretisationError:
         Args:
             a: the bilinear form of K.
             V: the space of the displacement, of degree 1 or 2.
-            axisymmetric: whether a is that of bodies of revolution, with the factor 2 pi x[0].
+            axisymmetric: whether a is for bodies of revolution, with the factor 2 pi x[0].
         """
         mesh = V.mesh
         dim = mesh.geometry.dim
@@ -115,7 +118,7 @@ class DiscretisationError:
         """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
         Here e_u and e_z are the errors of the displacements u and z. The values have signs. They
-        follow from the squared estimates for u + z and u - z, with both scaled to unit size.
+        follow from the squared estimates for u + z and u - z, with u and z scaled to unit size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
@@ -149,7 +152,8 @@ class DiscretisationError:
 
         Args:
             energy: the form that gives each cell's energy [energy] under the same gradient.
-            volume: the form that gives each cell's volume, or that of its ring up to a factor.
+            volume: the form that gives each cell's volume, or the volume of its ring up to a
+                factor.
         """
         volumes = self._assembled(volume)
         stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)

@@ -10,9 +10,9 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FULL_ACCURACY
 from dolfinx_tresca.dual.compliance import ContactCompliance
 
-#: Error of the displacement after a step over the size of the step, both in the energy norm; the
-#: first step is that from zero. Doubled, which is `FORCING`, derivatives of a rubbing block have an
-#: error of 1.2e-4 in place of 3e-5, since errors of products enter y.
+#: Error of the displacement after a step, divided by the size of the step, both in the energy norm;
+#: the first step starts from zero. With twice the value, `FORCING`, derivatives of a rubbing block
+#: have an error of 1.2e-4 in place of 3e-5, since errors of products enter y.
 STEP_ACCURACY = 0.05
 
 
@@ -28,7 +28,8 @@ class FollowedDisplacement:
 
         Args:
             compliance: A, with K.
-            f: right-hand side, with prescribed values in their rows. It must stay.
+            f: right-hand side, with prescribed values in their rows. It is not copied: it must
+                neither change nor be destroyed.
             z: vector of zeros for the result.
         """
         self._operator, self._f, self._z = compliance.operator, f, z
@@ -37,7 +38,10 @@ class FollowedDisplacement:
 
     @classmethod
     def of(cls, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> FollowedDisplacement:
-        """Return the kind for the solver for K. Arguments as in `__init__`. Not collective."""
+        """Return an object of the class that suits the solver for K. Not collective.
+
+        Arguments as in `__init__`.
+        """
         kind = FollowedDisplacement if compliance.operator.exact else ImprovedDisplacement
         return kind(compliance, f, z)
 
@@ -98,7 +102,7 @@ class FollowedDisplacement:
 
 
 class ImprovedDisplacement(FollowedDisplacement):
-    """z with an iterative solver for K, which starts from the last z.
+    """The displacement z by an iterative solver for K, which starts from the last z.
 
     The solver stops at an error that is a part of the step: as steps become smaller z becomes more
     accurate, and all steps together cost little more than one accurate solve. (Where each product

@@ -17,7 +17,7 @@ KEPT = 3
 
 
 class InitialGuess(PetscOwner):
-    """The displacement u = K^-1 (f - B'x) without contact, x = 0, and at a few other points.
+    """The displacement u = K^-1 (f - B'x) without contact (x = 0), and at a few other points x.
 
     u is affine in x: between the points it is known up to their errors. This includes all points
     along a step if the iteration gives its start (`begin_at`). PETSc's `KSPGuess` (Fischer 1998)
@@ -94,7 +94,7 @@ class InitialGuess(PetscOwner):
             self._drop(1)
 
     def near(self, x: Array) -> PETSc.Vec:
-        """Return u at x, or a guess, as a vector of the caller's. Collective."""
+        """Return u at x, or a guess, as a vector that the caller owns. Collective."""
         if not self._points or self._square(x) == 0.0:
             return self.load.copy()
         points = list(self._points)

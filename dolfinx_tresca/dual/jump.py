@@ -33,7 +33,7 @@ class JumpOperator(PetscOwner):
     Tangential rows are also stretched such that friction ellipses become discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
-    multipliers, then its tangential ones. Physical tractions are `stress_scale` times them.
+    multipliers, then its tangential ones. Physical tractions are `stress_scale` times multipliers.
 
     Owns PETSc objects: call `destroy()`. The linear system stays the caller's.
 
@@ -42,12 +42,12 @@ class JumpOperator(PetscOwner):
         pairs: the pairs.
         slices: the positions of each pair's normal and tangential multipliers.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
-        stress_scale: (size,) stress over multiplier: 1 / sqrt(area), times the stretch.
-        length_scale: (size,) length over residual: 1 / sqrt(area), over the stretch.
-        gap: (size,) the initial gaps d over `length_scale`; zero for tangential rows.
+        stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
+        length_scale: (size,) length per residual: 1 / sqrt(area), divided by the stretch.
+        gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
         unbounded: Lambda with infinite slip bounds: all tangential rows of a node share its disc.
-        discs: `unbounded` with separate discs, after the discs of all nodes, for frictionless rows
-            of nodes whose other row has friction.
+        discs: like `unbounded`, but frictionless rows of nodes whose other row has friction have
+            discs of their own, after the discs of all nodes.
         reductions: sums over the ranks.
     """
 
@@ -87,7 +87,7 @@ class JumpOperator(PetscOwner):
             self._of_V.destroy()
 
     def _gaps(self) -> Array:
-        """Return the gaps of the pairs in normal rows (size,), over `length_scale`."""
+        """Return the gaps of the pairs in normal rows (size,), divided by `length_scale`."""
         result = np.zeros(len(self.length_scale))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
             result[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
@@ -146,7 +146,7 @@ class JumpOperator(PetscOwner):
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet | FrictionCones:
         """Return Lambda for slip bounds at each pair's nodes. Collective.
 
-        Friction cones if any bound depends on the pressure, on any rank.
+        The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
         roots = np.sqrt(np.concatenate([pair.weights for pair in self.pairs]))
         radius = np.concatenate([discs.radius for discs in self._friction_discs])
@@ -178,7 +178,7 @@ class JumpOperator(PetscOwner):
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.
 
-        The result is self if all tangents stay the same, else a new operator of the caller's.
+        The result is self if all tangents stay the same, else a new operator that the caller owns.
 
         Raises:
             InputError: the direction of two bounds is not finite, is zero, or is normal to the
@@ -223,13 +223,13 @@ class JumpOperator(PetscOwner):
         return result
 
     def whole_force(self, x: Array) -> PETSc.Vec:
-        """Return B'x [force], also where u is prescribed; the next call overwrites it."""
+        """Return B'x [force], also where u is prescribed; the next call overwrites the vector."""
         self._multipliers.array = x
         self.matrix.multTranspose(self._multipliers, self._force)
         return self._force
 
     def contact_force(self, x: Array) -> PETSc.Vec:
-        """Return B'x [force], zero where u is prescribed; the next call overwrites it."""
+        """Return B'x [force], zero where u is prescribed; the next call overwrites the vector."""
         self.whole_force(x)
         self._force.array[self.system.prescribed] = 0.0
         return self._force

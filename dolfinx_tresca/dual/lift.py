@@ -18,7 +18,8 @@ from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Most rows of B with which MUMPS factors the matrix on all ranks together. Its analysis stores the
-#: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, so half a gigabyte here.
+#: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, half a gigabyte for this
+#: number.
 MOST_FACTORED = 300_000
 
 #: Limit on steps of conjugate gradients.
@@ -34,10 +35,10 @@ class Lift(PetscOwner):
 
     B D B' is sparse, with a row for each row of B. If it is large, it is solved by conjugate
     gradients preconditioned by a factorisation of each rank's own rows: memory and work depend on
-    these rows alone. They take 10 to 40 steps, but more on more ranks if a fine, stiff secondary
-    side is on a coarse primary side that is 1e6 times softer: 288, 1124 and 2108 on 2, 3 and 5
-    ranks. They stop after `MOST_ITERATIONS`; the norm is infinite if B w then misses the jump by
-    more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
+    these rows alone. Conjugate gradients take 10 to 40 steps, but more on more ranks if a fine,
+    stiff secondary side touches a coarse primary side that is 1e6 times softer: 288, 1124 and 2108
+    on 2, 3 and 5 ranks. They stop after `MOST_ITERATIONS`; the norm is infinite if B w then misses
+    the jump by more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
 
     Owns PETSc objects: call `destroy()`. B and K stay the caller's.
     """

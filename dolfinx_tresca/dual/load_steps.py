@@ -31,7 +31,8 @@ class StepStart:
         history: slip and dissipation of the accepted steps.
         multipliers: (size,) multipliers at which the solve starts.
         accepted_u: displacement of the last accepted step [length]; None: the undeformed state.
-        accepted_motions: places of rigid obstacles at the last accepted step.
+        accepted_motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) at the last
+            accepted step.
     """
 
     history: SlipHistory
@@ -44,8 +45,8 @@ class LoadSteps:
     """The state of a process between solves.
 
     If friction depends on the pressure, the solution of a load step may depend on the tractions at
-    which its solve starts: these must be the accepted ones, not those of a trial solve. Otherwise
-    the solution is unique, and the last solve is the better start.
+    which its solve starts: these must be tractions of the last accepted step, not of a trial solve.
+    Otherwise the solution is unique, and the end of the last solve is the better start.
 
     Attributes:
         jump: B; each multiplier belongs to one of its rows.
@@ -55,7 +56,8 @@ class LoadSteps:
             it returns to the accepted ones.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
-        accepted_w: the same with all unknowns of a mixed space; None unless `accept` has set it.
+        accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
+            has set it.
         motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
         accepted_motions: places at the last accepted step, from which the slip counts.
         last: status, history and displacement of the last solve, with all unknowns of a mixed
@@ -98,7 +100,7 @@ class LoadSteps:
         self._continues = False
 
     def begin(self, history: SlipHistory) -> None:
-        """Begin the next step. Not collective."""
+        """Begin the next step after the steps of a history. Not collective."""
         self.history = history
         self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
 
@@ -133,7 +135,7 @@ class LoadSteps:
     def _start(self) -> tuple[Array, Array | None]:
         """Return the multipliers and u at which the next solve starts. Collective.
 
-        If u is None, it starts at the present displacement.
+        If the returned u is None, the solve starts at the present displacement.
         """
         if not self._depends_on_start or not self.history.begun or self._continues:
             return self.multipliers, None
@@ -157,13 +159,13 @@ class LoadSteps:
         return StepStart(self.last[1], self.multipliers, self.last[2], self.motions)
 
     def return_to(self, start: StepStart) -> None:
-        """Begin at a state of the same B. Not collective."""
+        """Begin the next step at a state that belongs to the present B. Not collective."""
         self.accepted_u, self.accepted_motions = start.accepted_u, start.accepted_motions
         self.begin(start.history)
         self._set_start(start.multipliers)
 
     def accept(self, unconverged: bool) -> None:
-        """Make the last solution a step. Not collective.
+        """Make the last solution an accepted step. Not collective.
 
         Args:
             unconverged: whether to accept a solution that missed the requested accuracy.

@@ -33,10 +33,11 @@ def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Ma
 
 
 def local_stiffness(jump: JumpOperator) -> Array:
-    """Return 1 / diag(B diag(K)^-1 B'), (size,): force over jump of each row of B. Collective.
+    """Return 1 / diag(B diag(K)^-1 B'), (size,): force per jump of each row of B. Collective.
 
-    The stiffness of a node whose neighbours are fixed. In A they follow: its diagonal is about the
-    inverse of this, times a factor that hardly varies over a surface.
+    This is the stiffness of a node whose neighbours are fixed. In A the neighbours move as well:
+    diag(A) is about the inverse of this stiffness, times a factor that hardly varies over a
+    surface.
     """
     B = jump.matrix
     squares = entrywise(B, np.square)

@@ -28,15 +28,17 @@ def moved_jump(
     """Return B of displaced surfaces, owned by the caller. Collective.
 
     The gap is the distance of the displaced surfaces plus N u, since it is compared with N of the
-    total displacement. Secondary edges keep their height: further bending is in N u. The primary
-    side may now face other nodes, and the gap contains the height of its bent edges; so the same
-    height in N u is added to it. Bonded pairs stay the same.
+    total displacement. For curved edges of the secondary side the gap keeps the height over their
+    chords that it had for the previous B: further bending is in N u. Bent edges of the primary side
+    may now face other nodes, and the distance is measured to these bent edges; so the N u in the
+    gap includes their bending. Bonded pairs stay the same.
 
     Args:
         before: the previous B.
         pairs: the pairs of B.
         u: displacement [length].
-        anew: for each pair whether it is paired anew, if it is not bonded; None: all are.
+        anew: for each pair whether it is paired anew; bonded pairs never are. None: all other
+            pairs are.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -77,8 +79,8 @@ def moved_jump(
 def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) -> fem.Function:
     """Return the displacement of the mesh's geometry, with bent primary edges. Collective.
 
-    N of it enters the gap. If the true surfaces are given, edges stay straight: the height of these
-    surfaces over the facets is kept.
+    N of the result enters the gap. If the true surfaces are given, edges stay straight: the height
+    of these surfaces over the facets is kept.
 
     Args:
         straight: the displacement interpolated in the degree of the geometry.

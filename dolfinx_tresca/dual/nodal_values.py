@@ -1,4 +1,4 @@
-"""Evaluation of scalars and vectors of the user at the nodes of a vector space."""
+"""Evaluation of the user's scalars and vectors at the nodes of a vector space."""
 
 from __future__ import annotations
 
@@ -38,13 +38,14 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
 
 
 class NodalValues:
-    """Evaluates fields of the user, and their derivatives, at nodes of a vector space."""
+    """Evaluates the user's fields, and their derivatives, at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
         """Keep the space; its element has its nodes as interpolation points."""
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
-        #: By the number of a control's space, which stays as long as it is here.
+        #: Spaces of controls with their interpolation matrices, by the `id` of the space: keeping
+        #: the space keeps the id valid.
         self._interpolations: dict[int, tuple[Any, PETSc.Mat]] = {}
 
     def destroy(self) -> None:
@@ -92,8 +93,8 @@ class NodalValues:
 
         Returns:
             for a Constant an array of its shape, the same on all ranks; for a Function the
-            derivatives by the degrees of freedom that this rank owns; None if the field does not
-            depend on the control.
+            derivatives with respect to its degrees of freedom on this rank, without ghosts; None if
+            the field does not depend on the control.
 
         Raises:
             InputError: the control is no scalar Function.
@@ -140,7 +141,7 @@ class NodalValues:
         return slopes[:, 0] * self.at(direction, nodes, name)
 
     def _slopes(self, field: ScalarField, control: Any, nodes: LocalNumbers, name: str) -> Array:
-        """Return the slopes (n, components) of a scalar over the values of a control. Collective.
+        """Return the derivatives (n, components) of a scalar by a control's values. Collective.
 
         Raises:
             InputError: the control is a Function with components, or on another mesh.
@@ -252,7 +253,7 @@ class NodalValues:
 
     @cached_property
     def _points(self) -> Array:
-        """The places (n, 3) of the nodes."""
+        """The positions (n, 3) of the nodes."""
         points: Array = self._V.tabulate_dof_coordinates()
         return points
 
@@ -266,7 +267,7 @@ class NodalValues:
 
     @cached_property
     def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
-        """A scalar Function, and for each node of V its degree of freedom there. Collective."""
+        """A scalar Function, and the degree of freedom in it of each node of V. Collective."""
         scalar, dofs = collapse(self._V.sub(0))
         dofs //= self._V.dofmap.index_map_bs
         position = np.empty(len(dofs), dtype=np.int32)

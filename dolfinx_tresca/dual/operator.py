@@ -23,8 +23,8 @@ class DualOperator(PetscOwner):
         jump: B.
         solver: solver for K.
         products: number of products with A.
-        product_error: largest norm sqrt(e'A^-1 e) of the error e of a product by `apply`, over
-            sqrt(x'A x), as estimated by the solver for K.
+        product_error: largest norm sqrt(e'A^-1 e) of the error e of a product by `apply`, divided
+            by sqrt(x'A x), as estimated by the solver for K.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:

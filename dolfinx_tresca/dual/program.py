@@ -152,7 +152,7 @@ class DualProgram:
 
     @property
     def product_error(self) -> float:
-        """Largest norm sqrt(e'A^-1 e) of an error e of `apply` so far, over sqrt(x'A x)."""
+        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
         return self.compliance.operator.product_error
 
     def known_products(self) -> KnownProducts:
@@ -160,7 +160,7 @@ class DualProgram:
         return self.compliance.known_products()
 
     def near_products(self) -> ProductStore | None:
-        """Return the known products with the near field; None if it does not pay. Collective."""
+        """Return known products with the near field; None if that does not pay. Collective."""
         return self.compliance.near_products(self.is_first)
 
     def apply(self, x: Array) -> Array:
@@ -168,7 +168,7 @@ class DualProgram:
         return self.compliance.operator.apply(x)
 
     def near_field(self, x: Array) -> Array:
-        """Return D x for the near field D, bodies clamped near the contact. Collective."""
+        """Return D x: the near field D has bodies clamped some cells from contact. Collective."""
         return self.compliance.near_field.apply(x)
 
     @property
@@ -191,7 +191,7 @@ class DualProgram:
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
 
     def decoupled_minimiser(self, x: Array, r: Array) -> Array:
-        """Return x - r / diag(A), (size,): the minimiser for each node with its neighbours fixed.
+        """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
 
         The projection of these multipliers onto Lambda is the state that each node would take if
         its neighbours were fixed: pressed or open, sticking or slipping. Not collective.
@@ -203,7 +203,7 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` over the largest traction; 0 if it is rounding. Collective.
+        """Return `local_change` divided by the largest traction; 0 for rounding. Collective.
 
         If springs alone carry the loads, the tractions and their changes are rounding of the jumps.
 
@@ -252,8 +252,8 @@ class DualProgram:
             c: (k,) multipliers of the constraints.
 
         Returns:
-            the gradient including the constraints, and the energy norm of the rigid displacements
-            that u lacks for equilibrium.
+            the gradient including the term -G c of the constraints, and the energy norm of the
+            rigid displacements that u lacks for equilibrium.
         """
         r = self.response.gradient_of(u)
         if self.equilibrium is None:
@@ -263,7 +263,7 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        It costs a solve with K if the solver is direct. It is zero without displacement, and
+        A direct solver needs one solve with K. The estimate is zero without displacement, and
         infinite if the error cannot be estimated from the form.
 
         Args:

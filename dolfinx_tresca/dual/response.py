@@ -34,12 +34,12 @@ UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
 class ElasticResponse(ABC):
     """The displacement for the present load and given multipliers, (38.1).
 
-    There are two kinds: `DirectResponse` and `IterativeResponse`. Call `solve_load` first. Valid
-    until the load or K changes.
+    There are two kinds: `DirectResponse` and `IterativeResponse`. Call `solve_load` first. An
+    object is valid until the load or K changes.
 
     Attributes:
-        offset: (size,) (d; s) over the jump's `length_scale`: gaps d, and tangential jumps s at
-            which the slip of this solve is zero.
+        offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
+            at which the slip of this solve is zero.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
         b_error: norm sqrt(e'A^-1 e) of the error e of b.
     """
@@ -141,9 +141,10 @@ class ElasticResponse(ABC):
     def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
-        A displacement from which an iterate was judged is returned unchanged. A more accurate one
-        may have a larger bound, by more than it changes in the energy norm: bounds close gaps by
-        moving contact nodes alone, which is expensive if the change is smooth and cells are flat.
+        A displacement from which an iterate was judged is returned unchanged. The error bound of a
+        more accurate one may be larger, by more than the displacement changes in the energy norm:
+        bounds close gaps by moving contact nodes alone, which takes much energy if the change is
+        smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.
@@ -190,8 +191,8 @@ class ElasticResponse(ABC):
     def energy_resolution(self) -> float:
         """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
-        It is the difference of K^-1 f and K^-1 B'x, which both have the norm of K^-1 f then. The
-        first call may need a solve with K, as in `energy_norm`.
+        Such a displacement is the difference of K^-1 f and K^-1 B'x, and both have the norm of
+        K^-1 f. The first call may need a solve with K, as in `energy_norm`.
         """
         energy, _ = self._solved_load_terms()
         return max(ENERGY_ROUNDING * float(np.sqrt(energy)), self.b_error)

@@ -191,7 +191,7 @@ def same_nodes(known: Array, asked: Array, accuracy: float) -> Indices | None:
     Args:
         known: (n, 2 d) `surroundings` in the file.
         asked: (n, 2 d) `surroundings` of the nodes.
-        accuracy: distance that is rounding [length].
+        accuracy: distance up to which positions count as equal [length].
     """
     if known.shape != asked.shape:
         return None

@@ -18,14 +18,15 @@ FORMAT = "dolfinx_tresca state 4"
 #: Arrays in every file.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
-#: Name of the positions of displacements.
+#: Name of the array with the positions of displacements: `surroundings` of their nodes.
 SURROUNDINGS = "surroundings"
 
-#: Prefixes of the names of values that have positions of their own: of the material's history, and
-#: of the unknowns of a mixed space that are no displacements.
+#: Prefixes of the names of arrays that have positions of their own: arrays of the material's
+#: history, and of the unknowns of a mixed space that are no displacements.
 MATERIAL, UNKNOWN = "material ", "unknown "
 
-#: Distance of a node from its place in the file that is rounding, over the extent of all nodes.
+#: Distance of a node from its position in the file, divided by the extent of all nodes, up to which
+#: it is rounding.
 SAME_PLACE = 1e-9
 
 #: The rank that reads and writes.

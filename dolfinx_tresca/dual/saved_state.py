@@ -38,8 +38,8 @@ class SavedState:
 
     The file has one row for each contact node: its pair, its number in the mesh file, which is
     independent of the partition, and its coordinates, for refined meshes, whose numbers depend on
-    the partition; tractions and slips are vectors there, since tangents are a choice. Displacements
-    and the slip of all steps have separate rows for all nodes.
+    the partition. The tractions and slips in a row are vectors, since the tangents are arbitrary.
+    Displacements and the slip of all steps have separate rows for all nodes.
 
     Attributes:
         multipliers: (size,) multipliers times `JumpOperator.stress_scale` [stress].

@@ -16,10 +16,11 @@ from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 
-#: Most groups of pairs with which tractions vary over each group; with more they are constant.
+#: Largest number of groups of pairs for which tractions vary linearly over each group; for more
+#: groups they are constant on each.
 FEW_GROUPS = 4
 
-#: Least eigenvalue of a Gram matrix, over the largest, whose vectors count as independent.
+#: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
 INDEPENDENT = 1e-8
 
 
@@ -68,7 +69,8 @@ def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
     """Return the numbers of the pairs in each group. Collective.
 
     A few pairs are groups of their own. Of many pairs, those that join the same bodies are one
-    group: a body with 50 strips of surface responds to forces on them as to those on one surface.
+    group: a body with 50 strips of surface responds to forces on the strips as it responds to
+    forces on one surface.
     """
     if len(jump.pairs) <= FEW_GROUPS:
         return [[k] for k in range(len(jump.pairs))]
@@ -118,7 +120,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
+        # the probe comes last: the newest pair sets the scale of the model, and it is arbitrary
+        # which affine traction would be the newest
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

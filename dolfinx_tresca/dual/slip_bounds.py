@@ -26,7 +26,8 @@ from dolfinx_tresca.scene.friction import (
 )
 from dolfinx_tresca.scene.scalar_field import ScalarField
 
-#: Negative slip bounds that are rounding and mean zero, over the largest finite bound of the pair.
+#: Size of a negative slip bound, divided by the largest finite bound of the pair, up to which it is
+#: rounding and means zero.
 BOUND_ROUNDING = 1e-12
 
 #: Names of the terms of a bound in errors; laws have their own name for the constant term.
@@ -142,8 +143,8 @@ class SlipBounds:
                 at other nodes.
 
         Raises:
-            InputError: a value is negative by more than rounding, or NaN, or a coefficient is
-                infinite, or only one of two values; or see `check`.
+            InputError: a value is negative by more than rounding, or NaN; a coefficient is
+                infinite; only one of the two values of a bound is infinite; or see `check`.
         """
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
         found: dict[str, Array] = {}
@@ -169,7 +170,7 @@ class SlipBounds:
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
         """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.
 
-        Values without pressure may be infinite: they are multiplied by the pressure.
+        Values at zero pressure may be infinite: they are multiplied by the pressure.
 
         Raises:
             InputError: the function has an error, or does not return a number or an array (n,); or
@@ -189,10 +190,10 @@ class SlipBounds:
                 )
 
     def _shape(self, semi_axes: Array, name: str) -> Array:
-        """Return semi-axes (n, 2) over the longer one of each node. Collective.
+        """Return semi-axes (n, 2), divided by the longer one of each node. Collective.
 
         Raises:
-            InputError: only one of two is infinite.
+            InputError: only one of the two semi-axes of a node is infinite.
         """
         infinite = np.isinf(semi_axes)
         with errors_on_all_ranks(self._comm):

@@ -19,10 +19,10 @@ class SlipHistory:
     """The slip and the dissipation of the accepted load steps.
 
     Friction dissipates: in a quasi-static process it resists the slip of each step, T u - s with
-    the origin s (docs/theory/problem.md). Implicit in time, as backward Euler.
+    the origin s (docs/theory/problem.md). This is implicit in time, like backward Euler.
 
     Attributes:
-        origin: (size,) s, the tangential jump at which the slip of the step is zero, over
+        origin: (size,) s, the tangential jump at which the slip of the step is zero, divided by
             `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
         slipped: for each pair (owned nodes of V, d + 1) the sum of the slip vectors of all steps,
             and the sum of their lengths [length]; kept at nodes that have no partner at present.
@@ -110,7 +110,7 @@ class SlipHistory:
 
         Args:
             displacement: (size,) tangential displacement of the obstacles under the nodes since the
-                last accepted step, over `JumpOperator.length_scale`; zero in normal rows.
+                last accepted step, divided by `JumpOperator.length_scale`; zero in normal rows.
         """
         return replace(self, origin=self.origin + displacement)
 
@@ -121,8 +121,8 @@ class SlipHistory:
 
         Args:
             jump: B.
-            slip: (size,) slip of the step over `JumpOperator.length_scale`, exactly zero at
-                sticking nodes: residuals of the iteration would add up over the steps.
+            slip: (size,) slip of the step, divided by `JumpOperator.length_scale`; exactly zero at
+                sticking nodes, since residuals of the iteration would add up over the steps.
             steps: for each pair (n, d + 1) the slip vectors of the step at its nodes, and the
                 increments of their slip paths [length].
             dissipation: dissipation of the step [energy].

@@ -23,12 +23,12 @@ class Bodies:
 
     Attributes:
         number: number of bodies.
-        tag_names: the name of the tag of all cells of each; "" if there is none.
-        label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
-        bounds: (number, 6) bounding box of each: least x, y, z, then largest [length].
-        nodes: (number,) number of nodes of V of each.
+        tag_names: for each body the name of the tag of all its cells; "" if there is none.
+        label: (owned nodes of V,) the body of each node, in 0, ..., number - 1.
+        bounds: (number, 6) bounding box of each body: least x, y, z, then largest [length].
+        nodes: (number,) number of nodes of V in each body.
         arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
-            body, over the length of the box's diagonal.
+            body, divided by the length of the box's diagonal.
     """
 
     number: int
@@ -60,9 +60,9 @@ class Bodies:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Unique names: the name of the tag, with the body's number if several bodies have it.
+        """Unique names: the name of the tag, with the body's number if several bodies share it.
 
-        A body without a name has its number only.
+        The name of a body without a tag name is its number.
         """
         count = Counter(self.tag_names)
         return tuple(
@@ -72,7 +72,7 @@ class Bodies:
 
     @property
     def mean_nodes(self) -> float:
-        """The mean number of nodes of a body, weighted by the same number."""
+        """The mean number of nodes of a body, with the numbers of nodes as weights."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
     def describe(self, index: int) -> str:

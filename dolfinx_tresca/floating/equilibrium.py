@@ -26,21 +26,23 @@ from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Unbalanced load that is rounding, over the size of the loads.
+#: Unbalanced load, divided by the size of the loads, up to which it is rounding.
 UNBALANCED_PART = 1e-8
 
-#: Relative increase of loads that must still be balanced: at the limit of friction itself the rigid
-#: displacement is not determined.
+#: Relative increase of the loads that contact must still balance: at the limit of friction itself
+#: the rigid displacement is not determined.
 LOAD_RESERVE = 1e-6
 
-#: Squared jump of a mode, over that of other modes, below which contact does not resist it.
+#: Squared jump of a rigid body mode, divided by the largest squared jump of the body's modes, up to
+#: which contact does not resist the mode.
 UNRESISTED_SQUARE = 1e-6
 
-#: Eigenvalue of the Gram matrix of unit modes of hundreds of bodies that is rounding.
+#: Eigenvalue of the Gram matrix of unit modes of hundreds of bodies up to which it is rounding.
 ROUNDING_SQUARE = 1e-13
 
-#: Number of motions of many bodies that contact does not resist among which a message looks for
-#: the body that moves most: all of hundreds of bodies would take a dense eigenvalue problem.
+#: Number of motions that are computed if contact does not resist some motions of many bodies; the
+#: message names the body that moves most in these. To compute all motions of hundreds of bodies
+#: would take a dense eigenvalue problem. The number changes nothing but the message.
 MOST_NAMED = 6
 
 
@@ -48,8 +50,8 @@ MOST_NAMED = 6
 class Equilibrium:
     """Floating bodies under one load: equations of the multipliers, and rigid displacements.
 
-    Let K_p be K with the fixing springs, and U c the displacements for which K_p needs forces of
-    these springs alone. Then K u = f - B'lambda holds for u = K_p^-1 (f - B'lambda) + U c if and
+    Let K_p be K with the fixing springs, and U c the displacements that forces of these springs
+    alone cause under K_p. Then K u = f - B'lambda holds for u = K_p^-1 (f - B'lambda) + U c if and
     only if
 
         G'lambda + S c = e,    G = B U,  e = U'f:
@@ -60,8 +62,8 @@ class Equilibrium:
         constraints: the equations of equilibrium G'lambda + S c = e.
         modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
             1, or less where S resists more than contact.
-        describe: function that names the body and the motion of multipliers (k,) of the
-            constraints. Collective.
+        describe: function that names the body that moves and its motion, for multipliers (k,) of
+            the constraints. Collective.
     """
 
     constraints: EqualityConstraints
@@ -171,14 +173,14 @@ def equilibrium_constraints(
     reductions: Reductions,
     describe: Callable[[Array], str],
 ) -> tuple[EqualityConstraints, Array]:
-    """Return the equations of equilibrium, and check that Lambda has solutions. Collective.
+    """Return the equations of equilibrium, and check that a solution is in Lambda. Collective.
 
     Args:
         feasible_set: Lambda.
         jumps: (size, k) B U, the jumps of k rigid body modes, sparse.
-        stiffness: (k, k) stiffness of K against the modes; zero rows for modes it does not resist.
+        stiffness: (k, k) stiffness of K against the modes; zero rows for modes K does not resist.
         resultants: (k,) U'f.
-        sizes: (k,) sizes of the terms of the resultants.
+        sizes: (k,) sums of the sizes of the terms of the resultants.
         bodies: (k,) the body of each mode.
         reductions: sums over the ranks.
         describe: function that names the motion of components (k,) or (k, columns) of the modes.
@@ -227,10 +229,11 @@ def equilibrium_constraints(
 
 
 def _unresisted(gram: csr_array, bodies: Indices) -> Array:
-    """Return the modes (k, m) that contact does not resist, of single bodies and of all together.
+    """Return m modes (k, m) that contact does not resist; m may be zero.
 
-    The resistance of bodies that lean on each other falls with their number n: the least eigenvalue
-    of a column is about 1 / n^4.
+    They are modes of single bodies or, if there are none, of all bodies together. The resistance of
+    bodies that lean on each other falls with their number n: the least eigenvalue of a stack of n
+    bodies is about 1 / n^4.
 
     Args:
         gram: (k, k) products of the modes' jumps, sparse, 1 on the diagonal.
@@ -279,7 +282,7 @@ def _solvable(
     factors: Array,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
-    """Return equations that have a solution in Lambda: the given ones, or with rounding removed.
+    """Return equations that have a solution in Lambda, equal to the given ones up to rounding.
 
     If no solution exists only because of the rounding of the loads, the right-hand sides change.
 

@@ -31,8 +31,9 @@ class FixingSprings:
     """Springs Z on a few nodes of each floating body: K_p = K + Z Z' is well conditioned.
 
     K_p replaces K. The equilibrium of the bodies (`floating/equilibrium.py`) removes the effect of
-    the springs again: springs of floating bodies have no force then; the effect of the others is in
-    `response`. (Fixing nodes, as in Brzobohaty et al. 2011, but with springs.)
+    the springs again: springs on floating bodies then have no force; the effect of springs on
+    softly held bodies is in `response`. (Fixing nodes, as in Brzobohaty et al. 2011, but with
+    springs.)
 
     Attributes:
         modes: the rigid body modes R that the springs resist.
@@ -45,8 +46,8 @@ class FixingSprings:
         """Z (owned degrees of freedom, k), sparse. Collective.
 
         The springs act on a few nodes of each body, spread over it, and make it about as stiff
-        against its modes as the body itself is: few nodes, since springs couple all of them; but
-        more than one for each mode, since single nodes would yield.
+        against its modes as the body itself is. The nodes are few, since springs couple each of
+        them with all others, but more than one for each mode, since single nodes would yield.
         """
         modes = self.modes
         dim = modes.dim
@@ -203,7 +204,7 @@ def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
 class SpringResponse:
     """The displacements U = K_p^-1 Z Z'R, where K_p = K + Z Z' has the fixing springs.
 
-    Under K_p they need forces of the springs alone. U equals R for modes that K does not resist.
+    Under K_p, forces of the springs alone cause them. U equals R for modes that K does not resist.
 
     Attributes:
         modes: R.

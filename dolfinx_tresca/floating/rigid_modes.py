@@ -12,9 +12,9 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
-#: Least share of a translation or rotation in a motion, and least motion of another body over the
-#: largest one, that an error message mentions; and singular value of a set of modes, over the
-#: largest, below which it is rounding of another.
+#: Least share of a translation or rotation in a motion, and least motion of another body divided by
+#: the largest motion, that an error message mentions; and singular value of a body's motions,
+#: divided by the largest one, up to which a motion is rounding of the others.
 NAMED_PART, MOVED_PART = 0.1, 1e-3
 
 #: Rigid body modes by the dimension of space.
@@ -33,12 +33,13 @@ class RigidBodyModes:
         comm: communicator of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) approximate stiffness of the body itself, for modes of length 1.
-        floats: (k,) whether K does not resist the mode at all; else it does a little, by soft
+        floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
             springs.
         body: (k,) the body of each mode, ascending.
         label: (owned nodes,) the body of each node.
         name: function that describes a body in words.
-        parts: (k, 3 or 6) components of each mode in `MODES`, with arms over the body's size.
+        parts: (k, 3 or 6) components of each mode in the modes of `MODES`, whose rotations have
+            lever arms divided by the body's size.
     """
 
     comm: Any
@@ -67,7 +68,8 @@ class RigidBodyModes:
 
         Args:
             u: values at the owned degrees of freedom.
-            some: one mode of some of the bodies; its column has the values on its body.
+            some: numbers of modes, at most one for each body. The column of such a mode has the
+                values on its body; other columns are zero.
         """
         mode = np.full(max(self.label.max(initial=-1), self.body.max(initial=-1)) + 1, -1)
         mode[self.body[some]] = some
@@ -83,7 +85,8 @@ class RigidBodyModes:
     def describe(self, components: Array) -> str:
         """Return the name and the motion of the body that moves most, in words. Collective.
 
-        Of a single motion also the number of other bodies that move by `NAMED_PART` of it or more.
+        For a single motion the text also has the number of other bodies that move by more than
+        `NAMED_PART` of the largest motion.
 
         Args:
             components: (k,) components of a motion, or (k, columns) of several motions.

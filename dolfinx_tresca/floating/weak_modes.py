@@ -18,19 +18,20 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
-#: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K: K
-#: times the mode sums up to some hundred entries of a row that cancel each other.
+#: Stiffness against a rigid body mode, divided by the body's largest diagonal entry of K, up to
+#: which it is rounding: the product of K with the mode sums up to some hundred entries of a row,
+#: which cancel each other.
 NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
 
-#: Stiffness against a rigid body mode, over the stiffness of the body itself, below which a body
-#: without prescribed displacements is held softly.
+#: Stiffness against a rigid body mode, divided by the stiffness of the body itself, up to which a
+#: body without prescribed displacements is held softly.
 SOFT_STIFFNESS = 0.03
 
-#: Negative stiffness against a rigid body mode that is more than rounding, over the stiffness of
-#: the body itself.
+#: Absolute value of a negative stiffness against a rigid body mode, divided by the stiffness of the
+#: body itself, up to which it is rounding.
 NEGATIVE_STIFFNESS = 1e-8
 
-#: Eigenvalue of a Gram matrix, over the largest, up to which vectors count as dependent.
+#: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
 DEPENDENT_MODES = 1e-10
 
 
@@ -93,7 +94,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     held = reduce_array(
         comm, np.bincount(body, prescribed.reshape(-1, dim).any(axis=1), minlength=number)
     )
-    # of a body: K's diagonal is about E h^(dim-2), the number of nodes about (L/h)^dim
+    # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
     stiffness = stiffest / bodies.nodes ** (2.0 / dim)
     nothing = NOTHING_RESISTS * stiffest
     # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
@@ -135,8 +136,8 @@ class _WeakModes:
 
     Attributes:
         body: (k,) the body of each mode, ascending.
-        parts: (k, 3 or 6) components of each in the rigid body modes of its body.
-        resistance: (k,) stiffness of K against each.
+        parts: (k, 3 or 6) components of each mode in the rigid body modes of its body.
+        resistance: (k,) stiffness of K against each mode.
     """
 
     body: Indices
@@ -153,7 +154,7 @@ def _weak_modes(
 
     Args:
         square: (bodies, k, k) inner products of the modes on free degrees of freedom.
-        energy: (bodies, k, k) products of the modes with K.
+        energy: (bodies, k, k) products R'K R with the modes R.
         limit: (bodies,) largest resistance of modes of length 1.
     """
     values, vectors = np.linalg.eigh(square)

@@ -16,11 +16,11 @@ from dolfinx_tresca.optimise.reductions import Reductions
 class BlockBFGSModel(Model):
     """The model M = Y Y' + (I - Y W') D (I - W Y') of A: symmetric and positive definite.
 
-    M equals A on all vectors with known products (M W = Y); elsewhere it has the size of D, an
-    approximation of diag(A). M is the block BFGS update of D with the pairs (W, Y); its first term
-    alone is a Nystroem approximation of A. Applying or inverting M needs no product with A. D may
-    be replaced by another model, such as the model of an earlier A; M is then the block BFGS update
-    of that model.
+    M equals A on all vectors with known products (M W = Y); on other vectors it has the size of D,
+    an approximation of diag(A). M is the block BFGS update of D with the pairs (W, Y); the term
+    Y Y' alone is a Nystroem approximation of A. Applying or inverting M needs no product with A. D
+    may be replaced by another model, such as the model of an earlier A; M is then the block BFGS
+    update of that model.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
@@ -97,7 +97,8 @@ class BlockBFGSModel(Model):
         that the system has a solution even if the second equation has none. Collective.
 
         Args:
-            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns).
+            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns); C
+                couples the multipliers of a node only.
             right: (size,) right-hand side of the first equation.
             G: (size, k) columns of length 1.
             softness: (k, k) S.
@@ -120,12 +121,12 @@ class BlockBFGSModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
-        """Return the solution of `solve` with the inverse of maps of nodes. Collective."""
+        """Return the solution of `solve` with the inverse in `maps`. Collective."""
         return self.solve(maps.inverse, right, G, softness, missing)
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Return the solution, or the one of least norm if the matrix is singular."""
+    """Return the solution; for a singular matrix, the least-squares solution of least norm."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:

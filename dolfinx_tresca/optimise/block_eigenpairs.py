@@ -1,4 +1,4 @@
-"""Eigenvalues and eigenvectors of sparse symmetric matrices of many small blocks. Numpy only."""
+"""Eigenpairs of sparse symmetric matrices that consist of many small blocks. Numpy only."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from dolfinx_tresca._base.arrays import Array, Indices
 def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     """Return the eigenvalues (k,), in no order, and eigenvectors (k, k) of a symmetric matrix.
 
-    Rows that entries connect, however indirectly, form a dense block: the cost is the sum of the
-    cubes of the blocks' sizes.
+    Rows that entries connect, directly or through other rows, are treated as one dense block: the
+    cost grows with the sum of the cubes of the blocks' sizes.
 
     Args:
         matrix: (k, k) symmetric, k > 0.

@@ -14,21 +14,23 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.positive_definite import factored
 
-#: Rounding error of G z, over the terms of the equation, above which the iteration ends without a
-#: solution: z goes to infinity if there is none, or if all are on the boundary of Lambda.
+#: Rounding error of G z, divided by the terms of the equation, above which the iteration ends
+#: without a solution: z goes to infinity if the equation has no solution, or if all its solutions
+#: are on the boundary of Lambda.
 LOST = 1e-6
 
-#: Damping, as a fraction of the diagonal of the majorant G'G + C that is added to the Hessian:
-#: first, least and largest value.
+#: Damping, which is the fraction of the diagonal of the majorant G'G + C that is added to the
+#: Hessian: its first, least and largest value.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 
-#: Factors on the damping: after a whole step, since the next step may be longer if phi is flat; and
-#: if rounding makes the matrix indefinite.
+#: Factors by which the damping changes: after a whole step, since the next step may be longer if
+#: phi is flat; and if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
-#: A part t of a step is too long if t s'g(t) exceeds the first number times slope^2 / curvature
-#: and times the largest descent found so far; a step that was cut is too short if the slope at its
-#: end exceeds the second number times the slope at its start.
+#: The part t of a step s is too long if (t - l) s'g(t), where l is the longest part known to be too
+#: short, exceeds the first number times the larger one of slope^2 / curvature and -l s'g(l), a
+#: lower bound of the descent at l. A step that was cut is too short if the slope at its end is
+#: steeper than the second number times the slope at its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
@@ -40,8 +42,8 @@ class ConstrainedProjection:
         shift: (k,) the solution z.
         excess: (k,) residual of the equation.
         satisfied: whether the residual is rounding of the equation's terms. Rounding of G z may be
-            larger, and a residual of that size does not show that there is a solution.
-        unbounded: whether the function fell below its bound.
+            larger, and a residual as large as that rounding does not prove that a solution exists.
+        unbounded: whether phi fell below minus the `depth`.
     """
 
     shift: Array
@@ -66,12 +68,12 @@ def constrained_projection(
 
         phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'target,    x = y + G z,
 
-    whose gradient g is the residual of the equation. The method is Newton's with damping: where no
-    pressure acts phi is flat, and the damping is reduced, so that steps grow, until z has left the
-    flat region. The Hessian of phi is nowhere larger than G'G + C. If the part t of a step s ends
-    where t s'g(t) <= (s'g(0))^2 / (4 s'(G'G + C) s), phi decreases by at least that amount, which
-    is sufficient for convergence. The test uses gradients, since values of phi differ by no more
-    than rounding near the solution.
+    whose gradient g is the residual of the equation. The method is Newton's with damping. Where no
+    pressure acts, phi is flat; there the damping is reduced from step to step, and steps grow until
+    z has left the flat region. The Hessian of phi is nowhere larger than G'G + C. If the gradient
+    g(t) at the part t of a step s satisfies t s'g(t) <= (s'g(0))^2 / (4 s'(G'G + C) s), phi
+    decreases by at least the right-hand side, which is sufficient for convergence. The test uses
+    gradients, since values of phi differ by no more than rounding near the solution.
 
     Args:
         feasible_set: Lambda.
@@ -80,9 +82,9 @@ def constrained_projection(
         y: (size,) constant part of x.
         target: (k,) right-hand side of the equation.
         sizes: (k,) sums of the absolute values of the terms of `target`, for rounding.
-        depth: the iteration ends if phi falls below -depth. With y = 0 any x in Lambda and c that
-            solve the equation would then have |x|^2 + c'C c > 2 depth (weak duality).
-        guess: (k,) first z, if its residual is smaller than that of zero; None: zero.
+        depth: the iteration ends if phi falls below -depth. With y = 0, all x in Lambda and c with
+            G'x + C c = target then have |x|^2 + c'C c > 2 depth (weak duality).
+        guess: (k,) first z, used if its residual is smaller than the residual of zero; None: zero.
     """
     agreed = matrix.reductions.from_first_rank
     if not isinstance(matrix.gram, np.ndarray):
@@ -140,7 +142,7 @@ def constrained_projection(
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
-                if above > after:  # where the secant of the slope has the wanted part of it
+                if above > after:  # where the secant of the slope has half of `SLOPE_LEFT`
                     incline = (above - after) / (high - part)
                     root = part - (after - 0.5 * SLOPE_LEFT * slope) / incline
                 high, above = part, after
@@ -189,7 +191,7 @@ def _damped_solution(matrix: Array | csc_array, right: Array, damping: float) ->
             x = solve(right)
             if _dot(x, right) >= 0.0:  # else rounding made a pivot negative
                 return x
-        if not np.isfinite(damped.sum()):  # no damping cures that
+        if not np.isfinite(damped.sum()):  # no damping makes it finite
             raise np.linalg.LinAlgError("the Hessian of a projection is not finite")
         damping *= MORE_DAMPING
 

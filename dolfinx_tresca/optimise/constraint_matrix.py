@@ -23,7 +23,7 @@ def stored(matrix: csr_array) -> Matrix:
 
 @dataclass(frozen=True)
 class ConstraintMatrix:
-    """The matrix G of the equations G'x + S c = e. A row has entries of few bodies only.
+    """The matrix G of the equations G'x + S c = e. A row has entries for few bodies only.
 
     Attributes:
         columns: (size, k) G, sparse or dense, whose columns have length 1 or less.
@@ -65,8 +65,8 @@ class ConstraintMatrix:
         """Return G'D G, (k, k), the same on all ranks. Collective.
 
         Args:
-            derivative: the map D of (size, columns), symmetric, which couples the multipliers of a
-                node only.
+            derivative: applies D to (size, columns); D is symmetric and couples the multipliers of
+                a node only.
         """
         if not issparse(self.columns):
             return self.reductions.inner(self.columns, derivative(self.columns))
@@ -78,7 +78,7 @@ class ConstraintMatrix:
 
     @cached_property
     def _narrow(self) -> tuple[Array, Indices, csc_array]:
-        """The entries of G by nodes, and where their products are in G'D G. Collective.
+        """The entries of G by nodes, and the positions of their products in G'D G. Collective.
 
         Returns:
             the entries (size, width) of G in the columns of each row's node; the position

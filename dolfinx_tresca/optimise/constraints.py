@@ -21,8 +21,8 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Norm of the multipliers, over the norm of `sizes`, at which the search for multipliers that
-#: satisfy the equations ends: larger ones count as none.
+#: Norm of multipliers that satisfy the equations, divided by the norm of `sizes`, above which
+#: `balance` does not accept the multipliers and ends its search.
 LARGEST_REACTION = 1e4
 
 
@@ -110,10 +110,11 @@ class EqualityConstraints:
         rho: float,
         guess: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Return the nearest point of Lambda to y that satisfies the equations, and the change dc.
+        """Return the point of Lambda nearest to y that satisfies the equations, and the change dc.
 
         The point minimises |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that
-        x = P_Lambda(y + rho G dc). With y = x - rho r it is a gradient projection step.
+        x = P_Lambda(y + rho G dc) with the change dc of c. For y = z - rho r with the gradient r at
+        z, this is the gradient projection step from z.
 
         Args:
             feasible_set: Lambda.
@@ -153,7 +154,8 @@ class EqualityConstraints:
         """Return whether the last projection had the same arguments. Collective.
 
         Residual, multipliers and errors of an iterate need the same projection; most projections
-        are repetitions. A projection from zero does not repeat one from a guess.
+        are repetitions. If a projection should start from zero, one that started from a guess does
+        not count as the same.
         """
         same = False
         if self._last:
@@ -173,14 +175,14 @@ class EqualityConstraints:
     def balance(
         self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0
     ) -> ConstrainedProjection:
-        """Search for multipliers in Lambda that satisfy the equations, all equally soft.
+        """Search for multipliers in Lambda that satisfy the equations, with a standard softness.
 
-        S is replaced by the projector onto its range: so the result does not depend on the
-        stiffness of soft equations. Exact equations stay exact.
+        S is replaced by the projector onto its range: all soft equations are equally soft, and the
+        result does not depend on their stiffness. Exact equations stay exact.
 
         Args:
             feasible_set: Lambda.
-            reserve: relative increase of e; a positive one asks for multipliers with a margin.
+            reserve: relative increase of e; a positive value asks for a margin.
         """
         sizes = np.maximum(self.sizes, np.abs(self.values))
         return constrained_projection(
@@ -198,8 +200,8 @@ class EqualityConstraints:
     ) -> tuple[Array, Array]:
         """Return P_Lambda(x - rho (r - G c)), and the c (k,) with which it satisfies the equations.
 
-        The first guess of c is that of the last step. Where equations have no force, of a body that
-        nothing presses, c is not unique; `multipliers` are.
+        The search for c begins at the c of the last call. For the equations of a body that nothing
+        presses, c is not unique; the c that `multipliers` returns is.
 
         Args:
             feasible_set: Lambda.
@@ -215,7 +217,7 @@ class EqualityConstraints:
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> Array:
-        """Return the multipliers c (k,) of the gradient projection step from x, near zero.
+        """Return the c (k,) of the gradient projection step from x that a search from zero finds.
 
         The values S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x if S
         is small.

@@ -1,4 +1,4 @@
-"""Energies of an iterate: q, the norm of the displacement, and a bound of its error."""
+"""Energies of an iterate: q, and the displacement's energy norm with a bound of its error."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
 
 
 def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
-    """Return |u|_K [energy^(1/2)] of the displacement at x and c; 0 below its error. Collective.
+    """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective.
 
     Args:
         problem: the dual problem (38.4).
@@ -58,7 +58,7 @@ def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float
 
 
 def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
-    """Return a bound of the displacement's error in the energy norm, over its norm. Collective.
+    """Return a bound of the displacement's relative error in the energy norm. Collective.
 
     Args:
         problem: the dual problem (38.4).
@@ -75,7 +75,7 @@ def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: floa
 
 
 def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
-    """Return an error bound over the norm of the displacement; 0 if both are rounding.
+    """Return an error bound divided by the norm of the displacement; 0 if both are rounding.
 
     If the contact carries all loads and no body deforms, the displacement and its error are both
     rounding of displacements that cancel, and their ratio has no meaning.

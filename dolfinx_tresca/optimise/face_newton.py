@@ -16,19 +16,23 @@ from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: rho D in the sets (38.12), (38.13). With 1 a node would go to its minimiser with fixed
-#: neighbours; with a smaller value it changes its set less often.
+#: The product rho D in the active sets (38.12), (38.13), with the diagonal D of the model. With 1
+#: each node would take the set of its minimiser for fixed neighbours; with a smaller value nodes
+#: change their sets less often.
 RHO_DIAGONAL = 0.2
 
 #: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
-#: has not decreased. Doubled it changes no number of products of benchmarks/ablation.py;
-#: with 0.1 a cube that springs of 1e-6 of its stiffness hold takes 160 products in place of 20.
+#: has not decreased. Doubled it changes no number of products of benchmarks/ablation.py; with 0.1
+#: a cube held by springs of 1e-6 of its stiffness takes 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
 
 
 @dataclass(frozen=True)
 class Point:
-    """A feasible point, multipliers of the constraints, the gradient, and natural residual."""
+    """Feasible multipliers, multipliers c of the constraints, gradient and natural residual.
+
+    The gradient includes the term -G c of the constraints.
+    """
 
     multipliers: Array
     c: Array
@@ -47,11 +51,12 @@ class FaceNewton:
     is the exact Newton system of the face. It is symmetric and positive definite; equality
     constraints border it. The convergence is quadratic once the active sets no longer change
     (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
-    node also moves outwards with its pressure: s is replaced by P s + Q s on the left, where Q
-    contains the slope of g. The number of equations and the cost stay the same, but the system is
-    no longer symmetric. If g also depends on the slip v, which is -r along the radius of the disc,
-    with the slope h, the radial component of s solves s = Q s + h (change of v). Steps may leave
-    Lambda: a multiplier outside of it changes the active sets of the next step.
+    node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand side,
+    where Q contains the slope of g. The number of equations and the cost stay the same, but the
+    system is no longer symmetric. If g also depends on the slip v, which is the component of -r
+    along the radius of the disc, the radial component of s solves s = Q s + h (change of v) with
+    the slope h = dg/dv. Steps may leave Lambda: a multiplier outside Lambda changes the active sets
+    of the next step.
 
     Methods are collective, and need no product with A.
     """
@@ -92,7 +97,7 @@ class FaceNewton:
         return Point(projected, c + step_c, r - G @ step_c, residual)
 
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto the friction cones only; the residual includes that of the constraints.
+        """Project z onto the friction cones only; the residual contains the constraints' residual.
 
         In contrast to `point`, which projects onto the constraints as well, this method is cheap,
         and does not require that the section of z contains a point that satisfies the constraints.
@@ -108,7 +113,7 @@ class FaceNewton:
 
     @property
     def proximal_softness(self) -> float:
-        """Softness of the constraints with which steps in ill-posed faces remain short."""
+        """Softness to add to the constraints so that steps on ill-posed faces remain short."""
         return self._model.proximal_softness
 
     def step(
@@ -184,8 +189,9 @@ def minimise(
 
     The model is gradient'd + 1/2 d'M d with the step d from `multipliers`. If the active sets of
     Newton's method do not settle, an interior-point method (`interior_point`) provides points from
-    which they do. Near the minimiser that method is less accurate than the start: a strip of 150
-    nodes that is pulled to and fro ends with STAGNATED if it takes over after two idle steps.
+    which they do. Near the minimiser the interior-point method is less accurate than the start: a
+    strip of 150 nodes that is pulled to and fro ends with STAGNATED if that method takes over after
+    two idle steps.
 
     Collective. Needs no product with A.
 

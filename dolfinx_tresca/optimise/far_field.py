@@ -1,4 +1,4 @@
-"""The part of an earlier A that exceeds its cheap approximation; the next model begins with it."""
+"""The far field, an earlier A minus its cheap approximation: the next model begins with it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Part of a vector's energy x'A x that the far field must have to be kept. Smaller parts are errors
-#: of inexact products and of the known products with the near field. Twice or half the value needs
-#: the same number of products (benchmarks/ablation.py).
+#: Least ratio of x'(A - D) x to x'A x with which a vector x of the far field is kept. Smaller
+#: ratios are errors of inexact products and of the known products with the near field. Twice or
+#: half the value needs the same number of products (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
 
@@ -27,7 +27,7 @@ class FarField:
     Attributes:
         W: (size, k) vectors.
         Z: (size, k) factor with Z Z'W = (A - D) W.
-        scale: s, the size of the present A - D over that of the earlier one.
+        scale: s, the ratio of the present A - D to the earlier A - D.
     """
 
     def __init__(self, reductions: Reductions, W: Array, rest: Array, most: int) -> None:
@@ -35,7 +35,8 @@ class FarField:
 
         Args:
             reductions: sums over the ranks.
-            W: (size, k) vectors of the pairs, for which W'A W = I, and of an earlier far field.
+            W: (size, k) vectors with known products, for which W'A W = I, and vectors of an earlier
+                far field.
             rest: (size, k) products (A - D) W.
             most: limit on the number of columns; those with the largest eigenvalues are kept.
         """
@@ -62,7 +63,7 @@ class FarField:
         return FarField(self._reductions, W, Z @ self._inner(Z, W), W.shape[1])
 
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
-        """Scale F so that D + F has the energies of A, in the sense of least squares. Collective.
+        """Scale F so that w'(D + F) w = w'A w for W's columns, by least squares. Collective.
 
         Vectors that are nearly orthogonal to F are left out: the scale would follow from rounding
         errors, and could be so large that no step changes the multipliers.

@@ -13,7 +13,7 @@ from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 
-#: Stiffness of a circle, as a number, that counts as infinite.
+#: Largest stiffness of a circle, which takes the place of larger and infinite values.
 STIFFEST = 1e150
 
 
@@ -24,12 +24,12 @@ class Face:
     A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
     Attributes:
-        stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
-        slip: (n_discs,) discs with the multiplier on the circle.
-        active: (size,) multipliers without restriction: normal ones in the active set A_nu of
-            (38.12), and all of sticking and of bonded nodes.
-        free: (size,) active multipliers, and those of slipping nodes, which may move along their
-            circles.
+        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside.
+        slip: (n_discs,) discs whose multiplier is on the circle.
+        active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
+            of (38.12), tangential multipliers of sticking nodes, and all of bonded nodes.
+        free: (size,) active multipliers, and tangential multipliers of slipping nodes, which may
+            move along their circles.
         radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
             zero elsewhere.
         discs: Lambda.
@@ -47,7 +47,7 @@ class Face:
         return self.discs.sums((v.T * self.radial).T)
 
     def along_radius(self, parts: Array) -> Array:
-        """Return the unit vectors times (n_discs,) or (n_discs, k) parts, and zero elsewhere."""
+        """Return vectors along `radial` with the given parts, (n_discs,) or (n_discs, k)."""
         discs = self.discs
         result = np.zeros((discs.size, *parts.shape[1:]))
         result[discs.tangential] = (parts[discs.node].T * self.radial[discs.tangential]).T
@@ -104,7 +104,7 @@ class FeasibleSet:
 
     @property
     def has_curves(self) -> bool:
-        """Whether coefficients are functions of pressure and slip: there are none."""
+        """Whether coefficients are functions of pressure and slip: False without coefficients."""
         return False
 
     def at(self, x: Array, r: Array, rho: float | Array) -> FeasibleSet:
@@ -200,7 +200,7 @@ class FeasibleSet:
         return result
 
     def to_circle(self, v: Array, face: Face) -> Array:
-        """Return v with slipping nodes moved to their circles; others may stay outside Lambda."""
+        """Return v with slipping nodes moved to their circles; other nodes stay, even outside."""
         norms = self.norms(v)
         return self._scale_to_radius(v, norms, where=face.slip & (norms > 0.0))
 
@@ -244,13 +244,13 @@ class FeasibleSet:
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v, or columns, with tangential parts times their disc's factor (n_discs,)."""
+        """Return v (size,) or (size, k), tangential parts times their disc's factor (n_discs,)."""
         result = v.copy()
         result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
         return result
 
     def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
-        """Return v, or columns, with the tangential parts of some discs times radius / norms."""
+        """Return v (size,) or (size, k), tangential parts of `where` times radius / norms."""
         factor = np.ones_like(self.radius)
         np.divide(self.radius, norms, out=factor, where=where)
         return self.scaled_discs(v, factor)

@@ -27,23 +27,23 @@ from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Limit on Tresca problems with the bounds of the previous one; and softness of the springs that
-#: support bodies in them, over the softness of the bodies.
+#: Limit on the number of sweeps, Tresca problems with the bounds of the previous solution; and
+#: softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
-#: Factor on slip bounds with which they count as infinite.
+#: Factor that makes slip bounds practically infinite.
 LARGE = 1e100
 
-#: Largest residual after a step, over the residual before the step.
+#: Largest residual after a step, divided by the residual before it, with which the step is taken.
 WORSE = 2.0
 
-#: Natural residual of a fixed point of the model, over the residual of the present point, above
-#: which the model is solved more accurately. (A wall of 52 bricks
-#: that is pushed in accepted steps: with 0.5 and with 0.03 steps end with NO_FIXED_POINT.)
+#: Natural residual of a fixed point of the model, divided by the residual of the present point,
+#: above which the model is solved more accurately. (A wall of 52 bricks is pushed in accepted
+#: steps: with 0.5 and with 0.03, steps end with NO_FIXED_POINT.)
 REDUCTION = 0.003
 
-#: Consecutive iterations with too weak friction on the model, after which the iteration ends. (For
-#: a bolted joint beyond its limit, friction is too weak on the model after the first product.)
+#: Number of consecutive iterations with too weak friction on the model after which the solve ends.
+#: (For a bolted joint beyond its limit, friction is too weak on the model after the first product.)
 FAILURES = 2
 
 
@@ -56,13 +56,13 @@ def solve(
     problem with the bounds g (Haslinger 1983, Approximation of the Signorini problem with friction,
     obeying the Coulomb law). A, b and the gradient do not depend on g. In each iteration, the fixed
     point is computed on the model of A (see `projected_newton`), which costs no products, by
-    Newton's method (Alart and Curnier 1991), which requires no contraction; one product with A on
-    the step to it then improves the model. All iterates lie in the cones, hence each in its own
-    section: the natural residual, the energy bound and the nodes' states are those of Tresca's
+    Newton's method (Alart and Curnier 1991), which requires no contraction; the product of A with
+    the step to this point then improves the model. All iterates lie in the cones, hence each in its
+    own section: the natural residual, the energy bound and the nodes' states are those of Tresca's
     problem with the bounds G(lambda_nu) of the same lambda.
 
-    No quantity is guaranteed to decrease. A step that doubles the residual is not taken, and its
-    product only improves the model; if residuals stop decreasing, the iteration ends with
+    No quantity is guaranteed to decrease. A step that more than doubles the residual is not taken,
+    and its product only improves the model; if residuals stop decreasing, the iteration ends with
     NO_FIXED_POINT.
 
     Collective.
@@ -73,7 +73,7 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Projected Newton method whose target is the fixed point of the model."""
 
-    #: Whether the last step changed neither multipliers nor model, so that the next one cannot.
+    #: Whether the last step changed neither multipliers nor model: the next would be the same.
     has_stalled = False
 
     #: Consecutive iterations in which friction was too weak for the constraints on the model.
@@ -99,8 +99,9 @@ class _FixedPointNewton(ProjectedNewton):
 
         Newton's method on the model measures errors of the equilibrium and of the tractions as two
         independent equations. The projection in the natural residual satisfies the equilibrium
-        exactly. Where bodies slide as a whole, few tractions do, and the natural residual is a
-        hundred times larger. The model is then solved more accurately.
+        exactly. Where bodies slide as a whole, few tractions can satisfy it, and the natural
+        residual is a hundred times larger than these errors. The model is then solved more
+        accurately.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
@@ -137,7 +138,7 @@ class _FixedPointNewton(ProjectedNewton):
         return dataclasses.replace(found, deficit=self.deficit if lost else None)
 
     def is_useful_start(self, start: Array, r: Array) -> bool:
-        """Whether the iteration begins at a start: always for a step of a process.
+        """Return whether the iteration begins at a start: in a load step it always does.
 
         There may be several fixed points, and a process continues with the nearest. For example,
         friction keeps a wedge in place after the force that pushed it in is removed, although zero
@@ -195,13 +196,13 @@ def fixed_point_of_model(
     * the present point;
     * in a load step of a process, continuation in the load (`along_load`) from the last step;
     * continuation in the coefficients of friction (`along_friction`), from Tresca's problem without
-      friction, which has one solution; springs as soft as the bodies support bodies that the
-      reduced friction cannot;
+      friction, which has one solution; bodies that the reduced friction cannot support are held by
+      springs as soft as the bodies;
     * the solution with all nodes sticking;
-    * sweeps: solutions of Tresca's problem, each with the bounds of the previous one. They approach
-      the fixed point if friction is too weak to reverse pressures. Their bounds may be too small to
-      support a floating body; springs then support it at its position in the previous problem, as
-      in the method of multipliers.
+    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. They
+      approach the fixed point if friction is too weak to reverse pressures. Bounds of a sweep may
+      be too small to support a floating body; springs then support the body at its position in the
+      previous sweep, as in the method of multipliers.
 
     If no fixed point is found, the solution of the last sweep is returned: its product with A may
     improve the model.
@@ -217,8 +218,9 @@ def fixed_point_of_model(
         tolerance: requested natural residual, with the bounds at the point itself.
 
     Returns:
-        the fixed point (size,) and None; or the last sweep projected onto cones and constraints,
-        and its point before the projection, to which springs may have contributed.
+        the fixed point (size,) and None; or, if none was found, the point of the last sweep
+        projected onto cones and constraints, and the same point before the projection, in whose
+        equilibrium springs may take part.
     """
     constraints = problem.constraints
     enough = max(tolerance, ROUNDING * norm(problem, problem.b))

@@ -27,8 +27,8 @@ class FrictionCones:
     pressure minimises q over its own section, not over this set: see `fixed_point`.
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
-    at the pressures of x and at the slips of the set. The cones of the set are those of the
-    coefficients at one point, which `at` changes: they serve to move points near it into the set.
+    at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of one
+    point, which `at` changes: they serve to move points near that point into the set.
 
     Attributes:
         discs: Lambda with arbitrary radii, for the positions of normal and tangential multipliers.
@@ -73,8 +73,8 @@ class FrictionCones:
 
         Where the bound g decreases with the slip v, v is |r|. Elsewhere v >= 0 is the solution of
         g(v) + rho v = |x - rho r|, which means: x - rho r has the distance rho v from the circle
-        with radius g(v). At a solution of the problem both are equal. Away from it the second one
-        depends less on r, so that bounds that grow steeply with the slip stay moderate.
+        with radius g(v). At a solution of the problem this v equals |r|. At other points it depends
+        less on r than |r| does, and bounds that grow steeply with the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
@@ -114,11 +114,12 @@ class FrictionCones:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return a map of s, the step D^-1 P v along the face, and v: s + Q s + S v.
+        """Return the map from (s, v) to s + Q s + S v, with the step s = D^-1 P v along the face.
 
         Q maps the change of a slipping node's pressure to the change of its bound, along the
-        node's tangential multiplier; S does this with the change of its slip, by which D makes Q
-        smaller if the bound grows with the slip. Both map (size,) or (size, k).
+        node's tangential multiplier. S maps v to the change of the bound with the slip. If h is the
+        derivative of the bound by the slip, both maps contain the factor 1 / (1 + h D). Both map
+        (size,) or (size, k).
 
         Args:
             x: (size,) multipliers.
@@ -198,12 +199,12 @@ class FrictionCones:
         return result
 
     def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
-        """Return the slopes (n_discs,) of slipping nodes' bounds over pressure and slip at x."""
+        """Return dg/dp and dg/dv (n_discs,) at x for the bounds g of slipping nodes, else 0."""
         by_pressure, by_slip = self._slopes(self._pressures(x))
         return np.where(face.slip, by_pressure, 0.0), np.where(face.slip, by_slip, 0.0)
 
     def _slopes(self, pressure: Array) -> tuple[Array, Array]:
-        """Return the slopes (n_discs,) of bounds over pressure and slip; 0 beyond limits."""
+        """Return dg/dp and dg/dv (n_discs,) for the bounds g; 0 where F p exceeds its limit."""
         coefficient = self._coefficients(pressure)
         grows = (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         by_pressure, by_slip = coefficient, np.zeros_like(coefficient)
@@ -228,9 +229,9 @@ class FrictionCones:
         return np.where(self.has_curve, found, self.coefficient)
 
     def _slips(self, pressure: Array, length: Array, rho: Array) -> Array:
-        """Return v >= 0 (n_discs,) with g(v) + rho v = length, or 0 if g(0) is not less.
+        """Return v >= 0 (n_discs,) with g(v) + rho v = length, or 0 if g(0) >= length.
 
-        Newton's method, with bisection where it leaves the interval that contains v.
+        The method is Newton's, with bisection where it leaves the interval that contains v.
 
         Args:
             pressure: (n_discs,) normal multiplier, on which g depends as well.
@@ -332,8 +333,10 @@ class _Nearest:
 
     Attributes:
         pressure: (n_discs,) normal multiplier.
-        ratio: (n_discs,) norm of the tangential multiplier over its norm before; 1 for zero.
-        jacobian: (n_discs, 2, 2) derivative of pressure and radius.
+        ratio: (n_discs,) norm of the tangential multiplier, divided by its norm before the
+            projection; 1 if that norm is zero.
+        jacobian: (n_discs, 2, 2) derivative of (pressure, radius) by their values before the
+            projection.
     """
 
     pressure: Array

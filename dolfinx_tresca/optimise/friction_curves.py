@@ -30,11 +30,11 @@ class Curve(Protocol):
 class NodalCurves:
     """The curves of all discs, as functions of multipliers and their gradient.
 
-    A multiplier is a stress times the root of its node's area, and a component of the gradient a
-    length times the same root.
+    A multiplier is a stress times the root of its node's area, and a component of the gradient is
+    a length times the same root.
 
     Attributes:
-        parts: range of discs of each curve, and the curve.
+        parts: for each curve the range of its discs, and the curve.
         root: (n_discs,) root of the node's area.
     """
 
@@ -42,10 +42,10 @@ class NodalCurves:
     root: Array
 
     def coefficients(self, others: Array, pressure: Array, slip: Array) -> Array:
-        """Return F (n_discs,), with the given values of discs without a curve.
+        """Return F (n_discs,): values of the curves, and `others` for discs without a curve.
 
-        Values that are negative or not finite are zero: iterates may have pressures and slips far
-        from the solution's, whose values are checked afterwards.
+        Values that are negative or not finite become zero: iterates may have pressures and slips
+        far from those of the solution. The values at the solution are checked afterwards.
 
         Args:
             others: (n_discs,) coefficients of discs without a curve.

@@ -19,7 +19,7 @@ from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Called after each iteration; returns whether to stop, the same on all ranks.
+#: Called with each iterate, the first one included; returns whether to stop, the same on all ranks.
 Observe = Callable[[Iteration], bool]
 
 
@@ -103,7 +103,7 @@ class History:
     def check_convergence_of_projection(
         self, x: Array, r: Array
     ) -> tuple[ContactStatus | None, Array, Array]:
-        """Check the convergence of P(x), and return it with its gradient. Collective.
+        """Check the convergence of P(x); return the status, P(x) and its gradient. Collective.
 
         The gradient costs a product if P(x) differs from x.
         """

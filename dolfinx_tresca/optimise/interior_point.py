@@ -1,4 +1,4 @@
-"""A primal-dual interior-point method for the model of A, for cases in which Newton's cycles."""
+"""A primal-dual interior-point method for the model of A, used if Newton's method cycles."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.model import Model, NodalMaps
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Part of the largest step inside Lambda and its dual that is taken (the customary 0.99).
+#: Part that is taken of the largest step inside Lambda and its dual (the customary 0.99).
 TO_BOUNDARY = 0.99
 
-#: Largest norm of a friction disc's multiplier at the start, over the radius.
+#: Largest norm of a friction disc's multiplier at the start, divided by the radius of the disc.
 INITIAL_RADIUS = 0.9
 
-#: Factors on the barrier after short and after nearly whole steps; and the part from which a step
-#: counts as nearly whole. They determine the number of steps, not their limit.
+#: Barrier after short and after nearly whole steps, divided by the mean product of multipliers and
+#: duals; and the part from which a step counts as nearly whole. They determine the number of steps,
+#: but not the point to which the steps converge.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier mu at the start, over the mean energy x'D x / number of the multipliers, where each is at
-#: its minimiser for fixed other multipliers.
+#: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0: s is the
+#: larger one of |x| and |r| / D, the change of x to its minimiser for fixed other multipliers.
 INITIAL_BARRIER = 1.0
 
 
@@ -57,8 +58,8 @@ def central_path(
     with lambda z = mu, (g, lambda) o (t, s) = (mu, 0), mu going to zero, in the scaling of Nesterov
     and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone program solvers). Each step
     costs one solve with M and a diagonal. There are no active sets that could cycle, and the number
-    of steps hardly depends on condition, size, or start. The iteration ends when rounding prevents
-    a point strictly inside.
+    of steps hardly depends on condition, size, or start. The iteration ends when, by rounding, the
+    point or its dual is no longer strictly inside.
 
     Collective. Needs no product with A.
 

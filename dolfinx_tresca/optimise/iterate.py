@@ -31,16 +31,16 @@ class Step:
 class Iterate(ABC):
     """A point of Lambda with its gradient, and steps from it with their products.
 
-    It decides how accurately gradients and products are computed. There are two policies:
+    The class decides how accurately gradients and products are computed. There are two policies:
     `ExactIterate` and `InexactIterate`.
 
     Attributes:
         multipliers: (size,) the point.
         r: (size,) gradient at the point.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
-        finest: least error of a gradient that is requested at first. It is reduced if errors are as
-            large as the change by a step.
-        resolved: whether the last product's new part was larger than its error.
+        finest: least error that is requested of a gradient. It is reduced if errors are as large as
+            the change by a step.
+        resolved: whether the new part of the last product was larger than the product's error.
         learned: whether the last step may have changed the model of A.
     """
 
@@ -61,7 +61,10 @@ class Iterate(ABC):
 
     @classmethod
     def of(cls, problem: DualProblem, store: KnownProducts) -> Iterate:
-        """Return the policy for the problem's products, at zero. Arguments as in `__init__`."""
+        """Return an iterate at zero, with the policy for the problem's products.
+
+        Arguments as in `__init__`.
+        """
         return (ExactIterate if problem.exact else InexactIterate)(problem, store)
 
     @abstractmethod
@@ -81,7 +84,8 @@ class Iterate(ABC):
 
         Args:
             multipliers: (size,) the point.
-            part: sufficient error over the length of the multipliers, for inexact products.
+            part: sufficient error of the gradient, divided by the energy norm of the multipliers;
+                for inexact products.
         """
 
     def increase_accuracy(self) -> bool:
@@ -219,7 +223,8 @@ class InexactIterate(Iterate):
         r, error, wanted = self._known_gradient(multipliers, part)
         if error <= wanted:
             return r, error
-        # if the multipliers are rounding, a more accurate product would only be the error of b
+        # an accuracy below the error of b is useless: for tiny multipliers the product would be
+        # nothing but that error
         r, error = problem.response.gradient(multipliers, max(wanted, problem.response.b_error))
         self._store.add(multipliers, r + problem.b, error + problem.response.b_error)
         return r, error

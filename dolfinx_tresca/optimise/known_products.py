@@ -47,7 +47,7 @@ class KnownProducts(ABC):
         """Return a lower bound of the largest eigenvalue of A; 0 if nothing is known."""
 
     def fit_far(self, base: BlockBFGSModel | None = None) -> None:
-        """Scale the far field of an earlier A to fit the known products; here there is none.
+        """Scale the far field of an earlier A, if there is one, to fit the known products.
 
         Args:
             base: model that replaces the diagonal; None: the diagonal.
@@ -55,7 +55,7 @@ class KnownProducts(ABC):
         return
 
     def drop_inaccurate_pairs(self) -> None:
-        """Drop products whose errors are too large for later solves; here all are exact."""
+        """Drop products whose errors are too large for later solves; exact ones stay."""
         return
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.feasible_set import Face
 
-#: Least softness of equality constraints, over the compliance of the multipliers.
+#: Least softness of equality constraints, divided by the compliance of the multipliers.
 LEAST_SOFTNESS = 1e-10
 
 
@@ -49,7 +49,7 @@ class NodalMaps:
             face: face with the projector P.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
             stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc.
-            with_bound_change: maps P s and the vector that it follows from to s.
+            with_bound_change: maps P s and the vector v of `FrictionCones.with_bound_change` to s.
         """
         weight = 1.0 / (diagonal + stiffness)
         return cls(
@@ -72,7 +72,7 @@ class Model(ABC):
 
     @property
     def proximal_softness(self) -> float:
-        """Softness of the constraints with which Newton steps in ill-posed faces remain short."""
+        """Softness to add to the constraints so that Newton steps on ill-posed faces stay short."""
         return 0.0
 
     @property
@@ -124,7 +124,7 @@ class Model(ABC):
             G: (size, k) columns of length 1.
             softness: (k, k) S.
             missing: (k,) right-hand side of the second equation.
-            with_bound_change: maps P s and the vector that it follows from to s.
+            with_bound_change: maps P s and the vector v of `FrictionCones.with_bound_change` to s.
         """
         maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
         return self.solve_between(maps, right, G, softness, missing)

@@ -14,7 +14,8 @@ from dolfinx_tresca.optimise.residual import NaturalResidual
 #: Limit on products with the near field in one iteration.
 MOST = 8
 
-#: Solves the problem for a model of A, such as `face_newton.minimise`, with its arguments.
+#: A function that solves the problem for a model of A: `face_newton.minimise`, or another one with
+#: the same arguments.
 SolveModel = Callable[[DualProblem, Model, Array, Array, float, float], Array]
 
 

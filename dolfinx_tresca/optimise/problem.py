@@ -16,11 +16,11 @@ from dolfinx_tresca.status import ContactStatus
 
 
 class Response(Protocol):
-    """The displacement for the present load and given multipliers, by its jump and its energy."""
+    """Jump and energy of the displacement for the present load and given multipliers."""
 
     @property
     def b_error(self) -> float:
-        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
+        """Error of b in the norm of `gradient`; it is the error of the gradient at zero."""
         ...
 
     def refine_b(self) -> None:
@@ -35,13 +35,14 @@ class Response(Protocol):
         Args:
             x: (size,) multipliers.
             accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
-                norm of the displacement's error. The error is larger if the solver cannot reach it.
-            origin: (size,) start of the step to x, of which a part may be taken; None: no step.
+                norm of the displacement's error. If the solver cannot reach it, e is larger.
+            origin: (size,) start of a step to x; the caller may take a part of this step. None: no
+                step.
         """
         ...
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K [energy^(1/2)] for the displacement u at x; 0 below its error. Collective.
+        """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -144,7 +145,7 @@ class DualProblem(InnerProduct, Protocol):
 
     @property
     def product_error(self) -> float:
-        """The largest norm sqrt(e'A^-1 e) of an error e of `apply` so far, over sqrt(x'A x)."""
+        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
         ...
 
     def apply(self, x: Array) -> Array:
@@ -182,7 +183,7 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:
-        """Return an estimate of the discretisation error in the energy norm, over |u|. Collective.
+        """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
         Args:
             x: (size,) multipliers; an approximate solution is sufficient.
@@ -196,7 +197,7 @@ class FrictionDeficit:
     """A rigid motion along which the load exceeds the friction.
 
     Attributes:
-        motion: (k,) unit vector, combination of the equality constraints.
+        motion: (k,) unit vector of the motion's components, one for each equality constraint.
         load: work of the load along the motion, e'motion.
         friction: largest work of friction along the motion, the sum of g |G motion|.
     """

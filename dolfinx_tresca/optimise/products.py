@@ -18,29 +18,30 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: of a pair is divided by the root of this part.
 NEW_ENERGY = 1e-10
 
-#: Rayleigh quotient x'A x / x'x of the new part, over the largest so far, that counts as rounding:
-#: A is singular if constraints are linearly dependent.
+#: Rayleigh quotient x'A x / x'x of the new part, divided by the largest so far, up to which it
+#: counts as rounding: A is singular if constraints are linearly dependent.
 NULL_ENERGY = 1e-12
 
-#: Least energy norm of the new part of a product, over its error, for which the product is kept.
+#: Least energy norm of a product's new part, divided by its error, with which the product is kept.
 RESOLVED = 1.5
 
-#: Error of a pair over the error of a new one, in the norm sqrt(e'A^-1 e), from which the new pair
-#: replaces it.
+#: A known pair is removed if its error in a new product's known part, in the norm sqrt(e'A^-1 e),
+#: exceeds this number times the new product's error and hides the new part.
 WORSE_ERROR = 2.0
 
-#: Largest error of a pair, in the norm sqrt(e'A^-1 e) and over the pair's energy norm, with which
-#: it is kept for later solves. Less accurate pairs spoil the model of A: with twice the limit one
-#: of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half of
-#: it such steps take 18 products in place of 13, since more pairs must be found again.
+#: Largest error of a pair, in the norm sqrt(e'A^-1 e) and divided by the pair's energy norm, with
+#: which it is kept for later solves. Less accurate pairs spoil the model of A: with twice the limit
+#: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
+#: the limit such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
-#: Norm of a vector's part along the pairs, over the norm of the rest, that counts as rounding. The
-#: Gram-Schmidt process of exact pairs reaches it in two passes.
+#: Norm of a vector's part along the pairs, divided by the norm of the rest, up to which the part
+#: counts as rounding. The Gram-Schmidt process with exact pairs reaches it in two passes.
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
-#: Relative error of a product, or of q in |lambda| |r| (Euclidean norms), by rounding. Doubled or
-#: halved it changes no status and no number of products (benchmarks/ablation.py).
+#: Rounding error of a product, divided by the product's norm, or of q, divided by |lambda| |r|
+#: (Euclidean norms). Doubled or halved it changes no status and no number of products
+#: (benchmarks/ablation.py).
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
@@ -55,13 +56,13 @@ class ProductStore(KnownProducts):
         W: (size, k) vectors.
         Y: (size, k) products A W.
         errors: (k,) errors of Y in the norm |e| = sqrt(e'A^-1 e).
-        scale: factor on diag(A), at most 1: energy of the new part of the newest pair over its
-            energy with diag(A). It decreases, since the unknown part of A acts on vectors that
+        scale: factor on diag(A), at most 1: energy of the new part of the newest pair, divided by
+            its energy with diag(A). It decreases, since the unknown part of A acts on vectors that
             oscillate more and more, for which diag(A) is too large.
-        far: difference between an earlier A and its diagonal, or the near field; None if there was
-            no earlier A.
-        capacity: limit on the number of pairs. If it is exceeded, pairs are replaced by half as
-            many combinations, with the largest eigenvalues of A.
+        far: difference between an earlier A and the diagonal or near field of that A; None if there
+            was no earlier A.
+        capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
+            capacity / 2 combinations of them, for the largest eigenvalues of A.
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
@@ -99,8 +100,8 @@ class ProductStore(KnownProducts):
 
         Args:
             diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
-            base: model that approximates this A in place of the diagonal, the near field; the other
-                A has its own.
+            base: model of this A's near field, which then replaces the diagonal; None: the
+                diagonal. The other A has its own near field.
             carry: maps the far field to other constraints; None: the constraints are the same.
         """
         result = ProductStore(self._reductions, diagonal, self.capacity)
@@ -119,7 +120,7 @@ class ProductStore(KnownProducts):
         """Add a pair x, A x, unless its new part is less than errors or rounding. Collective.
 
         The new part is the part of the pair that known pairs do not give. If errors of known pairs
-        hide it, and the product is more accurate than they are, those pairs are removed.
+        hide it, and the product is more accurate than these pairs, they are removed.
 
         Args:
             x: (size,) vector.
@@ -220,7 +221,7 @@ class ProductStore(KnownProducts):
         self.errors = np.delete(self.errors, pair)
 
     def largest_ritz_value(self) -> float:
-        """Return a lower bound of sigma_max; 0 without pairs. Collective."""
+        """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
         known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
@@ -242,11 +243,11 @@ class ProductStore(KnownProducts):
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x, (size,), with a function in place of A outside the known pairs. Collective.
+        """Return M x, (size,), for the model whose D is given as a function. Collective.
 
         Args:
             x: (size,) vector.
-            apply_base: applies D to (size,); called once.
+            apply_base: applies D, the model of A without known pairs, to (size,); called once.
         """
         new, known = self.split(x)
         image = apply_base(new)

@@ -22,8 +22,8 @@ from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Number of products b, D b, ... with the near field before the iteration. With two, the largest
-#: Ritz value is near sigma_max.
+#: Number of products of the near field D with b, D b, ... before the iteration. With two, the
+#: largest Ritz value is near sigma_max.
 NEAR_POWERS = 2
 
 #: Limit on reductions of rho in one iteration, each of which takes a product with A.
@@ -47,7 +47,7 @@ def solve(
 
     A step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which bounds the value
     of q after the gradient projection step p = P_Lambda(lambda - rho r) - lambda; otherwise that
-    step is taken first. The proof of Theorem 38.1 needs no more, and (i) holds with
+    step is taken first. The proof of Theorem 38.1 needs no more, and its part (i) holds with
     eta = 1 - rho sigma_min for the rho of the result.
 
     Collective.
@@ -56,7 +56,7 @@ def solve(
         problem: A, b, Lambda; the products of this solve are added to its store.
         start: (size,) first multipliers; projected onto Lambda.
         options: tolerances.
-        observe: called before each iteration.
+        observe: called with each iterate, the first one included.
     """
     return ProjectedNewton(problem, options, observe).run(start)
 
@@ -67,7 +67,7 @@ class ProjectedNewton:
     Attributes:
         problem: A, b, Lambda.
         options: tolerances.
-        observe: called before each iteration.
+        observe: called with each iterate, the first one included.
         largest: lower bound of sigma_max, kept when pairs are dropped.
         store: known products with A.
         residual: natural residual and its scale.
@@ -103,8 +103,8 @@ class ProjectedNewton:
     def compute_first_products(self) -> None:
         """Compute first products to bound sigma_max, unless some are known. Collective.
 
-        They are the seed products of a new A, then, if there are none, products with b: with the
-        near field if there is one, and else with A.
+        For a new A, `known_products` computes the seed products. If no product is known then, b is
+        multiplied by the near field if there is one, and otherwise by A.
         """
         self.store = store = self.problem.known_products()
         store.drop_inaccurate_pairs()
@@ -178,9 +178,9 @@ class ProjectedNewton:
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
         """Return the solution, changed such that it satisfies soft constraints to rounding.
 
-        The multipliers c of an iterate satisfy the constraints after the next projection step only.
-        One Newton step on the model, which needs no product, corrects x and c with the least
-        increase of the energy.
+        The multipliers c of an iterate belong to the end of the next projection step, and only
+        there satisfy the constraints. One Newton step on the model, which needs no product,
+        corrects x and c with the least increase of the energy.
         """
         constraints = self.problem.constraints
         if not constraints.are_soft:
@@ -246,9 +246,9 @@ class ProjectedNewton:
         return float(self.problem.inner(direction, r)) + soft
 
     def curvature(self, direction: Array, product: Array) -> float:
-        """Return the second derivative of q along a direction from its product with A or M.
+        """Return the second derivative of q along a direction, soft equations included.
 
-        The energy of soft equations is included.
+        The product is A times the direction, or an approximation of it.
         """
         soft = self.problem.constraints.curvature(direction)
         return float(self.problem.inner(direction, product)) + soft

@@ -8,7 +8,7 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: Residual, over its scale or over |b|, up to which rounding may be the cause of a stagnation.
+#: Residual, divided by its scale or by |b|, up to which rounding may be the cause of a stagnation.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -17,9 +17,10 @@ class NaturalResidual:
 
     The relative residual is divided by the residual at lambda = 0, so that it does not depend on
     units, on the size of the load, or on the initial guess. If zero does not satisfy the equality
-    constraints, the nearest point that does is used instead of zero, and |A lambda| is the scale if
-    it is larger. The same holds for the initial multipliers of a load step if they have a larger
-    residual than the origin: friction may support a body that no load presses.
+    constraints, the nearest point that does is used instead of zero, and |A lambda| at this point
+    is the scale if it is larger. |A lambda| at the initial multipliers of a load step counts in the
+    same way if they have a larger residual than the origin: friction may support a body that no
+    load presses.
 
     Attributes:
         rho: step length.
@@ -83,7 +84,7 @@ class NaturalResidual:
         Args:
             error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e).
         """
-        # |e| is at most sqrt(sigma_max) times that norm
+        # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
         largest = error / float(np.sqrt(self.rho))
         return self.scale <= largest and self.at(self.origin, self.origin_gradient - largest) > 0.0
 
@@ -102,7 +103,7 @@ class NaturalResidual:
         return norm(self._problem, x - self.projection(x, r)) / self.rho
 
     def is_limited_by_rounding(self, residual: float) -> bool:
-        """Whether rounding may be the cause that a residual does not decrease. Not collective.
+        """Return whether rounding may keep a residual from decreasing. Not collective.
 
         The residual is then small compared with its scale or with b. If displacements by the loads
         are tiny compared with a gap, the scale follows from the loads, but rounding from the gap.

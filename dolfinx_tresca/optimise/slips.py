@@ -13,8 +13,9 @@ def cones_at(
 ) -> tuple[FeasibleSet | FrictionCones, Array]:
     """Return the admissible set with the slips at x, and multipliers c (k,) of the constraints.
 
-    The multipliers c are those of the gradient projection step. The motion of floating bodies,
-    which follows from c, is no part of the slips: their bounds must not depend on them. Collective.
+    The multipliers c are those of the gradient projection step. The slips lack the motion of
+    floating bodies, which follows from c: bounds that depend on the slip are not allowed for such
+    bodies. Collective.
 
     Args:
         problem: the dual problem.

@@ -13,14 +13,15 @@ from dolfinx_tresca._base.arrays import Array, Indices, Matrix
 from dolfinx_tresca.optimise.model import LEAST_SOFTNESS, Model, NodalMaps
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Number that is added to the diagonal of A in the model, over the mean of the diagonal. A wall of
+#: Number that the model adds to the diagonal of A, divided by the mean of the diagonal. A wall of
 #: 52 bricks pushed in 17 accepted steps of 0.025 takes 53 iterations with 1e-2, 34 with 1e-3 and
 #: 1e-4, 18 with 1e-5; with 1e-10 Newton's method on the model fails.
 SHIFT = 1e-4
 
-#: Softness of the equality constraints, over the compliance of the multipliers, in steps of
-#: Newton's method along faces that hold some bodies hardly or not at all. With 1e-10 a wall of
-#: 1,104 bricks is not solved.
+#: Softness of the equality constraints, divided by the compliance of the multipliers, in the first
+#: step of Newton's method, and least softness after it. With 1e-10 a wall of 1,104 bricks is not
+#: solved. Halved, walls take about as many steps; doubled, a tilted wall of 20 bricks
+#: (`tests/validation/test_many_bodies.py`) is not solved.
 PROXIMAL = 1e-4
 
 
@@ -28,13 +29,14 @@ class SparseModel(Model):
     """The model M = A + s I of A, sparse since A couples only multipliers of the same body.
 
     A is singular if constraints are linearly dependent, as at corners of bricks that touch two
-    others; the shift s makes M positive definite. Since gradients are those of A, the iteration
-    with M is a proximal point method (Rockafellar 1976): the solution is that for A, and the error
-    falls by the factor s / (s + sigma) in each iteration, with the least positive eigenvalue sigma.
+    other bricks; the shift s makes M positive definite. Since gradients are computed with A, the
+    iteration with M is a proximal point method (Rockafellar 1976): its solution is the solution for
+    A, and the error falls by the factor s / (s + sigma) in each iteration, where sigma is the least
+    positive eigenvalue of A.
 
-    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. Slopes of bounds with
-    the slip are left out of it, so that Newton's method converges linearly there. Every rank has
-    the whole matrix.
+    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. Its matrix neglects that
+    bounds may depend on the slip; for such bounds Newton's method converges linearly. Every rank
+    has the whole matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
@@ -52,7 +54,7 @@ class SparseModel(Model):
 
         Args:
             reductions: sums over the ranks.
-            rows: (size, n) this rank's rows of A, with a column for the multipliers of all ranks.
+            rows: (size, n) this rank's rows of A, with columns for the multipliers of all ranks.
             first: position of this rank's first row in A.
             nodes: (size,) the node of each of this rank's multipliers.
             solve: solves with a sparse matrix that is not symmetric; every rank calls it.
@@ -74,7 +76,7 @@ class SparseModel(Model):
 
     @property
     def proximal_softness(self) -> float:
-        """Softness of the constraints with which Newton steps in ill-posed faces remain short."""
+        """Softness to add to the constraints so that Newton steps on ill-posed faces stay short."""
         return float(PROXIMAL / self._unit)
 
     @property
@@ -145,7 +147,7 @@ class SparseModel(Model):
 
 
 def _groups(nodes: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return the pairs of multipliers of the same node, and places of multipliers in their node.
+    """Return the pairs of multipliers of the same node, and multipliers' numbers in their node.
 
     Returns:
         row (m,) and column (m,) of all pairs; and (size,) a number 0, 1, ... for each multiplier

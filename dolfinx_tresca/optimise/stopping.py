@@ -14,8 +14,9 @@ from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 
-#: Least relative energy error that is requested on account of the mesh; and the energy error below
-#: which, with `rtol`, the mesh's error is not estimated, since every mesh has a larger error.
+#: Least relative energy error that is requested if the mesh's error determines it; and, with
+#: `rtol`, the relative energy error below which the mesh's error is not estimated, since every mesh
+#: has a larger error.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
@@ -52,8 +53,9 @@ class Stopping:
     def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
-        The two numbers belong to the first criterion that is not met, or to the last. By default,
-        the first call with a small bound sets `accuracy` from the error of the mesh. Collective.
+        The two numbers belong to the first criterion that is not met; if all are met, to the last.
+        Unless the user set `accuracy=`, the first call with a small bound sets `accuracy` from the
+        error of the mesh. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -78,7 +80,7 @@ class Stopping:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
             error: error of r in the norm sqrt(e'A^-1 e).
-            residual: natural residual over its scale.
+            residual: natural residual, divided by its scale.
         """
         problem, c = self._tresca(x, r)
         if self._rtol is not None:
@@ -88,7 +90,7 @@ class Stopping:
             yield bound, self.accuracy
             return
         if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
-            # while errors exceed the norm of the displacement the relative bound is infinite
+            # the relative bound is infinite while errors exceed the norm of the displacement
             if self._mesh_unknown:
                 yield bound, FORCING
                 if self._rtol is None or bound > BELOW_ANY_MESH:
@@ -125,7 +127,7 @@ class Stopping:
     def residual_error(self) -> float:
         """The error of a gradient, in the norm sqrt(e'A^-1 e), equal to the requested residual."""
         rtol = UNPROVEN if self._rtol is None else self._rtol
-        # the norm is at least |e| / sqrt(sigma_max)
+        # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
         rho = self._residual.rho
         return rtol * self._residual.scale * float(np.sqrt(rho / self._step_factor))
 

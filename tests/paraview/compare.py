@@ -82,14 +82,16 @@ def check(path, steps):
             grid = grids[name]
             if grid.GetNumberOfCells() != wanted["cells"]:
                 faults.append(f"{grid.GetNumberOfCells()} cells, wanted {wanted['cells']}")
-            if not math.isclose(size_of(grid), wanted["size"], rel_tol=STRAIGHT):
+            if "size" in wanted and not math.isclose(
+                size_of(grid), wanted["size"], rel_tol=STRAIGHT
+            ):
                 faults.append(f"size {size_of(grid)}, wanted {wanted['size']}")
             faults += differences(ranges(grid.GetPointData()), wanted["points"])
             faults += differences(ranges(grid.GetCellData()), wanted["values"])
             if path.suffix != ".xdmf" and "state" in wanted["points"]:
                 if grid.GetPointData().GetArray("state").GetDataTypeAsString() != "int":
                     faults.append("state is no integer")
-    if path.suffix == ".pvd":
+    if path.suffix == ".pvd" and "volume" in steps[0][1]:  # bodies have no field at first
         faults += check_look(reader, path)
     simple.Delete(reader)
     return faults
