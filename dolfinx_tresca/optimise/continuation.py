@@ -19,6 +19,10 @@ FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 #: Limit on halvings of a step of Newton's method that does not reduce the residual.
 MOST_HALVINGS = 5
 
+#: Factor on the softness of the constraints after a step no part of which reduces the residual; it
+#: is divided by the factor after a step that reduces the residual to less than `GOOD_STEP` of it.
+SOFTER, GOOD_STEP = 10.0, 0.5
+
 #: Multipliers, multipliers of the constraints, and gradient.
 Iterate = tuple[Array, Array, Array]
 
@@ -107,21 +111,22 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
-    A step is shortened if it does not reduce the residual. If no part of it does, the face may not
-    hold some bodies: this step and all later ones are then taken with softened constraints.
+    A step is shortened if it does not reduce the residual. If no part of it does, the face may hold
+    some bodies hardly or not at all: the part with the least residual is taken, and the constraints
+    of the next step are softer, as in the method of Levenberg and Marquardt.
     """
     best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
     iterate = at.multipliers, at.c, at.gradient
-    softness, idle = 0.0, 0
+    softness, idle = newton.proximal_softness, 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
-        end = newton.step(*iterate, softness)
-        reached, there = _part_of_step(newton, iterate, end, at.residual)
-        if there.residual > at.residual and softness < newton.proximal_softness:
-            softness = newton.proximal_softness
-            continue
-        iterate, at = reached, there
+        before, end = at.residual, newton.step(*iterate, softness)
+        iterate, at = _part_of_step(newton, iterate, end, before)
+        if at.residual > before:
+            softness *= SOFTER
+        elif at.residual < GOOD_STEP * before:
+            softness = max(softness / SOFTER, newton.proximal_softness)
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
     return best
