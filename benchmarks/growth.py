@@ -10,7 +10,7 @@ Each kind makes one number larger and keeps the others, where that is possible:
     load_steps      1,000 small changes of the load of two bricks, with one K
     pairs           one body on rigid planes, a pair for each of up to 50 strips
                     of its lower face, half of which they are together
-    bodies          walls of up to 500 bricks that only contact holds (`scenes/wall.py`)
+    bodies          walls of up to 490 bricks that only contact holds (`scenes/wall.py`)
     import, start   a new process: `import dolfinx_tresca`, and two bricks with N = 4 from there to
                     the first solution, with an empty cache of compiled forms and with a full one
 
@@ -50,7 +50,7 @@ from scenes.two_bricks import two_bricks
 from scenes.wall import wall
 
 #: Bricks in a course and courses, by the number of bricks.
-WALLS = {2: (2, 1), 52: (6, 8), 150: (12, 12), 500: (24, 20)}
+WALLS = {2: (2, 1), 52: (6, 8), 150: (12, 12), 490: (24, 20)}
 
 #: What is counted: cells along a brick or a plate, steps, pairs, bricks; 1 for a full cache.
 NUMBERS: dict[str, tuple[int, ...]] = {

@@ -10,7 +10,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
@@ -37,12 +39,14 @@ class Side:
     Attributes:
         tag: tag of the facets.
         name: "secondary" or "primary", for messages.
+        facet_tags: tags of all facets.
         whole: properties of the whole surface, on all ranks.
         halo: the facets on this rank.
     """
 
     tag: int
     name: str
+    facet_tags: Any
     whole: WholeSurface
     halo: Halo
 
@@ -72,12 +76,13 @@ class Side:
             origins=facets.origins if undeformed.origins is None else undeformed.origins,
             axisymmetric=axisymmetric,
         )
-        return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
+        whole = WholeSurface.of(V.mesh.comm, facets)
+        return cls(tag, name, pair.facet_tags, whole, Halo(V, facets))
 
     def nodes_on_this_rank(self, V: Any, moved: bool) -> SurfaceNodes:
         """Return the nodes of this rank's facets. Collective.
 
-        If nodes of the undeformed surface coincide, the log has a warning.
+        If nodes of the undeformed surface alone coincide, the log has a warning.
 
         Args:
             V: the space of the displacement.
@@ -100,8 +105,10 @@ class Side:
         # no warning: nodes of two bodies that touch coincide
         if moved or self.halo.facets.origins.shape[1]:
             return nodes
-        first = np.unique(nodes.numbers[own], return_index=True)[1]
-        coincident = _coincident(comm, nodes.points[own][first], self.whole)
+        numbers, first = np.unique(nodes.numbers[own], return_index=True)
+        # corners of bricks side by side are on their ends, which have tags for contact as well
+        single = ~np.isin(numbers, self._nodes_with_other_tags(V))
+        coincident = _coincident(comm, nodes.points[own][first][single], self.whole)
         if coincident:
             log(
                 comm,
@@ -113,6 +120,14 @@ class Side:
                 about=str(self.tag),
             )
         return nodes
+
+    def _nodes_with_other_tags(self, V: Any) -> GlobalNumbers:
+        """Return the nodes of facets with other tags, owned ones and some others. Collective."""
+        tags = self.facet_tags
+        others = tags.indices[tags.values != self.tag]
+        found = fem.locate_dofs_topological(V, tags.dim, others)
+        numbers: GlobalNumbers = V.dofmap.index_map.local_to_global(found)
+        return numbers
 
 
 def _coincident(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:

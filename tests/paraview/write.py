@@ -5,6 +5,7 @@ What must be found comes from the Functions and not from what writes the files.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from collections.abc import Sequence
@@ -16,13 +17,17 @@ from mpi4py import MPI
 import numpy as np
 
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 
 from dolfinx_tresca import ContactSolution, SolutionWriter, Tresca
 from scenes.patches import patch
 from scenes.two_bricks import two_bricks
+from scenes.wall import HEIGHT, tower
 
 TIMES = (0.0, 0.5, 2.0)
+
+#: Width of the blocks of a tower, and their names, from below.
+WIDTH, BLOCKS = 0.25, ("sill", "left/stone", "left stone")
 
 
 def ranges(function: fem.Function) -> list[list[float]]:
@@ -56,6 +61,40 @@ def blocks(solution: ContactSolution) -> dict[str, Any]:
     return {"volume": volume, "contact": block(solution.surface.functions)}
 
 
+def course(u: fem.Function, number: int) -> dict[str, Any]:
+    """Return what the block of a block of the tower holds. Collective."""
+    V, low = u.function_space, HEIGHT * number
+    # without the rounding of heights
+    cells = mesh.locate_entities(
+        V.mesh, V.mesh.topology.dim, lambda x: np.abs(x[1] - low - 0.5 * HEIGHT) < 0.6 * HEIGHT
+    )
+    own = cells[cells < V.mesh.topology.index_map(V.mesh.topology.dim).size_local]
+    values = u.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[own].ravel()]
+    everywhere = np.concatenate(V.mesh.comm.allgather(values))
+    least, largest = everywhere.min(axis=0), everywhere.max(axis=0)
+    found = [[float(a), float(b)] for a, b in zip(least, largest, strict=True)]
+    return {
+        "cells": V.mesh.comm.allreduce(len(own)),
+        "size": WIDTH * HEIGHT,
+        "points": {u.name: [*found, [0.0, 0.0]]},
+        "values": {"body": [[number + 1.0, number + 1.0]]},
+    }
+
+
+def bodies(solution: ContactSolution) -> dict[str, Any]:
+    """Return the blocks of a tower's solution, with one for each body. Collective."""
+    found = {surface.name: block(surface.functions) for surface in solution.surfaces}
+    names = ("sill", "left_stone", "left_stone_3")
+    found |= {name: course(solution.u, number) for number, name in enumerate(names)}
+    forces = np.array([[*one.force, 0.0] for one in solution.between_bodies.values()])
+    points = {
+        "force": np.column_stack([forces.min(axis=0), forces.max(axis=0)]).tolist(),
+        "on_body": [[1.0, 2.0]],
+        "by_body": [[2.0, 3.0]],
+    }
+    return {**found, "forces_between_bodies": {"cells": 2, "points": points, "values": {}}}
+
+
 def main(folder: Path) -> None:
     """Write the files of a run on so many ranks."""
     comm = MPI.COMM_WORLD
@@ -85,6 +124,10 @@ def main(folder: Path) -> None:
             solution = problem.solve(rtol=1e-6)
         solution.write(folder / f"{kind}_{comm.size}.pvd")
         expected[f"{kind}_{comm.size}.pvd"] = [[0.0, blocks(solution)]]
+    with tower(comm, len(BLOCKS), WIDTH).problem() as problem:
+        solution = dataclasses.replace(problem.solve(rtol=1e-6), body_names=BLOCKS)
+    solution.write(folder / f"tower_{comm.size}.pvd", by_body=True)
+    expected[f"tower_{comm.size}.pvd"] = [[0.0, bodies(solution)]]
     if comm.rank == 0:
         (folder / f"{comm.size}.json").write_text(json.dumps(expected))
 
