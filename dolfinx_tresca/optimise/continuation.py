@@ -111,22 +111,42 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
+    Where steps with softened constraints do not converge, the method starts again without softness.
+    """
+    best = _nearest_fixed_point(newton, start, tolerance, newton.proximal_softness)
+    if best.residual <= tolerance or newton.proximal_softness == 0.0:
+        return best
+    other = _nearest_fixed_point(newton, start, tolerance, 0.0)
+    return min(best, other, key=lambda point: point.residual)
+
+
+def _nearest_fixed_point(
+    newton: FaceNewton, start: Point, tolerance: float, softness: float
+) -> Point:
+    """Return the iterate of Newton's method with the least residual.
+
     A step is shortened if it does not reduce the residual. If no part of it does, the face may hold
     some bodies hardly or not at all: the part with the least residual is taken, and the constraints
     of the next step are softer, as in the method of Levenberg and Marquardt.
+
+    Args:
+        newton: method and problem.
+        start: initial guess.
+        tolerance: requested natural residual.
+        softness: softness of the constraints in the first step.
     """
     best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
     iterate = at.multipliers, at.c, at.gradient
-    softness, idle = newton.proximal_softness, 0
+    least, idle = newton.proximal_softness, 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
         before, end = at.residual, newton.step(*iterate, softness)
         iterate, at = _part_of_step(newton, iterate, end, before)
         if at.residual > before:
-            softness *= SOFTER
-        elif at.residual < GOOD_STEP * before:
-            softness = max(softness / SOFTER, newton.proximal_softness)
+            softness = max(SOFTER * softness, least)
+        elif at.residual < GOOD_STEP * before and softness > least:
+            softness = max(softness / SOFTER, least)
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
     return best

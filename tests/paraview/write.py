@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,7 +84,10 @@ def course(u: fem.Function, number: int) -> dict[str, Any]:
 
 def bodies(solution: ContactSolution) -> dict[str, Any]:
     """Return the blocks of a tower's solution, with one for each body. Collective."""
-    found = {surface.name: block(surface.functions) for surface in solution.surfaces}
+    found = {
+        re.sub(r"\W+", "_", surface.name).strip("_"): block(surface.functions)
+        for surface in solution.surfaces
+    }
     names = ("sill", "left_stone", "left_stone_3")
     found |= {name: course(solution.u, number) for number, name in enumerate(names)}
     forces = np.array([[*one.force, 0.0] for one in solution.between_bodies.values()])
