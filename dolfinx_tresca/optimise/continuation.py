@@ -16,9 +16,9 @@ from dolfinx_tresca.optimise.problem import DualProblem
 #: First and least step of the path parameter, which goes from 0 to 1.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
-#: Limit on halvings of a step of Newton's method that does not reduce the residual. Halved, a tilted
-#: wall of 20 bricks (`tests/validation/test_many_bodies.py`) is not solved; doubled, 490 bricks take
-#: 50 steps in place of 31.
+#: Limit on halvings of a step of Newton's method that does not reduce the residual. Halved, a
+#: tilted wall of 20 bricks (`tests/validation/test_many_bodies.py`) is not solved; doubled, 490
+#: bricks take 50 steps in place of 31.
 MOST_HALVINGS = 5
 
 #: Factor on the softness of the constraints after a step no part of which reduces the residual; it
