@@ -23,7 +23,7 @@ from dolfinx_tresca.surface.numbering import label_bodies
 #: Largest number of multipliers on a body, divided by the number of all multipliers, and largest
 #: number of multipliers on a body, with which A is computed as a sparse matrix. Both limit the
 #: number of solves with K. With half the share, 17 bricks take 37 products in place of 32, and 39
-#: Newton steps in place of 7; with twice the share walls of 5 and 10 bricks are as fast. Walls of 15
+#: Newton steps in place of 7; with twice the share 5 and 10 bricks are as fast. Walls of 15
 #: bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65 times the time with the
 #: matrix.
 BODY_SHARE, MOST_ON_BODY = 0.25, 200
