@@ -20,11 +20,12 @@ from dolfinx_tresca.optimise.sparse_model import SparseModel
 from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies
 
-#: Largest number of multipliers on a body, over the number of all multipliers, and largest number
-#: at all, with which A is computed as a sparse matrix. Both limit the number of solves with K.
-#: With half the share, 17 bricks take 52 products in place of 32, and 58 steps of Newton's method
-#: in place of 15; with twice the share 5 to 10 bricks are as fast. Walls of 12 bricks with 220 and
-#: 348 multipliers on a brick would take half and two thirds of the time with the matrix.
+#: Largest number of multipliers on a body, divided by the number of all multipliers, and largest
+#: number of multipliers on a body, with which A is computed as a sparse matrix. Both limit the
+#: number of solves with K. With half the share, 17 bricks take 37 products in place of 32, and 39
+#: Newton steps in place of 7; with twice the share 5 and 10 bricks are as fast. Walls of 15
+#: bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65 times the time with the
+#: matrix.
 BODY_SHARE, MOST_ON_BODY = 0.25, 200
 
 #: Approximate minimum fill, a value of MUMPS's ICNTL(7). For a matrix of 5,005 bricks it takes 0.76

@@ -42,7 +42,7 @@ ROUNDING_SQUARE = 1e-13
 
 #: Number of motions that are computed if contact does not resist some motions of many bodies; the
 #: message names the body that moves most in these. To compute all motions of hundreds of bodies
-#: would take a dense eigenvalue problem. The number changes nothing but the message.
+#: would take a dense eigenvalue problem. It changes nothing but the message.
 MOST_NAMED = 6
 
 

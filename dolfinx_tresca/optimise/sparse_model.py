@@ -19,8 +19,8 @@ from dolfinx_tresca.optimise.reductions import Reductions
 SHIFT = 1e-4
 
 #: Softness of the equality constraints, divided by the compliance of the multipliers, in the first
-#: step of Newton's method, and least softness after it. With 1e-10 a wall of 1,104 bricks is not
-#: solved. Halved, walls take about as many steps; doubled, a tilted wall of 20 bricks
+#: Newton step on the model; later ones are as soft or softer. With 1e-10 a wall of 1,104 bricks is
+#: not solved. Halved, walls take about as many steps; doubled, a tilted wall of 20 bricks
 #: (`tests/validation/test_many_bodies.py`) is not solved.
 PROXIMAL = 1e-4
 
