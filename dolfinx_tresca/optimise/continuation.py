@@ -23,8 +23,8 @@ MOST_HALVINGS = 5
 
 #: Factor on the softness of the constraints after a step no part of which reduces the residual; it
 #: is divided by the factor after a step that reduces the residual to less than `GOOD_STEP` of it.
-#: Twice or half of either solves the same walls in about as many steps. With a softness that does
-#: not grow, the first search for the push of 2,046 bricks fails.
+#: Twice or half of either solves the same walls in about as many steps. With a softness that stays
+#: `PROXIMAL` the first search for the push of 2,046 bricks fails.
 SOFTER, GOOD_STEP = 10.0, 0.5
 
 #: Multipliers, multipliers of the constraints, and gradient.

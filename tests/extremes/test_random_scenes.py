@@ -138,8 +138,8 @@ def test_random_scene(drawn):
     check(MPI.COMM_WORLD, drawn)
 
 
-@pytest.mark.long
 @pytest.mark.parallel
+@pytest.mark.long
 @examples(5000 if MPI.COMM_WORLD.size == 1 else 500)
 @given(SCENES)
 def test_many_random_scenes(drawn):

@@ -240,7 +240,7 @@ def test_the_script_of_the_guide(capsys):
     assert f"{solution.normal_force:.2f} N and {solution.peak_pressure:.3f} MPa" in page
     assert f"with {solution.counts.contact} pressed nodes" in page
     theory = HertzSphere(solution.normal_force, 10.0, plane_strain_modulus(10.0, POISSON))
-    assert f"theory has {theory.peak:.3f} MPa" in page
+    assert f"theory gives {theory.peak:.3f} MPa" in page
     found["problem"].destroy()
 
 
