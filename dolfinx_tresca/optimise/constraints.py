@@ -237,7 +237,10 @@ class EqualityConstraints:
 
     def soft_multipliers(self, x: Array) -> Array:
         """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
-        result: Array = self._inverse @ (self.values - self.matrix.along(x))
+        missing = self.values - self.matrix.along(x)
+        first = self._inverse @ missing
+        # one step of iterative refinement: rounding of stiff equations would spoil softer ones
+        result: Array = first + self._inverse @ (missing - self.softness @ first)
         return result
 
     def slope(self, x: Array, direction: Array) -> float:

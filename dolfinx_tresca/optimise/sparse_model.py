@@ -18,10 +18,9 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: 1e-4, 18 with 1e-5; with 1e-10 Newton's method on the model fails.
 SHIFT = 1e-4
 
-#: Softness of the equality constraints, divided by the compliance of the multipliers, in the first
-#: Newton step on the model; later ones are as soft or softer. With 1e-10 a wall of 1,104 bricks is
-#: not solved. Halved, walls take about as many steps; doubled, a tilted wall of 20 bricks
-#: (`tests/validation/test_many_bodies.py`) is not solved.
+#: Softness of the equality constraints, divided by the compliance of the multipliers, in Newton
+#: steps after one that failed, and least softness in later ones. With 1e-10 a wall of 1,104 bricks
+#: is not solved.
 PROXIMAL = 1e-4
 
 

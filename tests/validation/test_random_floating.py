@@ -416,7 +416,9 @@ def test_scenes_agree(seed):
     check(seed)
 
 
-@pytest.mark.parametrize("seed", [3, 11, 47])
+# Scene 40: bodies on springs of very different stiffness, without a solution unless their
+# multipliers are refined.
+@pytest.mark.parametrize("seed", [3, 11, 40, 47])
 def test_scenes_agree_with_coulomb(seed):
     assert check(seed, coulomb=True) != "missed"
 
