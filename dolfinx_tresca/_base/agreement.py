@@ -269,7 +269,7 @@ class _Description:
         return None
 
     def _text(self, value: Any) -> str:
-        """Return the text of a value without parts."""
+        """Return the text of a value that `_parts` does not divide."""
         number = real(value)
         if isinstance(value, bool | np.bool_ | str | bytes) or value is None:
             return repr(value)

@@ -135,7 +135,9 @@ class LinearisedContact:
         return self.face.project(self.with_bound_change_transpose(v))
 
     def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
-        """Return the maps of the equations of the adjoint, or of the tangent. Not collective.
+        """Return the maps of `NodalMaps`, for the adjoint or the tangent. Not collective.
+
+        P projects onto the face; Q is the change of slip bounds with the pressure.
 
         Args:
             diagonal: (size,) diagonal D of the model of A.

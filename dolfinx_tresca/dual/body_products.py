@@ -37,18 +37,21 @@ BLOCK = 32
 
 
 def sparse_model(operator: DualOperator) -> SparseModel | None:
-    """Return A of many small bodies, or None if a body has too many multipliers. Collective.
+    """Return A of many small bodies, or None if it does not pay or is not possible. Collective.
+
+    It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). It is not
+    possible with an iterative solver for K or a mixed space.
 
     K is block diagonal, with a block K_b for each body, also with the springs that fix floating
     bodies. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of
     body b: A couples multipliers only if they act on the same body. One solve with K finds one
-    column of each A_b, with the force of one multiplier on each body, and without its force on the
-    other body. The number of solves is the largest number of multipliers on a body, however many
-    bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of sparse Jacobian
-    matrices.)
+    column of each A_b: on each body acts the force of one multiplier, without the opposite force on
+    the other body. The number of solves is the largest number of multipliers on a body, however
+    many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of sparse
+    Jacobian matrices.)
 
     Args:
-        operator: A, with a direct solver for K. Each solve counts as a product.
+        operator: A. Each solve counts as a product.
     """
     jump = operator.jump
     if not operator.exact or jump.system.component is not None:
@@ -128,9 +131,9 @@ class _BodyForces:
         row: (m,) multiplier of each force, a local number.
         body: (m,) body that it acts on.
         members: (bodies, count) the multipliers that act on each body, global numbers; -1 for none.
-        place: (m,) position of the multiplier in the row of `members` of its body.
+        place: (m,) column of `members` in which the body's row has the multiplier.
         unknowns: (n,) global numbers of the unknowns that this rank's rows of B couple, ascending.
-        weights: (m, n) the entries of B, with a row for each force.
+        weights: (m, n) for each force the entries of its multiplier's row of B on its body.
     """
 
     jump: JumpOperator
@@ -175,10 +178,12 @@ class _BodyForces:
         return cls(jump, row, body, members, place[mine], unknowns, weights)
 
     def responses(self, operator: DualOperator, some: range) -> Array:
-        """Return the jumps on each body, (m, len(some)), caused by one force on it. Collective.
+        """Return the bodies' parts of the jumps (m, len(some)), for unit forces. Collective.
+
+        In each column one unit force acts on each body.
 
         Args:
-            operator: A, for the solver for K.
+            operator: A, whose solver for K is used; each column counts as a product.
             some: positions in `members` of the multipliers with a unit force, one on each body.
         """
         operator.products += len(some)

@@ -81,8 +81,8 @@ class InitialGuess(PetscOwner):
     def add(self, x: Array, u: PETSc.Vec) -> None:
         """Keep the displacement u at x, in place of an earlier one at x. Collective.
 
-        The object owns u from now on. It keeps the newest two displacements and those at the starts
-        of steps, and frees the others.
+        The object owns u from now on. It keeps the oldest displacement and the newest two, and
+        frees the others. The oldest one is at the start of the steps if `begin_at` gave this start.
         """
         for index, (other, before) in enumerate(self._points):
             if self._square(other - x) == 0.0:

@@ -25,12 +25,13 @@ from dolfinx_tresca.status import ContactStatus
 
 @dataclass(frozen=True)
 class StepStart:
-    """The state from which a load step begins.
+    """The state of a process between two load steps, from which the next one begins.
 
     Attributes:
         history: slip and dissipation of the accepted steps.
-        multipliers: (size,) multipliers at which the solve starts.
-        accepted_u: displacement of the last accepted step [length]; None: the undeformed state.
+        multipliers: (size,) multipliers at which the next solve starts.
+        accepted_u: displacement of the last accepted step, or of the slip origin [length]; None:
+            the undeformed state, or not kept, as in the checkpoints of a `ProcessTape`.
         accepted_motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) at the last
             accepted step.
     """

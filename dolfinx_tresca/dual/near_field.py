@@ -18,9 +18,8 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Layers of cells around the contact nodes that may move: with a direct solver for K, and with
 #: multigrid, whose coarse level represents the rest. (Two bricks with a direct solver: a load step
-#: takes up to 10 products with one layer, 8 with two, more with none, which is a lumped
-#: preconditioner. With multigrid a solve takes 33 Krylov iterations with one layer, and 30 with two
-#: layers, which cost twice as much.)
+#: takes up to 10 products with one layer, 8 with two, more with none. With multigrid a solve takes
+#: 33 Krylov iterations with one layer, and 30 with two layers, which cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
 
@@ -28,9 +27,9 @@ class NearField(PetscOwner):
     """D = B S B', where S approximates K^-1 near the contact, and for bodies as a whole.
 
     D <= A. The effect of rough tractions decays within a few cells: nodes further away may be
-    clamped. (If contact nodes alone were free, D would be the inverse of FETI's lumped
-    preconditioner; if all nodes were free, the inverse of its Dirichlet preconditioner: Farhat,
-    Mandel and Roux 1994.) Further away the effect of tractions is smooth: a coarse level of
+    clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped one clamps all nodes
+    except those of the interface, and the Dirichlet preconditioner clamps none: Farhat, Mandel and
+    Roux 1994.) Further away the effect of tractions is smooth: a coarse level of
     multigrid represents most of it, and a few products with A represent the rest; without
     multigrid, products with A represent all of it. On two bricks (N = 10) 0.02 A <= D without the
     coarse level, and 0.4 A <= D with it.

@@ -263,12 +263,14 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        A direct solver needs one solve with K. The estimate is zero without displacement, and
-        infinite if the error cannot be estimated from the form.
+        A direct solver needs one solve with K, an iterative solver none: its displacement is known.
+        The estimate is zero without displacement, and infinite if the error cannot be estimated
+        from the form.
 
         Args:
             x: (size,) multipliers.
-            rho: a step length.
+            rho: step length of the projection with which slip bounds and the multipliers of the
+                constraints at x are found.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf

@@ -30,11 +30,14 @@ class SaddleLift(PetscOwner):
     def __init__(self, jump: JumpOperator) -> None:
         """Factor (K, B'; B, 0). Collective.
 
+        If rows of B depend on each other and the factorisation fails, all energy norms are inf.
+
         Args:
             jump: B, and the system with K.
 
         Raises:
-            StiffnessError: rows of B depend on the constraints in K.
+            StiffnessError: rows of B are independent of each other, but not of the
+                incompressibility in K: the contact closes in a body that cannot change its volume.
         """
         system = jump.system
         K, self._comm = system.K, system.comm

@@ -240,7 +240,7 @@ def _rows_of(
 def _same_rows(
     known: GlobalNumbers, places: Array, keys: GlobalNumbers, points: Array
 ) -> Indices | None:
-    """Return the row in a file of each node; None if the nodes differ. Not collective.
+    """Return for each node its row in the file; None if the nodes differ. Not collective.
 
     Nodes correspond if they have the same key and the same place. If the mesh file now numbers
     nodes differently, each one corresponds to the nearest known node, which must be of the same

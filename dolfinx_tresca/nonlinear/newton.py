@@ -52,8 +52,8 @@ class Newton:
     Attributes:
         steps: all Newton steps so far.
         fraction: part of the change of load that has been applied.
-        found: the solution for this part of the load; the last step's if no part was solved; None
-            if no step could be made.
+        found: the solution for `fraction` of the change of load; if no part was solved, the
+            solution of the last step; None if no step could be made.
         failure: why the last part of the load failed; empty after a success.
         timings: seconds of each phase, summed over the steps.
         krylov_iterations: Krylov iterations, summed over the steps.
@@ -142,7 +142,7 @@ class Newton:
         """
         problem, last = self.problem, math.inf
         number, slow = 0, False
-        errors: list[float] = []  # of each step, over what is requested
+        errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
         if problem.contact.slides_far:
             self._sliding = FiniteSliding(problem.contact)
@@ -254,8 +254,8 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        Beyond `max_iterations` it may if the error, at its mean rate over the second half of the
-        steps, reaches what is requested within `MAX_ITERATIONS_FACTOR` times as many steps. Rates
+        Beyond `max_iterations` it may if the error, at its mean rate in the second half of the
+        steps, falls to the requested one within `MAX_ITERATIONS_FACTOR` times as many steps. Rates
         of single steps tell little, since Anderson's acceleration makes errors of the configuration
         jump up and down.
 

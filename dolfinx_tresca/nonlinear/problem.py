@@ -286,7 +286,9 @@ class NonlinearContactProblem(ContactProcess):
         return dual, multipliers, dataclasses.replace(found, u=contact.steps.last[2])
 
     def _forms_at(self, u: fem.Function) -> Forms:
-        """Return F with a given test function, and J, with their conditions. Not collective.
+        """Return F, as a function of its test function, and J, with their conditions.
+
+        F and J depend on the user's own Function, so u has no effect. Not collective.
 
         Raises:
             InputError: J is no form of UFL.

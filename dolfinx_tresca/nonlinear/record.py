@@ -15,12 +15,12 @@ class NewtonOptions:
 
     Attributes:
         accuracy: requested residual |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step,
-            relative to |u|_K or to |u - u_0|_K, whichever is larger, with the displacement u_0 at
-            the start of the solve. The residual of the contact conditions has an accuracy of its
-            own, in `SolverOptions`.
-        max_iterations: Newton steps for a part of the load; up to four times as many as long as
-            the error falls fast enough to reach the accuracy by then; with finite sliding also the
-            error of the configuration.
+            relative to the larger of |u|_K and |u - u_0|_K, where u_0 is the displacement at the
+            start of the solve. The residual of the contact conditions has an accuracy of its own,
+            in `SolverOptions`.
+        max_iterations: largest number of Newton steps for a part of the load. Up to four times as
+            many are taken while the error (with finite sliding also the error of the
+            configuration) falls fast enough to reach the requested one by then.
         max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 
@@ -59,9 +59,10 @@ class NewtonStep:
     Attributes:
         number: number of the step, from 1 for each part of the load.
         fraction: part of the change of load for which the step solves.
-        correction: |u_{k+1} - u_k|_K relative to |u_{k+1}|_K, or to |u_{k+1} - u_0|_K if that is
-            larger, with the displacement u_0 at the start of the solve.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, relative to the same; NaN if forces are NaN.
+        correction: |u_{k+1} - u_k|_K relative to the larger of |u_{k+1}|_K and |u_{k+1} - u_0|_K,
+            where u_0 is the displacement at the start of the solve.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, relative to the same norm; NaN if it cannot be
+            computed.
         contact_residual: natural residual of the contact problem, relative to its value without
             contact.
         iterations: iterations of the contact solver.

@@ -1,4 +1,4 @@
-"""Fixed points on the model of A, by Newton's method and by continuation."""
+"""Fixed points of Coulomb's law with the model of A, by Newton's method and by continuation."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 #: Limit on halvings of a step of Newton's method that does not reduce the residual.
 MOST_HALVINGS = 5
 
-#: Factor on the softness of the constraints after a step no part of which reduces the residual; it
-#: is divided by the factor after a step that reduces the residual to less than `GOOD_STEP` of it.
-#: With a constant softness the first search for the push of 2,046 bricks fails; without the run
-#: with a constant softness fewer piles of `tests/validation/test_random_piles.py` are solved.
+#: The softness of the constraints is multiplied by `SOFTER` after a step of which no part reduces
+#: the residual, and divided by `SOFTER` after a step that reduces the residual to less than
+#: `GOOD_STEP` of its value. With the constant softness `PROXIMAL` alone the first search for the
+#: push of 2,046 bricks fails; without it two more of the piles of stones are not solved
+#: (`tests/validation/test_random_piles.py`).
 SOFTER, GOOD_STEP = 10.0, 0.5
 
 #: Multipliers, multipliers of the constraints, and gradient.
@@ -130,9 +131,10 @@ def _nearest_fixed_point(
 ) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
-    A step is shortened if it does not reduce the residual. If no part of it does, the step fails:
-    the face may hold some bodies hardly or not at all. With exact constraints it is repeated with
-    softened ones; with softened constraints the part with the least residual is taken.
+    A step is shortened if it does not reduce the residual. If no part of it reduces the residual,
+    the contact of the face may hold some bodies hardly or not at all: with exact constraints the
+    step is then repeated with softened ones; with softened constraints the part with the least
+    residual is taken.
 
     Args:
         newton: method and problem.
@@ -168,13 +170,13 @@ def _part_of_step(
 ) -> tuple[Iterate, Point]:
     """Return the end of a part of a step, and the point there without constraints. Collective.
 
-    It is the first of the whole step, its half, a quarter and so on that reduces the residual; or
-    that with the least residual, if none does.
+    The whole step, its half, its quarter and so on are tried until one reduces the residual; if
+    none does, the part with the least residual is returned.
 
     Args:
         newton: method and problem.
         start: multipliers, multipliers of the constraints, and gradient at the start.
-        end: the same at the end of the step; the gradient is linear between them.
+        end: these three at the end of the step; the gradient is linear between start and end.
         residual: residual at the start.
     """
     found: list[tuple[Iterate, Point]] = []

@@ -114,12 +114,14 @@ class FrictionCones:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return the map from (s, v) to s + Q s + S v, with the step s = D^-1 P v along the face.
+        """Return the function of (s, v) with the value s + Q s + S v.
 
-        Q maps the change of a slipping node's pressure to the change of its bound, along the
-        node's tangential multiplier. S maps v to the change of the bound with the slip. If h is the
-        derivative of the bound by the slip, both maps contain the factor 1 / (1 + h D). Both map
-        (size,) or (size, k).
+        Here s is a step along the face, and v the right-hand side of its equation: for example
+        s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
+        node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
+        to the change of the bound with the slip. The change of a bound itself changes the slip, by
+        -D times this change. So both maps contain the factor 1 / (1 + h D), with the derivative h
+        of the bound with respect to the slip. Both map (size,) or (size, k).
 
         Args:
             x: (size,) multipliers.
@@ -141,7 +143,10 @@ class FrictionCones:
         return change
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return I + Q', the transpose of `with_bound_change` if no bound depends on the slip."""
+        """Return the function of v with the value (I + Q') v, with the Q of `with_bound_change`.
+
+        It is the transpose of I + Q if no bound depends on the slip.
+        """
         slope, _ = self.slopes(x, face)
 
         def follow(v: Array) -> Array:

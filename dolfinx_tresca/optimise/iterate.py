@@ -69,7 +69,10 @@ class Iterate(ABC):
 
     @abstractmethod
     def step(self, direction: Array) -> Step:
-        """Return a step with its product, which is added to the store. Collective.
+        """Return the step along a direction and its product with A. Collective.
+
+        Only the part of the direction that known products do not give is new: this part and its
+        product are added to the store.
 
         Args:
             direction: (size,) change of the multipliers; zero needs no product.
@@ -162,7 +165,10 @@ class ExactIterate(Iterate):
     """The point and its gradient with a direct solver for K: products are exact to rounding."""
 
     def step(self, direction: Array) -> Step:
-        """Return a step with its product, which is added to the store. Collective."""
+        """Return the step along a direction and its product with A. Collective.
+
+        Only the part of the direction that known products do not give is multiplied by A.
+        """
         problem, known_pairs = self._problem, len(self._store)
         self.learned = False
         if float(problem.inner(direction, direction)) == 0.0:
@@ -205,7 +211,10 @@ class InexactIterate(Iterate):
         return max(self._part * self._length, self.finest)
 
     def step(self, direction: Array) -> Step:
-        """Return a step with its product, which is added to the store. Collective."""
+        """Return the step along a direction and its product with A. Collective.
+
+        The store keeps the part of the pair that known products do not give.
+        """
         if float(self._problem.inner(direction, direction)) == 0.0:
             return self.zero_step()
         self._length = self._expected_length(direction)

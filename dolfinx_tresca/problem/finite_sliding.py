@@ -22,31 +22,33 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
-#: Differences of iterates that Anderson's acceleration uses.
+#: Largest number of differences of iterates that Anderson's acceleration uses.
 ANDERSON_DEPTH = 3
 
-#: Eigenvalue of the Gram matrix of these differences, each divided by its length, over the largest
-#: one, below which they count as dependent: early contact problems are solved inaccurately, and
-#: small differences of differences are noise. The half ring of benchmarks/finite_sliding.py takes
-#: 187 Newton steps with 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
+#: Least eigenvalue, relative to the largest one, of the Gram matrix of the differences of residuals
+#: u - w, each divided by its length; differences with smaller eigenvalues count as dependent: early
+#: contact problems are solved inaccurately, and small differences of differences are noise. The
+#: half ring of benchmarks/finite_sliding.py takes 187 Newton steps with 1e-12, 160 with 1e-3 (32
+#: cells, 11 load steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
 
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
 #: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
 #: configuration changes the forces again, so early contact problems need no more accuracy. The
-#: change of the forces is no measure for it: it is as large as the errors of the contact problems
-#: where forces are sensitive to their residuals, as in slender bodies. The half ring of
-#: benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton steps with 0.03
-#: of that change, 165 with this value, and 159 with 0.003; its hemisphere (size 10, steps of 2
-#: cells) 63, 59 and 57 Newton steps with 381, 438 and 473 products.
+#: change of the forces would be no measure of the accuracy they need: where forces are sensitive to
+#: residuals, as in slender bodies, this change is as large as the errors of the contact problems.
+#: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
+#: steps with 0.03 of that change, 165 with this value, and 159 with 0.003. The hemisphere of the
+#: same file (size 10, steps of 2 cells) takes, in this order, 63, 59 and 57 Newton steps with 381,
+#: 438 and 473 products.
 FORCING = 0.01
 
-#: Ratio of a change of the forces to the previous change: the assumed value while it is unknown;
-#: its lower bound, since a step of Anderson's acceleration may succeed by chance; and its upper
-#: bound, since a convergent iteration has a ratio below 1. A change that falls below the lower
-#: bound, while the residual u - w does not, is small by chance, and counts as the bound: without
-#: this 28 of 200 random scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested
-#: error, and 8 have it now.
+#: Ratio of a change of forces or gaps to the previous change: the assumed value while it is
+#: unknown; its lower bound, since a step of Anderson's acceleration may succeed by chance; and its
+#: upper bound, since a convergent iteration has a ratio below 1. A change with a ratio below the
+#: lower bound is small by chance if the residual u - w has not fallen as far, and the lower bound
+#: is taken for it: without this 28 of 200 random scenes, solved to 1e-5 and to 1e-6, had more than
+#: ten times the requested error, and 8 have it now.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Advice to users if the configurations do not converge.
@@ -96,7 +98,7 @@ class FiniteSliding:
     def observe(self, u: fem.Function, start: float) -> None:
         """Compare forces and gaps with those of the previous configuration. Collective.
 
-        Gaps are compared with the largest displacement since the last accepted step.
+        The change of gaps is relative to the largest displacement since the last accepted step.
 
         Args:
             u: solution of the contact problem in the present configuration [length].
@@ -141,8 +143,8 @@ class FiniteSliding:
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
-        It is the present one, displaced by the response to the change of the prescribed values
-        with the present K and contact forces.
+        This is the present configuration, displaced by the response to the change of the prescribed
+        values with the present K and contact forces.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.

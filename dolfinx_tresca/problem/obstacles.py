@@ -65,7 +65,9 @@ class Obstacles:
                 one.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
-        """Return the places (pairs, 3, 4) between two places of each obstacle. Not collective.
+        """Return the place of each obstacle at a fraction of its way. Not collective.
+
+        Places are matrices (pairs, 3, 4).
 
         Args:
             before: (pairs, 3, 4) places at the start, as in `RigidMotion.matrix`.

@@ -464,7 +464,9 @@ class ContactProcess(PetscOwner, Tabulated):
     def _step_to_differentiate(
         self, controls: Sequence[Any], at_edge: Any
     ) -> tuple[SolvedStep, Forms]:
-        """Return the last solution and the forms at it, and log nodes at the edge. Collective.
+        """Return the last solution, with the forms at it. Collective.
+
+        The number of nodes at the edge of their state is logged.
 
         Raises:
             ContactError: see `gradient`.

@@ -60,7 +60,8 @@ def open_file(
             checked again.
 
     Raises:
-        InputError: a parameter is unknown or not a number, or a `.msh` file has parameters.
+        InputError: the suffix is neither `.geo` nor `.msh`; a parameter is unknown, is not a finite
+            number, or is overwritten by the file; or a `.msh` file has parameters.
         MeshError: the file does not exist, or Gmsh cannot read it.
     """
     if path.suffix not in (".geo", ".msh"):

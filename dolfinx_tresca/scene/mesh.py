@@ -92,8 +92,9 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         The mesh, its cell and facet tags, and the table name -> tag.
 
     Raises:
-        InputError: the suffix of the file or a parameter is unknown, a `.msh` file has parameters,
-            or an argument has a wrong type.
+        InputError: the suffix is neither `.geo` nor `.msh`; a parameter is unknown, is not a finite
+            number, or is overwritten by the file; a `.msh` file has parameters; or an argument has
+            a wrong type.
         MeshError: the file does not exist or has an error, or it has no physical group of cells or
             no physical group of facets.
 

@@ -26,13 +26,14 @@ _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or pr
 
 
 def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf) -> None:
-    """Check the type of a non-negative scalar, and the value of a number.
+    """Check the type of a scalar that a user gives; a number must not be NaN or too negative.
 
     Args:
         value: the scalar.
         name: the name of the quantity, for error messages.
-        rounding: a number may be negative by less than this. The default accepts any finite
-            negative number: the tolerance follows later from the stresses of the problem.
+        rounding: a number must be greater than minus this. The default accepts every finite
+            negative number: a gap may be negative, and slip bounds are checked later, with a
+            tolerance that depends on the stresses of the problem.
 
     Raises:
         InputError: the value is not a scalar, is complex, or has no value at nodes; or it is a

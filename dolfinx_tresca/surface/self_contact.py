@@ -68,7 +68,10 @@ class SelfContact:
 
     @classmethod
     def of(cls, facets: Facets) -> SelfContact:
-        """Collect the data of facets; `facets.origins` must be set. Not collective."""
+        """Return the data of facets, from their present corners and their `origins`.
+
+        The `origins`, which describe the undeformed facets, must be set. Not collective.
+        """
         columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
         body, size, x, normal, radius, direction = columns
         return cls(

@@ -66,7 +66,10 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
-        """Find possible occluders among the pieces of the secondary and of the primary side.
+        """Keep the pieces of both sides, and find the primary pieces that may be occluders.
+
+        These are the pieces that may be turned away from a secondary piece. All secondary pieces
+        may be occluders.
 
         Args:
             pieces: pieces of the secondary side.

@@ -42,7 +42,13 @@ class WholeSurface:
 
 
 def _reference_points(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Array:
-    """Return the `reference_points` for corners (n, 3) with mesh file numbers `order` (n,)."""
+    """Return two points (2, 3) that are no nodes and move with the surface. Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        points: (n, 3) corners of this rank's facets [length].
+        order: (n,) numbers of these corners in the mesh file.
+    """
     first, last = (row_of_least(comm, sign * order, points) for sign in (1, -1))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     # the second point must be off the line through `first` and `last`, which has the first point:

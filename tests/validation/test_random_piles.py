@@ -91,7 +91,7 @@ def test_piles_stand_as_linear_programmes_say(seed):
 def test_three_hundred_piles():
     """No pile is refused that stands, and none that falls is accepted; none is left out.
 
-    Of those that stand a few end without a fixed point; loads in steps reach one.
+    Of those that stand a few end without a fixed point.
     """
     found, wrong = [], {}
     for seed in range(300):

@@ -13,7 +13,7 @@ def line(label: str, color: str, width: float = 1.2) -> Any:
 
 
 def mark(label: str, marker: str, color: str = "black", face: str | None = None) -> Any:
-    """Return a mark for a legend; between dollars it is a character, such as an arrow."""
+    """Return a mark for a legend; a marker in dollars, such as "$x$", is drawn as text."""
     from matplotlib.lines import Line2D
 
     is_text = marker.startswith("$")

@@ -32,7 +32,10 @@ COARSE = 150  #: arrows and marks on a surface with fewer nodes are as small as 
 
 
 def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
-    """Draw the part of a surface that may touch, along its normal, or unrolled if bent.
+    """Draw the part of a surface that may touch, seen along its mean normal, or unrolled.
+
+    A surface that is nearly a cylinder or a cone is unrolled. Any other surface that is closed, or
+    nearly so, is seen obliquely.
 
     Args:
         plotter: a plotter of pyvista.
