@@ -22,7 +22,7 @@ MOST_HALVINGS = 5
 #: The softness of the constraints is multiplied by `SOFTER` after a step of which no part reduces
 #: the residual, and divided by `SOFTER` after a step that reduces the residual to less than
 #: `GOOD_STEP` of its value. With the constant softness `PROXIMAL` alone the first search for the
-#: push of 2,046 bricks fails; without it two more of the piles of stones are not solved
+#: push of 2,046 bricks fails; without it one more of the piles of stones is not solved
 #: (`tests/validation/test_random_piles.py`).
 SOFTER, GOOD_STEP = 10.0, 0.5
 
@@ -114,9 +114,9 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
-    The constraints are exact until a step fails, and softened by a constant from then on. Where this
-    does not converge, a second run begins with softened constraints, which soften further with each
-    step that fails, as in the method of Levenberg and Marquardt.
+    The constraints are exact until a step fails, and softened by a constant from then on. Where
+    this does not converge, a second run begins with softened constraints, which soften further with
+    each step that fails, as in the method of Levenberg and Marquardt.
     """
     best = _nearest_fixed_point(newton, start, tolerance, softness=0.0, growth=1.0)
     if best.residual <= tolerance or newton.proximal_softness == 0.0:
