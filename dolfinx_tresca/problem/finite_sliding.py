@@ -58,6 +58,12 @@ ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 MAX_CONFIGURATIONS = 40
 
 
+#: Displacement since the last accepted step, relative to the whole displacement, below which the
+#: accuracy of gaps does not follow it: where a wheel turns on a body that rests, the displacement
+#: of a step is the rounding of the solves, and gaps would never be accurate relative to it.
+SMALL_STEP = 1e-2
+
+
 class FiniteSliding:
     """The fixed-point iteration u(w) = w for the displacement w at which surfaces are paired.
 
@@ -98,7 +104,8 @@ class FiniteSliding:
     def observe(self, u: fem.Function, start: float) -> None:
         """Compare forces and gaps with those of the previous configuration. Collective.
 
-        The change of gaps is relative to the largest displacement since the last accepted step.
+        The change of gaps is relative to the largest displacement since the last accepted step, or
+        to `SMALL_STEP` of the displacement if that is larger.
 
         Args:
             u: solution of the contact problem in the present configuration [length].
@@ -122,8 +129,9 @@ class FiniteSliding:
         else:
             opened = np.nan_to_num(self._gaps - gaps)
             step = u.x.array - self._contact.steps.accepted_values
-            sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step)]
-            largest, moved = reduce_array(self._contact.comm, sizes, MPI.MAX)
+            sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step, u.x.array)]
+            largest, moved, displaced = reduce_array(self._contact.comm, sizes, MPI.MAX)
+            moved = max(moved, SMALL_STEP * displaced)
             self.change = max(_ratio(square, size), _ratio(largest**2, moved**2))
         change, ratio = self.change, UNKNOWN_RATIO
         if math.isfinite(before) and before > 0.0:

@@ -153,9 +153,13 @@ def squeezed(ring, *squeezes):
 @pytest.mark.parallel
 @pytest.mark.parametrize("sliding", ["small", "finite"])
 def test_pressures_at_the_points_of_integration(comm, sliding):
-    """They follow from the displacement at each point: as many, and no other forces, as without."""
+    """They follow from the displacement at each point: as many, and no other forces, as without.
+
+    A ring of 4 cells may find no equilibrium with friction from a squeeze of 0.1 on, which depends
+    on the rounding; rings of 6 and 8 cells do.
+    """
     rubs = {"friction": Coulomb(0.3), "sliding": sliding}
-    alone, found = (squeezed(o_ring(comm, 4, kind, **rubs), 0.1) for kind in ("whole", "points"))
+    alone, found = (squeezed(o_ring(comm, 4, kind, **rubs), 0.08) for kind in ("whole", "points"))
     wanted, force = (one.pair_resultants[0].force for one in (alone, found))
     accuracy = RTOL if sliding == "small" else found.options.geometry_accuracy
     assert np.abs(force - wanted).max() <= 100 * accuracy * alone.normal_force
