@@ -76,20 +76,16 @@ def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
         return [[k] for k in range(len(jump.pairs))]
     V = jump.system.V
     label = label_bodies(V)
-    owned = [
-        np.unique(
-            np.concatenate(
-                [
-                    label[pair.nodes],
-                    labels_of(V, label, np.unique(pair.primary.indices).astype(np.int64)),
-                ]
-            )
-        )
-        for pair in jump.pairs
+    primary = [pair.primary.indices for pair in jump.pairs]
+    numbers = np.unique(np.concatenate(primary))
+    label_of_primary = labels_of(V, label, numbers.astype(np.int64))
+    bodies = [
+        {*label[pair.nodes].tolist(), *label_of_primary[np.searchsorted(numbers, nodes)].tolist()}
+        for pair, nodes in zip(jump.pairs, primary, strict=True)
     ]
-    groups: dict[tuple[int, ...], list[int]] = {}
-    for k, parts in enumerate(zip(*jump.comm.allgather(owned), strict=True)):
-        groups.setdefault(tuple(np.unique(np.concatenate(parts)).tolist()), []).append(k)
+    groups: dict[frozenset[int], list[int]] = {}
+    for k, of_ranks in enumerate(zip(*jump.comm.allgather(bodies), strict=True)):
+        groups.setdefault(frozenset().union(*of_ranks), []).append(k)
     return list(groups.values())
 
 

@@ -168,14 +168,21 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     """Return whether a surface is a plane, or a curve is a straight line."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
-    low, high = model.getParametrizationBounds(dim, entity)
-    lines = [
-        np.linspace(one, other, FLATNESS_SAMPLES) for one, other in zip(low, high, strict=True)
-    ]
-    parameters = np.stack(np.meshgrid(*lines), axis=-1)
-    points = np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
+    points = _points_at(model, dim, entity, _grid(model, dim, entity, FLATNESS_SAMPLES))
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(sizes[dim] <= FLAT_HEIGHT * sizes[0])
+
+
+def _grid(model: Any, dim: int, entity: int, number: int) -> Array:
+    """Return the parameters (number^dim, dim) of a grid of points on a surface or a curve."""
+    low, high = model.getParametrizationBounds(dim, entity)
+    lines = np.linspace(low, high, number)
+    return np.stack(np.meshgrid(*lines.T), axis=-1).reshape(-1, dim)
+
+
+def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
+    """Return the points (n, 3) of a surface or a curve at parameters (n, dim)."""
+    return np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
 
 
 def _project_to_surfaces(
@@ -224,13 +231,9 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     Gmsh's own search takes 0.9 ms for a point of the hole in `press_fit.geo`, a hundred times as
     long as this one, and its points are off by up to 1e-4 of the size of the surface along it.
     """
-    low, high = (np.asarray(bound) for bound in model.getParametrizationBounds(2, surface))
-    lines = np.linspace(low, high, SEARCH_SAMPLES)
-    grid = np.stack(np.meshgrid(*lines.T), axis=-1).reshape(-1, 2)
-
-    def at(parameters: Array) -> Array:
-        return np.reshape(model.getValue(2, surface, parameters.ravel()), (-1, 3))
-
+    low, high = model.getParametrizationBounds(2, surface)
+    grid = _grid(model, 2, surface, SEARCH_SAMPLES)
+    at = partial(_points_at, model, 2, surface)
     samples = at(grid)
     rounding = PROJECTION_ROUNDING * np.ptp(samples, axis=0).max()
     parameters = grid[cKDTree(samples).query(points.T)[1]]
