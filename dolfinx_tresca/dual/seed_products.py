@@ -80,7 +80,7 @@ def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
     numbers = np.unique(np.concatenate(primary))
     label_of_primary = labels_of(V, label, numbers.astype(np.int64))
     bodies = [
-        {*label[pair.nodes].tolist(), *label_of_primary[np.searchsorted(numbers, nodes)].tolist()}
+        {*label[pair.nodes], *label_of_primary[np.searchsorted(numbers, nodes)]}
         for pair, nodes in zip(jump.pairs, primary, strict=True)
     ]
     groups: dict[frozenset[int], list[int]] = {}
