@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
-from warnings import warn
 
+from dolfinx_tresca._base.deprecated import deprecated
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
@@ -32,8 +32,9 @@ class SolverOptions:
             "balanced", in (0, 1). Orthogonal errors in the ratio 0.1 add up to 1.005.
         local_accuracy: largest change of a node's multiplier in one projected gradient step of that
             node alone, relative to the largest traction, if `accuracy` is "balanced"; in (0, 1).
-            With the default, peak pressure, greatest slip, forces and the numbers of nodes in each
-            state are within 1 % of the discrete solution (benchmarks/README.md).
+            With the default, peak pressure, greatest slip and forces are within 1 % of the discrete
+            solution (benchmarks/README.md); the number of nodes in a state may differ by
+            `ContactSolution.counts.undecided`.
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
             surface and relative to its value at lambda = 0; in (0, 1). The solve then stops when
             the criteria of "balanced" are met, too. Nodal pressures and tractions that are exact to
@@ -123,13 +124,13 @@ class SolverOptions:
             given.setdefault("rtol", None)
         return replace(self, **given)
 
+    @deprecated("SolverOptions.with_changes")
     def but(self, **changes: Any) -> SolverOptions:
-        """Return a copy with changes; a deprecated name of `with_changes`.
+        """Return a copy with changes: the former name of `with_changes`.
 
         Raises:
             InputError: see `with_changes`.
         """
-        warn("SolverOptions.but is now called with_changes", DeprecationWarning, stacklevel=2)
         return self.with_changes(**changes)
 
     def at_least(self, accuracy: float) -> SolverOptions:

@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     ContactError,
     ContactPair,
     ContactProblem,
+    ControlVector,
     Coulomb,
     InputError,
     MeanPressure,
@@ -290,6 +291,18 @@ CASES: dict[str, Case] = {
         2.0,
         1.0,
         r"directions\[0\] differs",
+    ),
+    "tangent of a goal": (
+        lambda s, x: s.problem.tangent([s.load], [s.load.value]).of(x),
+        NormalForce(1),
+        NormalForce(),
+        "goal.pair",
+    ),
+    "derivatives in one array": (
+        lambda s, x: ControlVector([s.other]).packed(x * [s.other]),
+        2,
+        1,
+        "derivatives differs",
     ),
     "tape, goals": (
         lambda s, x: s.tape.gradient({x: NormalForce()}, [s.load]),

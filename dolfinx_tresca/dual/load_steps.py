@@ -200,8 +200,8 @@ class LoadSteps:
         if status is not ContactStatus.CONVERGED and not unconverged:
             raise ConvergenceError(
                 f"the last solve ended with {status.name}, and its errors would stay in all steps "
-                "that follow. Take a smaller step, allow more iterations, or request less; or take "
-                "it as it is with accept(unconverged=True)."
+                "that follow: raise_if_failed() of its solution says what to do. accept("
+                "unconverged=True) accepts the solution as it is."
             )
         return history, w
 

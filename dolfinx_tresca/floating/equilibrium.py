@@ -99,10 +99,10 @@ class Equilibrium:
         """Return in words which body slides under its loads, and by how much. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
-            f"Nothing holds {self.describe(deficit.motion)}. Under the pressures that the loads "
-            f"cause, they are {times:.4g} times what friction there resists: the body slides "
-            "without end. Prescribe its displacement instead of the load, reduce the load, or "
-            "press harder"
+            f"Nothing holds {self.describe(deficit.motion)}. The loads along this motion are "
+            f"{times:.4g} times the friction that the pressures under these loads allow: the body "
+            "slides without end. Prescribe its displacement instead of the load, reduce the load, "
+            "or press harder"
         )
 
 

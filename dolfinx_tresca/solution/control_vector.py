@@ -9,6 +9,7 @@ import numpy as np
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, shown
 
@@ -115,12 +116,21 @@ class ControlVector:
                 control.x.array[:owned] = scale * part[first : first + owned]
                 control.x.scatter_forward()
 
+    @collective(comm_of("derivatives"))
     def packed(self, derivatives: Sequence[Any]) -> Array:
         """Return derivatives with respect to `values`, (n,). Collective.
 
         Args:
             derivatives: derivatives with respect to the controls, as `gradient` returns them.
+
+        Raises:
+            InputError: there is not one derivative for each control.
         """
+        if len(derivatives) != len(self.controls):
+            raise InputError(
+                f"derivatives must be one for each of {len(self.controls)} control(s), found "
+                f"{len(derivatives)}."
+            )
         parts = [
             scale * _gathered(derivative)
             for derivative, scale in zip(derivatives, self._scales, strict=True)

@@ -65,6 +65,7 @@ def hint_at_scene(
                     "both sides of %s are on body %d: it touches itself. If these should be two "
                     "bodies, they share nodes: mesh them without merging nodes",
                     *(pair, 1 + int(secondary.argmax())),
+                    level=logging.WARNING,
                 )
         depth = comm.allreduce(float((-one.gap).max(initial=0.0)), op=MPI.MAX)
         if depth >= thinnest:

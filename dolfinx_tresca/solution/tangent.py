@@ -13,6 +13,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.dual.adjoint import tangent
@@ -78,6 +79,12 @@ class ContactTangent:
     def __repr__(self) -> str:
         return f"<ContactTangent of {len(self.surfaces)} pair(s)>"
 
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.u.function_space.mesh.comm
+
+    @collective(comm_of_self)
     def of(self, goal: Goal | ufl.Form) -> float:
         """Return the directional derivative of a goal. Collective.
 

@@ -109,8 +109,10 @@ def test_options_store_python_numbers():
     assert SolverOptions().accuracy == "balanced" and SolverOptions().rho_sigma is None
 
 
-def test_old_name_of_with_changes_warns():
-    with pytest.warns(DeprecationWarning, match="with_changes"):
+def test_old_name_of_with_changes_warns(caplog):
+    """Also in the log, since DOLFINx 0.9 keeps Python's warnings from being printed."""
+    with pytest.warns(DeprecationWarning, match="use SolverOptions.with_changes"):
         options = SolverOptions(rtol=1e-3).but(accuracy=0.1, method=None)
+    assert "SolverOptions.but is deprecated" in caplog.text
     assert options == SolverOptions(rtol=1e-3).with_changes(accuracy=0.1)
     assert options == SolverOptions(accuracy=0.1)
