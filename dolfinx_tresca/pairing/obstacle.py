@@ -69,7 +69,7 @@ def couple(
     jump = diags_array(scale) @ drop_rounding(jump, facets, facet_nodes, weights)
 
     def nodal_means(at_nodes: Array) -> Array:
-        """Average values at facets' nodes over facing facets, with the dual basis; (nodes,)."""
+        """Average values at facets' nodes with the dual basis over facing facets: (nodes,)."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
         return scale * summed(values / nodes.corner_weights * corner_weights)
 

@@ -76,15 +76,16 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius [length] of all pieces, on several ranks. Not collective."""
+        """Return the largest radius [length] of all ranks' pieces; not defined on one rank."""
         return float(self._boxes[:, -2].max())
 
     def add_near_lines(self, lines: Array) -> None:
         """Add the facets of all ranks that are close to lines. Collective.
 
         Args:
-            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), a radius,
-                and the length in both directions [length]; see `Balls.on_normals`.
+            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), the distance
+                within which facets are close, and the length of the line in both directions from
+                the point [length]; see `Balls.on_normals`.
         """
         queries = []
         for rank, box, reach in self._other_ranks():
@@ -104,9 +105,7 @@ class Halo:
         self._send_facets(self._owned, *np.concatenate(pairs).T)
 
     def add_near_points(self, balls: Array) -> None:
-        """Add the facets of all ranks that are close to points. Collective.
-
-        Facets within the radius of a point are added, and maybe others near them.
+        """Add the facets of all ranks that meet balls, and maybe some facets near them. Collective.
 
         Args:
             balls: (n, 4) balls as rows: the centre (3) and the radius [length].
@@ -153,9 +152,11 @@ class Halo:
         ]
 
     def _send_queries(self, rows: Array, queries: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
-        """Send rows (n, k) to ranks, each with a mask (n,); return received rows and their ranks.
+        """Send some rows to each rank; return the received rows and their senders. Collective.
 
-        Collective.
+        Args:
+            rows: (n, k) the rows.
+            queries: pairs of a rank and the mask (n,) of the rows to send to it.
         """
         chosen = [np.flatnonzero(mask) for _, mask in queries]
         ranks = np.repeat([rank for rank, _ in queries], [len(some) for some in chosen])

@@ -26,7 +26,7 @@ from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
 #: sizes of differently cut bricks would decide, and rounding if the bricks are equal.
 FINER = 2.0**-0.5
 
-#: Number of directions from which the one that orders the facets of a body is chosen.
+#: Number of candidates for the direction that orders the facets of a body.
 DIRECTIONS = 12
 
 #: Least sine and cosine of the angle between a facet's normal and the direction of its body with
@@ -87,12 +87,12 @@ class SelfContact:
         )
 
     def in_one_body(self, first: Indices, second: Indices) -> Mask:
-        """Return whether two facets (m,), (m,) belong to the same body."""
+        """Return, for pairs of facets (m,), whether both belong to the same body, (m,)."""
         result: Mask = self.body[first] == self.body[second]
         return result
 
     def may_meet(self, first: Indices, second: Indices) -> Mask:
-        """Return whether two facets (m,), (m,) may come into contact, (m,).
+        """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of one body may not meet if they share a corner, or if they are the two faces of a
         wall. They count as such faces if each is behind the other, now and in the undeformed mesh,
@@ -111,7 +111,7 @@ class SelfContact:
         return result
 
     def is_secondary(self, first: Indices, second: Indices) -> Mask:
-        """Return whether the first of two facets (m,), (m,) is the secondary one, (m,).
+        """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
         first body in the order of `label_bodies`. In one body, of two facets that face each other
@@ -133,7 +133,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return the smaller depth (m,) of two facets, each behind the plane of the other."""
+    """Return, for pairs of facets, the smaller depth (m,) of a centre behind the other's plane."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])
