@@ -137,10 +137,15 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
 
 
 def _values(found: Any, number: int, name: str) -> Array:
-    """Return values (n,) as an array.
+    """Return the result of a user's function as an array (n,) of floats.
+
+    Args:
+        found: the result.
+        number: the number n of nodes.
+        name: the name of the function, for error messages.
 
     Raises:
-        InputError: they are neither a real number nor one for each node.
+        InputError: the result is neither a real number nor an array with a number for each node.
     """
     values = np.asarray(found)
     if values.shape not in ((), (number,)) or not np.issubdtype(values.dtype, np.number):

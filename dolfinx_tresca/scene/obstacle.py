@@ -97,7 +97,7 @@ class RigidObstacle:
 
     @property
     def signed_distance(self) -> SignedDistance:
-        """The signed distance from the obstacle at its original place."""
+        """The function of the signed distance from the obstacle at its original place."""
         return self._signed_distance
 
     @property
@@ -155,7 +155,7 @@ class RigidObstacle:
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return unchecked distances and normals at points (3, n), for the present place."""
+        """Return the user's distances and normals at points (3, n), for the present place."""
         motion = self._motion
         if motion == RigidMotion.none():
             return self._signed_distance(points)
@@ -341,7 +341,12 @@ class RigidCylinder(RigidObstacle):
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
-    """Return a function that returns the checked present value of a number, vector or Constant.
+    """Return a function without arguments that gives the present value of an argument, checked.
+
+    Args:
+        check: function from the name and a value to the checked value.
+        name: the name of the argument, for error messages.
+        value: a number or a vector, or a Constant, which may change.
 
     Raises:
         InputError: the value is wrong; the returned function raises it if a Constant becomes wrong.
