@@ -21,19 +21,21 @@ MOST_LOGARITHM = 100.0
 
 
 class Forecast:
-    """Predicts the size of a refined mesh, from the growth of earlier ones.
+    """Predicts the size of a refined mesh, from the growth in earlier refinements.
+
+    A growth is a factor: a number of cells or unknowns divided by the number before.
 
     Attributes:
-        cut: number of cells after the last cut, divided by the number before it; 1 at first.
+        cut: growth of the number of cells in the last cut; 1 before the first cut.
     """
 
     def __init__(self, dim: int) -> None:
-        """Begin with the usual growth in a dimension."""
+        """Begin with the usual growth of meshes of dimension `dim`."""
         self._added, self._most = ADDED[dim], 2.0**dim
         self.cut = 1.0
 
     def growth(self, marked: float) -> float:
-        """Return the growth of the number of cells, at most the growth of uniform refinement.
+        """Predict the growth of the number of cells, at most the growth of uniform refinement.
 
         Args:
             marked: part of the cells that is marked.

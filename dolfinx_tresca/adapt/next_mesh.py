@@ -29,7 +29,8 @@ ENOUGH = 0.85
 #: Least factor by which `fraction` is multiplied if fewer cells are enough.
 LEAST_PART = 0.3
 
-#: Largest ratio of a mesh's size to its limit with which a mesh is used that a forecast allowed.
+#: If a mesh that a forecast allowed is larger than its limit, it is used up to this ratio of the
+#: sizes.
 OVERSHOOT = 1.1
 
 
@@ -62,9 +63,9 @@ class Refinement:
 
         Args:
             level: the last mesh and its solution.
-            cell_errors: errors of its cells.
-            growth: factor by which the number of cells still has to grow in total; it is split into
-                equal factors, of which this mesh takes one.
+            cell_errors: errors of the cells of this mesh.
+            growth: factor by which the number of cells still has to grow in total. It is split into
+                equal factors, of which the returned mesh takes one.
         """
         step = step_of(growth)
         enough = step if step == growth else ENOUGH * step

@@ -66,7 +66,7 @@ def snapped(
     Args:
         comm: the ranks.
         cells: the cells.
-        facets: (m, d) nodes of tagged facets.
+        facets: (m, d) nodes of tagged facets, as positions in `cells.points`.
         tags: (m,) tags of the facets.
         snap: tag -> name, projection.
 

@@ -177,7 +177,7 @@ def solve_adaptively(
         with errors_on_all_ranks(comm):
             _check_problem(problem, tagged_mesh)
         with problem:
-            if goal is not None:  # before anything is solved for it
+            if goal is not None:  # checked before a solve
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
                 finer = with_node_in_patch(problem, tagged_mesh, goal, snap, limits)
                 if finer is not tagged_mesh:
@@ -197,7 +197,7 @@ def solve_adaptively(
             solution = _solve_accurately(problem, error) if last else _solve_roughly(problem)
             judgement = judged(problem, solution, goal)
             wrong = last and ends is None and judgement.error > accuracy
-            if wrong and not problem.solves_exactly:  # cells are to be marked after all
+            if wrong and not problem.solves_exactly:  # not the last mesh: its cells are marked
                 last, products = False, judgement.products
                 judgement = judged(problem, _solve_roughly(problem), goal)
                 judgement = replace(judgement, products=products + judgement.products)

@@ -170,7 +170,7 @@ def mesh_degree(mesh: Any) -> int:
 
 
 def in_degree(functions: Sequence[fem.Function], degree: int) -> list[fem.Function]:
-    """Return Functions interpolated to another degree, except for degree 0. Collective."""
+    """Return Functions interpolated to a degree; Functions of degree 0 stay. Collective."""
     return [_in_degree(function, degree) for function in functions]
 
 
@@ -189,7 +189,10 @@ def _in_degree(function: fem.Function, degree: int) -> fem.Function:
 
 
 def _interpolate_categories(function: IntegerFunction, result: IntegerFunction) -> None:
-    """Give each node the category with the largest share; of equal shares the lowest category."""
+    """Interpolate integers: each node gets the category whose indicator is largest there.
+
+    Of categories with equally large indicators the lowest one counts.
+    """
     one, parts = fem.Function(function.function_space), fem.Function(result.function_space)
     largest = np.zeros(len(parts.x.array))
     mesh = function.function_space.mesh

@@ -25,7 +25,7 @@ class Grid:
 
     Attributes:
         dim: dimension of space, 2 or 3.
-        degree: degree of the Functions; VTK has Lagrange cells from degree 2.
+        degree: degree of the Functions; from degree 2 on, the cells are VTK's Lagrange cells.
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers of the cell types.

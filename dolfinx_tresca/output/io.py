@@ -67,8 +67,8 @@ def write(
     * `.pvd`: best for ParaView, since its blocks have names. Beside the file is a folder, to which
       each rank writes its part of the grids. The folder also has the names and colours of the
       states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
-    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, with
-      about 1 kB for each node of the whole mesh: on many ranks take `.pvd`.
+    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, which
+      takes about 1 kB of its memory for each node of the whole mesh: on many ranks take `.pvd`.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
       mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
     * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no cell
@@ -133,16 +133,17 @@ def write(
 
 
 def _bytes(functions: Sequence[fem.Function]) -> int:
-    """Return an upper bound of the size of a mesh with Functions in a file.
+    """Return an upper bound of the bytes that this rank's part of a mesh with Functions needs.
 
-    It counts each rank's nodes with ghosts, as VTX files have them. Not collective.
+    The room on the disk is checked by this bound. Nodes count with ghosts, which VTX files contain.
+    Not collective.
     """
     V = functions[0].function_space
     maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
     nodes = max(int(map.size_local + map.num_ghosts) for map in maps)
     cells, per_cell = map(int, compat.geometry_dofmap(V.mesh).shape)
     per_cell = max(per_cell, int(V.dofmap.list.shape[1]))
-    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables of both
+    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables for both
     for function in functions:
         count = cells if is_constant_in_cells(function) else nodes
         numbers += count * 3 ** len(function.ufl_shape)

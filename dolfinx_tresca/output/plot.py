@@ -125,7 +125,7 @@ def _draw(
     suffix: str,
     angle: float,
 ) -> bytes:
-    """Return the picture as a file. Not collective.
+    """Return the bytes of the picture's file. Not collective.
 
     Raises:
         ContactError: pyvista or matplotlib is missing.

@@ -85,7 +85,7 @@ class Series:
                         _write_pvtus(unfinished, grids, cells)
                     suffix = ".vtu" if comm.size == 1 else ".pvtu"
                     self._finish(unfinished, step, [f"{name}{suffix}" for name in grids], time)
-        except Exception:  # on all ranks
+        except Exception:  # raised on all ranks
             if first:
                 _remove(unfinished)
                 self._index.unlink(missing_ok=True)
@@ -100,7 +100,8 @@ class Series:
     def _begin(self, time: float) -> Path:
         """Return the folder of the step, and create its temporary folder. Not collective.
 
-        The first step of a continued series reads the older steps, and drops those after its time.
+        The first step of a continued series reads the older steps, and drops all steps that are not
+        before its time.
 
         Raises:
             InputError: the older series cannot be read.
@@ -110,7 +111,7 @@ class Series:
                 found = read_pvd(self._path)
                 self._series = [data for data in found if data.time < time]
                 last = max(self._numbers, default=-1)
-            except ValueError as error:  # also for names that are no numbers
+            except ValueError as error:  # also if the name of a folder is not a number
                 raise InputError(f"cannot add to '{self._path}': {error}.") from error
         else:
             last = max(self._numbers, default=-1)

@@ -15,7 +15,7 @@ Row: TypeAlias = tuple[str, str]
 _NAME = 14
 
 #: Largest number of rows of a list. Of a longer list the first rows are shown, and the number of
-#: the others.
+#: the remaining rows.
 LISTED_ROWS = 8
 
 
@@ -34,7 +34,7 @@ class Tabulated(ABC):
 
 
 def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
-    """Return a list's rows, or its first ones and a row with the number of the others."""
+    """Return the rows of a list; of a long list the first rows, and one that counts the rest."""
     if len(rows) <= LISTED_ROWS:
         return list(rows)
     first = list(rows[: LISTED_ROWS - 1])
