@@ -1,4 +1,4 @@
-"""Pairing of the two sides of a contact pair: mortar, node-to-node or rigid obstacle."""
+"""Choice of the method of pairing: mortar, node-to-node, or for a rigid obstacle."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def pair_surfaces(
         V: vector space of degree 1 or 2.
         prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         pair: the contact pair.
-        undeformed: result of `Undeformed.of` before the mesh was moved; None if the mesh is not
-            moved.
+        undeformed: properties of the undeformed surfaces, found by `Undeformed.of` before the mesh
+            was moved; None if the mesh is not moved.
         axisymmetric: whether integrals are over rings about the axis x = 0.
 
     Raises:
@@ -86,7 +86,7 @@ def _couple_surfaces(
     other_nodes: SurfaceNodes,
     moved: bool,
 ) -> tuple[Coupling, Indices | None]:
-    """Couple two surfaces: node-to-node if their meshes match, else by mortar. Collective.
+    """Find the jumps at secondary nodes: node-to-node if meshes match, else mortar. Collective.
 
     Returns:
         The coupling, and the number of the body opposite to each node (`opposite_bodies`), which is

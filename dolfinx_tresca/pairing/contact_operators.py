@@ -121,7 +121,10 @@ class ContactOperators(PetscOwner):
 
     @property
     def weights(self) -> Array:
-        """(n,) covered areas of the contact nodes [length^2, in 2D length]."""
+        """(n,) covered areas of the contact nodes [length^2, in 2D length].
+
+        The covered part of a node's area is the part that faces the primary side.
+        """
         return self._pair.weights
 
     @property
@@ -166,9 +169,9 @@ class ContactOperators(PetscOwner):
         nodes of both sides: `areas` divided by the integral of the node's hat function over all
         facets of the pair. The fraction is 1 if all facets at a node face the other side, in
         contact or open, and less at the rim of the overlap. It is 0 off the surfaces, and at
-        secondary nodes beyond the rim, which carry no multiplier: their neighbours take over their
-        areas, and may have fractions above 1. After `update_geometry` the fraction also contains
-        the stretch of the facets.
+        secondary nodes beyond the rim, which carry no multiplier: the neighbours of these nodes
+        take over their areas, and may have fractions above 1. After `update_geometry` the fraction
+        also contains the stretch of the facets.
 
         Multiply nodal values by this fraction to integrate them in forms: the integral over the
         facets of either side is then the sum of the values times `areas`. For

@@ -84,7 +84,7 @@ def nodes_with_multipliers(
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)
     carries = own & ~unpaired & ~fixed & ~shared
-    # a node on a sharp edge, which has an entry for each smooth patch, is paired if one of them is
+    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
     facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
     partly_free = carries & ~nodes.free.all(axis=1)
     parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)

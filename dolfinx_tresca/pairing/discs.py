@@ -16,9 +16,10 @@ class FrictionDiscs:
 
     The projection onto a disc is explicit, but the projection onto an ellipse is not.
 
-    For semi-axes b_1 and b_2 the unknowns are t_i / stretch_i with stretch_1^2 = b_1 / b_2 and
-    stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2). If one semi-axis is zero,
-    the disc of the node is an interval, from minus to plus the other semi-axis.
+    For components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i
+    with stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius
+    sqrt(b_1 b_2). If one semi-axis is zero, the disc of the node is an interval, from minus to plus
+    the other semi-axis.
 
     Attributes:
         stretch: (n_tangential,) ratio of traction to unknown [1].

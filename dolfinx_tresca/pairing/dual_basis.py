@@ -59,16 +59,17 @@ def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
 def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
-    The basis psi is biorthogonal on the covered part of each facet (Wohlmuth 2000; Cichosz and
-    Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i for i = j, and zero
-    otherwise. So a nodal pressure is the nodal force divided by the node's covered area. Hat
-    functions of corners without a multiplier are first distributed in equal parts over the other
-    corners of the facet, and the basis is biorthogonal to these sums. In both cases the basis
-    functions sum to 1, so that constant pressures are transferred exactly.
+    The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
+    (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i
+    for i = j, and zero otherwise. So a nodal pressure is the nodal force divided by the node's
+    covered area. If corners have no multiplier, their hat functions are first added, in equal
+    parts, to the hat functions of the other corners of the facet, and the basis is biorthogonal to
+    these sums. In both cases the basis functions sum to 1, so that constant pressures are
+    transferred exactly.
 
     Args:
         integrals: the integrals over the covered parts.
-        full: (n,) whether the whole facet is covered.
+        full: (n,) whether the whole facet is covered, so that no regularisation is needed.
         carries: (n, corners) whether a corner carries a multiplier; None: all do. A facet without
             such corners has no basis functions.
     """

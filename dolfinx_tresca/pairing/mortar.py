@@ -28,9 +28,9 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
 from dolfinx_tresca.surface.offsets import any_known_surface
 
-#: Least covered part of a node's area with which the node carries a multiplier. (Exactly at the
-#: limit rounding decides. So the limit is no part that round overlaps, by 0.1 or 0.01 of a cell,
-#: would cover.)
+#: Least covered part of a node's area with which the node carries a multiplier. (For a part equal
+#: to the limit rounding would decide. So the limit is not a part that overlaps by 0.1 or 0.01 of a
+#: cell, which are common, can cover.)
 LEAST_AREA_PART = 3e-4
 
 #: Least ratio of the penetration of bodies to the sagitta, the height of their curved surfaces over
@@ -45,10 +45,10 @@ FITTED_PART = 0.25
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
 #: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
-#: distance from the rim in sizes of the facet. With a limit of 0.76 (twice the largest d), nodes
-#: just beyond a block's edge would have up to 1.5 times the pressure of the nodes on the edge. With
-#: a limit of 0.94 (half the largest d), nodes on a circle of 16 segments would lose their
-#: multipliers, since they lie outside the chords of another mesh.
+#: distance from the rim divided by the size of the facet. If nodes up to twice this distance had
+#: multipliers (0.76), nodes just beyond a block's edge would have up to 1.5 times the pressure of
+#: the nodes on the edge. If only nodes up to half this distance had multipliers (0.94), nodes on a
+#: circle of 16 segments, which lie outside the chords of another mesh, would lose theirs.
 LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
@@ -72,7 +72,7 @@ def couple(
     moved: bool,
     reason: str,
 ) -> Coupling:
-    """Couple two surfaces by integrals over their overlap. Collective.
+    """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
     is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
@@ -113,7 +113,7 @@ def couple(
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
-    """Log a warning if nodes (n,) penetrate by less than the sagitta can resolve. Collective."""
+    """Warn if nodes (n,) penetrate so little that the error of the sagitta matters. Collective."""
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
@@ -257,7 +257,7 @@ def nodes_without_multiplier(
     own = owned_nodes(V, nodes)
 
     def owners_flags(some: Mask) -> Mask:
-        """Return nodal flags as found by the nodes' owners, which have all facets at the nodes."""
+        """Replace flags (n,) by those of the nodes' owners, which have all facets at the nodes."""
         return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)

@@ -35,7 +35,7 @@ class MortarIntegrals:
     """Integrals over the covered parts of secondary facets, which face the primary side.
 
     Attributes:
-        own: integrals of products of secondary functions, for all secondary facets.
+        own: integrals of products of two secondary functions, for all secondary facets.
         sagitta: (n, corners) integrals of hat functions times the heights of both curved surfaces
             over their facets, which reduce the gap.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
@@ -175,7 +175,8 @@ def _facing_pairs(
 ) -> Iterator[tuple[Indices, Indices]]:
     """Yield blocks of pairs of pieces that may face each other.
 
-    All pairs of a secondary piece are in the same block.
+    The normals of such a pair are opposed, and the primary piece lies along the normal of the
+    secondary piece. All pairs of a secondary piece are in the same block.
 
     Args:
         balls: balls that enclose the primary pieces, for the search.

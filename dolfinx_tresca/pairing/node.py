@@ -80,8 +80,8 @@ def match(
         np.add.at(weights, corner, nodes.corner_weights[facet])
         # nodes that match several primary nodes
         ambiguous = numbers != partner[corner]
-        # without match, too: facets with different numbers of corners, and facets two of whose
-        # corners have the same nearest corner
+        # also unmatched: facets with different numbers of corners, and facets of which two corners
+        # have the same nearest corner
         distinct = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
         unmatched = (distance > allowed) | ~distinct[:, None] | (primary.corners != corners)
     mismatch = _mismatch(V, nodes, corner, distance, unmatched, ambiguous)

@@ -60,7 +60,7 @@ class Overlap:
 
 
 class OverlapIntegrals:
-    """Integrates over the overlaps of pairs of pieces, where they are visible and nearest.
+    """Integrates over the visible and nearest parts of the overlaps of pairs of pieces.
 
     The arguments are those of `MortarIntegrals.of`; `pieces` and `others` are the pieces of the
     secondary and the primary facets.

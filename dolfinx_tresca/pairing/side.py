@@ -82,8 +82,9 @@ class Side:
     def nodes_on_this_rank(self, V: Any, moved: bool) -> SurfaceNodes:
         """Return the nodes of this rank's facets. Collective.
 
-        The log has a warning if nodes of an undeformed surface coincide. Nodes that also belong to
-        facets with other tags, and surfaces that touch themselves, are not checked.
+        The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
+        there. Nodes that also belong to facets with other tags, and surfaces that touch themselves,
+        are not checked.
 
         Args:
             V: the space of the displacement.

@@ -19,7 +19,7 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
-#: Attributes of `Facets` that have a row per facet; the others describe the whole surface.
+#: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
 FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
@@ -27,8 +27,8 @@ class Halo:
     """The facets of one side on this rank, to which facets of other ranks can be added.
 
     At first the halo consists of the facets that this rank owns and of all facets at nodes that
-    this rank owns. Requests are sent only to ranks whose bounding boxes show that they may have the
-    facets.
+    this rank owns. Further facets are requested only from ranks that may have such facets, judged
+    by the bounding box of the facets that each rank owns.
 
     Attributes:
         comm: the communicator.
@@ -144,7 +144,7 @@ class Halo:
         return np.searchsorted(self._ends, nodes, side="right")
 
     def _other_ranks(self) -> list[tuple[int, Box, float]]:
-        """Return the other ranks that have facets, with their boxes and largest radii."""
+        """Return the other ranks that own facets, with box and largest radius of their pieces."""
         return [
             (rank, Box.from_row(row[:-2]), row[-2])
             for rank, row in enumerate(self._boxes)
@@ -204,9 +204,9 @@ class _NumberedFacets:
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     """Add all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides that lie along the normals; the primary facets near facets
-    that penetrate the primary side; and the facets that share a corner with paired facets, since
-    the normals at the corners depend on them.
+    These are the facets of both sides that lie along the normals of the rank's facets; primary
+    facets near facets of the rank that penetrate the primary side; and the facets that share a
+    corner with paired facets, since the normals at the corners depend on them.
 
     Args:
         secondary: halo of the secondary side.

@@ -29,14 +29,14 @@ FINER = 2.0**-0.5
 #: Number of candidates for the direction that orders the facets of a body.
 DIRECTIONS = 12
 
-#: Least sine and cosine of the angle between a facet's normal and the direction of its body with
-#: which the facet counts as well ordered. On a slit parallel to the direction rounding would decide
-#: facet by facet, and most nodes of the slit would lose their multipliers.
+#: A direction suits a facet of its body fully if the sine and the cosine of the angle between the
+#: direction and the facet's normal are at least this. On a slit parallel to the direction rounding
+#: would decide the roles facet by facet, and most nodes of the slit would lose their multipliers.
 LEAST_COMPONENT = 0.3
 
-#: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
-#: from which they count as the two faces of one wall, whose material is between them. (Walls are
-#: not compressed to half of their thickness.)
+#: Two facets of one body that are behind each other count as the two faces of one wall, whose
+#: material is between them, if their distance is at least this part of their distance in the
+#: undeformed mesh. (Walls are not compressed to half of their thickness.)
 WALL_PART = 0.5
 
 

@@ -107,7 +107,7 @@ class Visibility:
         end: Array,
         other: Indices | None = None,
     ) -> Mask:
-        """Return whether points of the primary side are hidden, (n,).
+        """Return whether primary points are hidden from the secondary points before them, (n,).
 
         Args:
             piece: (n,) the secondary piece of each point, ascending.
@@ -176,7 +176,7 @@ class Visibility:
         return result
 
     def _occluders(self, own: bool, targets: Indices, reach: Array) -> _Occluders:
-        """Return the facets of one side that may hide points of secondary pieces.
+        """Return the facets of one side that may hide primary points from secondary pieces.
 
         Args:
             own: whether the occluders are on the secondary side.
@@ -219,7 +219,7 @@ class Visibility:
 
 @dataclass(frozen=True)
 class _Occluders:
-    """Facets that may hide points of a piece, in the frame of the piece.
+    """Facets that may hide primary points from a secondary piece, in the frame of this piece.
 
     Attributes:
         target: (n,) index of the piece in `targets` of `Visibility._occluders`, ascending.
