@@ -25,7 +25,7 @@ WINDOWS_OFF_SCREEN = (
 
 @contextmanager
 def display_for_pictures() -> Iterator[None]:
-    """Let VTK render within a block, also without a display. Not collective.
+    """Let VTK render within a `with` block, also without a display. Not collective.
 
     Without a display VTK 9.5 and later render through EGL or OSMesa, if the system has one of these
     libraries. Other versions, and later ones without these libraries, would end in a segmentation

@@ -61,8 +61,8 @@ def write(
     """Write displacement and contact fields for ParaView.
 
     There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
-    several pairs, blocks named after them, such as "upper_on_lower". The suffix selects the format;
-    the parent folder is created:
+    several pairs, there are blocks named after the pairs, such as "upper_on_lower". The suffix
+    selects the format; the parent folder is created:
 
     * `.pvd`: best for ParaView, since its blocks have names. Beside the file is a folder, to which
       each rank writes its part of the grids. The folder also has the names and colours of the
@@ -95,10 +95,11 @@ def write(
             degree 0, on the mesh of the displacement, such as a von Mises stress; and `MeshTags` of
             its cells, such as materials, with 0 in cells without a tag.
         revolve: angle in degrees, up to 360, by which bodies of revolution and their fields are
-            turned about the axis, in `.pvd` and `.vtu`: a grid in 3D of degree 1, whose first
-            meridian is the mesh; y is the axis. None: the meridian alone is written.
-        by_body: in `.pvd`, a block for each body, under its name in `solution.body_names`, instead
-            of the block "volume": a file for each body, from each rank with cells of the body.
+            turned about the y axis; only for `.pvd` and `.vtu`. The result is a grid in 3D of
+            degree 1, whose first meridian is the mesh. None: the meridian alone is written.
+        by_body: whether a `.pvd` has a block for each body, under its name in
+            `solution.body_names`, instead of the block "volume". Each rank that has cells of a body
+            then writes a file for this body.
 
     Raises:
         InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has

@@ -13,7 +13,7 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
     Args:
         first: (n, a, d) corners; for d = 1 of segments (a = 2), for d = 2 of convex polygons,
             clockwise or counter-clockwise.
-        second: (n, b, d) corners of the second segments or polygons, in any order round a polygon.
+        second: (n, b, d) corners of the second segments or polygons, in either order as well.
         centred: whether polygons are cut into triangles round their centroid, instead of a fan of
             triangles from one of their corners. This gives more triangles, but they do not depend
             on rounding or on the order of the corners.
