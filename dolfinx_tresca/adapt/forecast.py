@@ -53,7 +53,7 @@ class Forecast:
 
     @staticmethod
     def error(levels: Sequence[Level], free_dofs: int) -> float:
-        """Return the relative error of a mesh, extrapolated from earlier ones; inf if none exist.
+        """Predict the relative error of a mesh from earlier meshes; infinite if there are none.
 
         Args:
             levels: the earlier meshes.

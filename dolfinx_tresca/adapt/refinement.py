@@ -231,7 +231,7 @@ def _sent_to_owners(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> A
 def _surfaces(
     tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
 ) -> Iterator[dict[int, tuple[str, Projection]]]:
-    """Yield the names and projections of curved surfaces, by their tags. Collective.
+    """Yield tag -> name and projection of the curved surfaces. Collective.
 
     These are the `given` surfaces if `snap` is not None or the mesh has no geometry with curved
     surfaces; otherwise they are the curved surfaces of Gmsh.

@@ -40,7 +40,9 @@ class SharedNodes:
         self.numbers, _ = exchange(comm, (first + self._position).astype(np.int64), self._askers)
 
     def kept(self, rows: Array) -> Array:
-        """Return rows (m, k) of the nodes that this rank keeps, in order of number. Collective.
+        """Return the rows (m, k) of the nodes whose keeper is this rank, by ascending number.
+
+        Collective.
 
         Args:
             rows: (n, k) rows of this rank's nodes, the same on all ranks that have them.

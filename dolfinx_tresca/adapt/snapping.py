@@ -60,8 +60,8 @@ def snapped(
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
 
-    The nodes of a cell that would become flat or inverted do not move, which is logged; the next
-    refinement tries again, with smaller cells.
+    The nodes of a cell that would become flat or inverted do not move. A warning is logged, and the
+    next refinement tries again, with smaller cells.
 
     Args:
         comm: the ranks.

@@ -87,8 +87,8 @@ def solve_adaptively(
     accuracy needs. On each mesh the iteration starts from the tractions on the previous mesh, and
     ends with an error below the error of the mesh. On the last mesh the options of the problem
     decide when the iteration ends, except that `local_accuracy` is at least 0.3 times the error of
-    the mesh, or 0.1 if this is less: a smaller value would cost products and improve nothing. If
-    the options set `rtol`, they are not changed.
+    the mesh, or 0.1 if 0.1 is less: a smaller value would cost products and improve nothing. If the
+    options set `rtol`, this last solve uses the options unchanged.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,

@@ -159,7 +159,10 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def curved(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Return Functions in one degree, high enough to show curved cells as curved. Collective."""
+    """Interpolate Functions to one degree, high enough for curved cells to be shown as curved.
+
+    Collective.
+    """
     degrees = [function.function_space.ufl_element().degree for function in functions]
     return in_degree(functions, max(*degrees, mesh_degree(functions[0].function_space.mesh)))
 
@@ -170,7 +173,7 @@ def mesh_degree(mesh: Any) -> int:
 
 
 def in_degree(functions: Sequence[fem.Function], degree: int) -> list[fem.Function]:
-    """Return Functions interpolated to a degree; Functions of degree 0 stay. Collective."""
+    """Interpolate Functions to a degree, except Functions of degree 0. Collective."""
     return [_in_degree(function, degree) for function in functions]
 
 

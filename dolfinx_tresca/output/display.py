@@ -28,8 +28,8 @@ def display_for_pictures() -> Iterator[None]:
     """Let VTK render within a `with` block, also without a display. Not collective.
 
     Without a display VTK 9.5 and later render through EGL or OSMesa, if the system has one of these
-    libraries. Other versions, and later ones without these libraries, would end in a segmentation
-    fault: Xvfb, an X server, is started for them.
+    libraries. Older versions of VTK, and later versions without these libraries, would end in a
+    segmentation fault: for these versions Xvfb, an X server, is started.
 
     Raises:
         ContactError: neither EGL nor OSMesa can be used, and Xvfb is not installed or fails.

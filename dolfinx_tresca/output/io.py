@@ -67,12 +67,12 @@ def write(
     * `.pvd`: best for ParaView, since its blocks have names. Beside the file is a folder, to which
       each rank writes its part of the grids. The folder also has the names and colours of the
       states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
-    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, which
-      takes about 1 kB of its memory for each node of the whole mesh: on many ranks take `.pvd`.
+    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids. The first rank gathers them, and
+      needs about 1 kB of memory for each node of the whole mesh: on many ranks take `.pvd`.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
       mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
-    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no cell
-      fields.
+    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2, without fields of
+      cells.
 
     Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
     contact fields then have values at the middles of edges as well; there `state` has the value of
@@ -136,7 +136,7 @@ def write(
 def _bytes(functions: Sequence[fem.Function]) -> int:
     """Return an upper bound of the bytes that this rank's part of a mesh with Functions needs.
 
-    The room on the disk is checked by this bound. Nodes count with ghosts, which VTX files contain.
+    The room on the disk is checked by this bound. Ghost nodes count, since VTX files contain them.
     Not collective.
     """
     V = functions[0].function_space
@@ -275,7 +275,7 @@ def _series(path: Path, append: bool = False) -> Series:
 def _write_step(
     series: Series, solution: HasFields, blocks: Blocks, time: float, angle: float, by_body: bool
 ) -> None:
-    """Add a step to a series, turned by an angle in degrees. Collective."""
+    """Add a step to a series, with grids that are turned by an angle [degrees]. Collective."""
     grids = {name: local_grid(_shown(functions, angle)) for name, functions in blocks.items()}
     if angle:
         grids = {name: revolved(grid, angle) for name, grid in grids.items()}
@@ -286,7 +286,7 @@ def _write_step(
 def _with_bodies(
     grids: dict[str, Grid], solution: HasFields, here: bool, by_body: bool
 ) -> dict[str, Grid]:
-    """Return grids with the names of bodies and, for three or more, the forces between them.
+    """Add names of bodies to grids, and with three or more bodies the forces between them.
 
     For two bodies the force between them is already known as the force of their pair. Not
     collective.
@@ -311,7 +311,7 @@ def _with_bodies(
 
 
 def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:
-    """Write a `.vtu` for each block, on the first rank, turned by an angle. Collective."""
+    """Write a `.vtu` for each block, on the first rank; `angle`: see `_gathered`. Collective."""
     for file, functions in _files(path, blocks).items():
         grid = _gathered(functions, angle)
         with errors_on_all_ranks(_comm(blocks)):
@@ -320,13 +320,18 @@ def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:
 
 
 def _gathered(functions: Sequence[fem.Function], angle: float) -> Grid | None:
-    """Return the whole grid on the first rank, turned by an angle in degrees. Collective."""
+    """Return the whole grid, turned by an angle [degrees]; None except on the first rank.
+
+    Collective.
+    """
     grid = gather_grid(_shown(functions, angle))
     return revolved(grid, angle) if grid is not None and angle else grid
 
 
 def _shown(functions: Sequence[fem.Function], angle: float) -> list[fem.Function]:
-    """Return Functions with the same nodes, of degree 1 for bodies of revolution. Collective.
+    """Interpolate Functions to the degree of files: 1 for revolved bodies, else see `curved`.
+
+    Collective.
 
     Args:
         functions: Functions on the same mesh.
@@ -344,7 +349,7 @@ def _write_vtx(path: Path, blocks: Blocks) -> None:
 
 
 def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
-    """Return file -> its Functions, for formats with one mesh in a file."""
+    """Return path -> Functions of the file, for formats with a file for each block."""
     return {
         path if i == 0 else path.with_name(f"{path.stem}_{name}{path.suffix}"): functions
         for i, (name, functions) in enumerate(blocks.items())

@@ -69,8 +69,8 @@ def plot(
     the others, the range of colours ends below these, and the colour bar has an arrow and the
     largest value.
 
-    Needs pyvista and matplotlib on the first rank, and no display. In `.svg` and `.pdf` text, bars
-    and charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
+    The first rank needs pyvista and matplotlib, but no display. In `.svg` and `.pdf` text, bars and
+    charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
 
     Collective.
 

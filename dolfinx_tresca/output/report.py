@@ -13,12 +13,12 @@ from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
 def significant(value: float, error: float) -> str:
-    """Return the text of a number with one to eight digits, as a relative error justifies."""
+    """Return the text of a number, with one to eight digits as a relative error justifies them."""
     return f"{value:.{_digits(error)}g}"
 
 
 def vector(values: Array, error: float) -> str:
-    """Return the text of a vector, whose `error` is relative to its largest component."""
+    """Return the text of a vector, with digits for an error relative to its largest component."""
     digits = _digits(error)
     size = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0

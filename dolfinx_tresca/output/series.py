@@ -34,8 +34,8 @@ class Series:
 
     Each rank writes its part of each grid of a step under a temporary name. When the step is
     complete, it is renamed, and a `.pvd` with this step replaces the old `.pvd`. The first step
-    begins a new series: just before its renaming the steps of an older series are removed, except
-    those that `append` keeps.
+    begins a new series: just before this step is renamed, the steps of an older series are removed,
+    except the steps that `append` keeps.
     """
 
     def __init__(
@@ -45,7 +45,8 @@ class Series:
 
         Args:
             path: the `.pvd`, the same on all ranks.
-            append: whether to keep existing steps before the first written time.
+            append: whether to keep the steps of an existing series that are before the first time
+                that is written.
             texts: name -> content of further files in the folder.
         """
         self._path = path
@@ -159,7 +160,7 @@ class Series:
 def _write_pvtus(
     folder: Path, grids: Mapping[str, Grid], cells: Sequence[Mapping[str, int]]
 ) -> None:
-    """Write the `.pvtu` of each grid: ranks without cells have no file. Not collective."""
+    """Write the `.pvtu` of each grid; ranks without cells have no file in it. Not collective."""
     for name, grid in grids.items():
         pieces = [f"{name}_{rank}.vtu" for rank, mine in enumerate(cells) if mine[name]]
         write_pvtu(folder / f"{name}.pvtu", grid, pieces)

@@ -58,7 +58,7 @@ def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -
 def _tagged_measure(space: Any, facet_tags: Any, tags: Collection[int]) -> Any:
     """Return the measure of all facets with any of the tags.
 
-    The facets get the same new tag, so that forms are compiled once for all tags.
+    All these facets get one new tag, so that a form is compiled only once, whatever the tags are.
     """
     facets = facet_tags.indices[np.isin(facet_tags.values, list(tags))]
     numbered = dolfinx.mesh.meshtags(

@@ -160,15 +160,15 @@ def _point_text(point: Array) -> str:
 def couple(
     V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching, without: Mask | None = None
 ) -> Coupling:
-    """Couple each secondary node with its primary node. Collective.
+    """Find the jump between each secondary node and its primary node. Collective.
 
     Args:
         V: the space of the displacement.
         pair: the contact pair.
         nodes: nodes of the secondary facets.
         matching: the primary node of each secondary node.
-        without: (n,) whether a node has no multiplier. None: nodes have none if they are their own
-            primary nodes.
+        without: (n,) whether a node has no multiplier. None: a node has no multiplier if it is its
+            own primary node.
 
     Raises:
         PairingError: no node can carry a multiplier.

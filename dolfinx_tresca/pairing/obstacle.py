@@ -29,7 +29,7 @@ from dolfinx_tresca.surface.visibility import FACING_COSINE
 def couple(
     V: Any, pair: ContactPair, obstacle: RigidObstacle, facets: Facets, nodes: SurfaceNodes
 ) -> Coupling:
-    """Couple a surface with a rigid obstacle. Collective.
+    """Find the jumps at the nodes of a surface that faces a rigid obstacle. Collective.
 
     The signed distance is interpolated like a displacement and averaged with the dual basis; with
     degree 1 gap and jump are the nodal values. With degree 2 the distance at nodes on straight

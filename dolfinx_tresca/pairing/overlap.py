@@ -209,9 +209,9 @@ class OverlapIntegrals:
     ) -> Array:
         """Return the distances (n,) of the exact surfaces along the secondary normals [length].
 
-        They are computed from the vectors between points on the exact surfaces. The distance of the
-        facets minus both heights would lose accuracy for closely fitting bodies, whose heights are
-        much larger than their distance.
+        These distances are computed from vectors between points on the exact surfaces. The distance
+        of the facets minus both heights would lose accuracy for closely fitting bodies, for which
+        the heights are much larger than the distance.
 
         Args:
             facet: (n,) secondary facets.

@@ -40,8 +40,8 @@ class Side:
         tag: tag of the facets.
         name: "secondary" or "primary", for messages.
         facet_tags: tags of all facets.
-        whole: properties of the whole surface, on all ranks.
-        halo: the facets on this rank.
+        whole: properties of the whole surface, the same on all ranks.
+        halo: this rank's facets, and copies of facets of other ranks.
     """
 
     tag: int

@@ -201,7 +201,7 @@ def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArra
 
 
 def _renumber_cell_nodes_first(gmsh: Any) -> int:
-    """Renumber nodes so that cells of physical groups have the first ones; return their number.
+    """Number the nodes of cells in physical groups first; return the number of these nodes.
 
     DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
     facet exceeds the number of nodes of cells. Tagged facets of a body that is in no physical group

@@ -28,8 +28,8 @@ class RigidObstacle:
     points is 0, and the third component of normals must be 0.
 
     An obstacle is moved by `move_to`. Attributes of its shape cannot be changed, but Constants on
-    which its signed distance depends can. Such a Constant is a parameter of the scene, such as a
-    place that is optimised: its change is not a motion, and does not count as slip.
+    which its signed distance depends can be changed. Such a Constant is a parameter of the scene,
+    such as a place that is optimised: its change is not a motion, and does not count as slip.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -155,7 +155,10 @@ class RigidObstacle:
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return the user's distances and normals at points (3, n), for the present place."""
+        """Return the distances and normals at points (3, n) that the user's function gives.
+
+        The obstacle is at its present place.
+        """
         motion = self._motion
         if motion == RigidMotion.none():
             return self._signed_distance(points)

@@ -1,10 +1,10 @@
 """Contact of a surface with itself: which facets may meet, and which of two is secondary.
 
 The facets of the surface may belong to many bodies, and parts of one body may touch each other.
-Each facet sees the others along its normal, as in a pair of two surfaces. A point where two facets
-meet is seen from both facets, but must be constrained only once. So an order of the facets decides
-which of two is the secondary one. This order depends on the undeformed mesh only: the roles are the
-same in all configurations of finite sliding, and on any number of ranks.
+Each facet sees other facets along its normal, as in a pair of two surfaces. A point where two
+facets meet is seen from both facets, but must be constrained only once. So an order of the facets
+decides which of two facets is secondary. This order depends on the undeformed mesh only: the roles
+are the same in all configurations of finite sliding, and on any number of ranks.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of one body may not meet if they share a corner, or if they are the two faces of a
-        wall. They count as such faces if each is behind the other, now and in the undeformed mesh,
-        by more than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`), and now by
-        more than `WALL_PART` of the undeformed depth.
+        wall. Two facets are the faces of a wall if each is behind the other, both in the undeformed
+        mesh and now, by more than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`),
+        and now by more than `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
@@ -114,10 +114,10 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
-        first body in the order of `label_bodies`. In one body, of two facets that face each other
-        in the undeformed mesh, as in a slit or a ring, the facet whose normal is along the body's
-        direction is secondary; otherwise, as on a folded sheet, the facet that comes first in this
-        direction.
+        body that comes first in `label_bodies` is secondary. In one body, of two facets that face
+        each other in the undeformed mesh, as in a slit or a ring, the facet whose normal is along
+        the body's direction is secondary; of two other facets, as on a folded sheet, the facet that
+        comes first in this direction is secondary.
         """
         f, g = first, second
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
@@ -133,7 +133,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return, for pairs of facets, the smaller depth (m,) of a centre behind the other's plane."""
+    """Return the smaller depth (m,) of two facets' centres, each behind the other facet's plane."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])

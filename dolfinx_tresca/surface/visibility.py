@@ -107,7 +107,7 @@ class Visibility:
         end: Array,
         other: Indices | None = None,
     ) -> Mask:
-        """Return whether primary points are hidden from the secondary points before them, (n,).
+        """Return whether primary points are hidden from the secondary points opposite, (n,).
 
         Args:
             piece: (n,) the secondary piece of each point, ascending.
@@ -239,7 +239,7 @@ class _Occluders:
     def overlapping(
         cls, target: Indices, corners: Array, normals: Array, piece_corners: Array
     ) -> _Occluders:
-        """Return the facets whose projection may overlap the piece, by their bounding boxes.
+        """Return the facets whose bounding box in the plane of the piece overlaps the piece's box.
 
         Args:
             target: (n,) see the attribute.

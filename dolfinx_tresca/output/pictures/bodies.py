@@ -40,7 +40,7 @@ def draw_bodies(
 
     Args:
         plotter: a plotter of pyvista.
-        aspect: width over height of the view.
+        aspect: width of the view divided by its height.
         volume: the mesh with the displacement.
         contacts: the contact surfaces of all pairs.
         curves: the contact curves of 2D, drawn on the deformed edges.

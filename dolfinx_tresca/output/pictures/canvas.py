@@ -65,7 +65,7 @@ class Camera:
         centre: (3,) the point in the middle [length].
         axes: (3, 3) unit vectors to the right, up, and to the viewer.
         half: half the height of the view [length].
-        aspect: width over height.
+        aspect: width divided by height.
     """
 
     centre: Array
@@ -75,7 +75,7 @@ class Camera:
 
     @classmethod
     def at(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return a view of points against `normal`, as large as fits."""
+        """Return the largest view of all points, seen from the direction `normal`."""
         right = np.cross(up, normal)
         axes = np.array([right / np.linalg.norm(right), up, normal / np.linalg.norm(normal)])
         axes[1] = np.cross(axes[2], axes[0])

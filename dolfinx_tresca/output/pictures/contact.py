@@ -24,9 +24,10 @@ class Contact:
     """A contact surface and its nodes.
 
     Attributes:
-        grid: the fields, of degree 1, with the slip of this step, zero at sticking nodes.
-        touching: (n,) whether a node of the grid is pressed.
-        sticking: (n,) whether the tangential traction of a node of the grid is below the bound.
+        grid: the fields of the surface, in degree 1. Its "slip" is the slip of this step, and zero
+            at sticking nodes.
+        touching: (n,) whether a node of the grid is pressed or bonded.
+        sticking: (n,) whether a node of the grid sticks, pressed or open, or is bonded.
         nodes: (k,) nodes of the grid that carry multipliers.
         normals: (k, 3) outward unit normals at `nodes`.
         initial_gap: (k,) distances at `nodes` before the bodies moved [length].

@@ -168,7 +168,7 @@ def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
 
 
 def _plain(axes: Any) -> None:
-    """Give a chart plain axes."""
+    """Draw the line of zero in a chart, and remove its upper and right border."""
     axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
     axes.margins(x=0.02)
     axes.spines[["top", "right"]].set_visible(False)

@@ -41,7 +41,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
 
     Args:
         plotter: a plotter of pyvista.
-        aspect: width over height of the view.
+        aspect: width of the view divided by its height.
         contact: the contact surface.
         units: units of length and stress.
     """

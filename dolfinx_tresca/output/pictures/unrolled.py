@@ -47,7 +47,7 @@ class Unrolled:
 
 
 def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
-    """Return a surface unrolled, seen from outside, if it is nearly a cylinder or a cone.
+    """Unroll a surface, seen from outside; return None unless it is nearly a cylinder or a cone.
 
     Args:
         surface: a surface of pyvista with cell normals.
