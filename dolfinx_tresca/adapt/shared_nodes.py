@@ -31,7 +31,7 @@ class SharedNodes:
             limit: a number larger than all keys.
         """
         self._comm = comm
-        # ascending, since the keys are: so answers come back in the order of the questions
+        # ascending like the keys, so that answers come back in the order of the questions
         self._keepers = (keys // (limit // comm.size + 1)).astype(np.intp)
         asked, self._askers = exchange(comm, keys, self._keepers)
         kept, self._position = np.unique(asked, return_inverse=True)

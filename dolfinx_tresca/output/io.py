@@ -148,7 +148,7 @@ def _bytes(functions: Sequence[fem.Function]) -> int:
     for function in functions:
         count = cells if is_constant_in_cells(function) else nodes
         numbers += count * 3 ** len(function.ufl_shape)
-    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU makes 4 bytes of 3; headers
+    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU has 4 bytes for 3 of the data, and headers
 
 
 class SolutionWriter:

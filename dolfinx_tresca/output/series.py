@@ -54,7 +54,7 @@ class Series:
         self._folder = path.with_suffix("")
         self._append = append
         self._begun = False
-        self._series: list[DataSet] = []  # on the first rank
+        self._series: list[DataSet] = []  # filled on the first rank only
 
     def write(self, comm: MPI.Comm, grids: Mapping[str, Grid], time: float) -> None:
         """Add a step. Collective.

@@ -108,7 +108,7 @@ class Side:
         if moved or self.halo.facets.origins.shape[1]:
             return nodes
         numbers, first = np.unique(nodes.numbers[own], return_index=True)
-        # coincident corners of adjacent bricks also belong to the bricks' ends, which have other tags
+        # coincident corners of adjacent bricks also belong to their ends, which have other tags
         single = ~np.isin(numbers, self._nodes_with_other_tags(V))
         coincident = _coincident(comm, nodes.points[own][first][single], self.whole)
         if coincident:

@@ -45,7 +45,8 @@ class RigidObstacle:
         <RigidObstacle: a wavy floor>
     """
 
-    __slots__ = ("_centre", "_constants", "_motion", "_name", "_signed_distance")  # no others
+    # no other attributes can be set
+    __slots__ = ("_centre", "_constants", "_motion", "_name", "_signed_distance")
 
     def __init__(
         self,

@@ -51,8 +51,8 @@ def _reference_points(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Ar
     """
     first, last = (row_of_least(comm, sign * order, points) for sign in (1, -1))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    # The line through `first` and `last` contains the first point. The second point must be off
-    # this line: nodes on the line would see both points in the same direction.
+    # The first reference point is on the line through `first` and `last`. The second one must be
+    # off this line: nodes on the line would see both points in the same direction.
     along = (last - first) / (np.linalg.norm(last - first) or 1.0)
     offset = points - first
     off = np.linalg.norm(offset - np.outer(offset @ along, along), axis=1)
