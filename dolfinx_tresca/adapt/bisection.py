@@ -53,7 +53,7 @@ class BisectedCells:
     def of(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
         """Bisect edges of marked cells, and further edges as needed. Collective.
 
-        DOLFINx has the method of Plaza and Carey (2000, Local refinement of simplicial grids based
+        DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
         on the skeleton): angles stay away from zero after any number of bisections.
 
         Args:

@@ -198,7 +198,7 @@ def solve_adaptively(
             solution = _solve_accurately(problem, error) if last else _solve_roughly(problem)
             judgement = judged(problem, solution, goal)
             wrong = last and ends is None and judgement.error > accuracy
-            if wrong and not problem.solves_exactly:  # not the last mesh: its cells are marked
+            if wrong and not problem.solves_exactly:  # not the last mesh: cells are to be marked
                 last, products = False, judgement.products
                 judgement = judged(problem, _solve_roughly(problem), goal)
                 judgement = replace(judgement, products=products + judgement.products)

@@ -31,7 +31,7 @@ Blocks: TypeAlias = dict[str, list[fem.Function]]
 #: Largest number of characters in the name of a block that is named after a pair or a body.
 NAME_LENGTH = 60
 
-#: Mesh -> number of each cell's body; kept, since the search for bodies takes longer than writing.
+#: Mesh -> number of each cell's body; kept, since finding bodies takes longer than writing a step.
 _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 

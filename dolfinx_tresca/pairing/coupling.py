@@ -19,7 +19,7 @@ class Coupling:
     """The jump of the displacement at secondary nodes of this rank.
 
     The rows of `jump` apply to each component of the displacement. `PairOperators` combines the
-    components to N and T.
+    components along normals and tangents, which gives N and T.
 
     Attributes:
         pairing: kind of the pairing, for tables and messages.

@@ -28,9 +28,9 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
 from dolfinx_tresca.surface.offsets import any_known_surface
 
-#: Least covered part of a node's area with which the node carries a multiplier. (For a part equal
-#: to the limit rounding would decide. So the limit is not a part that overlaps by 0.1 or 0.01 of a
-#: cell, which are common, can cover.)
+#: Least covered part of a node's area with which the node carries a multiplier. (At the limit
+#: rounding decides. So the limit is not round: round overlaps, such as 0.1 or 0.01 of a cell, are
+#: above or below it.)
 LEAST_AREA_PART = 3e-4
 
 #: Least ratio of the penetration of bodies to the sagitta, the height of their curved surfaces over
@@ -45,10 +45,10 @@ FITTED_PART = 0.25
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
 #: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
-#: distance from the rim divided by the size of the facet. If nodes up to twice this distance had
-#: multipliers (0.76), nodes just beyond a block's edge would have up to 1.5 times the pressure of
-#: the nodes on the edge. If only nodes up to half this distance had multipliers (0.94), nodes on a
-#: circle of 16 segments, which lie outside the chords of another mesh, would lose theirs.
+#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it
+#: were 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the
+#: pressure of the nodes on the edge. If it were 0.94 (half this d), nodes on a circle of 16
+#: segments, which lie outside the chords of another mesh, would lose their multipliers.
 LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
@@ -257,7 +257,7 @@ def nodes_without_multiplier(
     own = owned_nodes(V, nodes)
 
     def owners_flags(some: Mask) -> Mask:
-        """Replace flags (n,) by those of the nodes' owners, which have all facets at the nodes."""
+        """Return the flags (n,) that the nodes' owners found, who have all facets at the nodes."""
         return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)

@@ -156,10 +156,7 @@ class RigidObstacle:
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return the distances and normals at points (3, n) that the user's function gives.
-
-        The obstacle is at its present place.
-        """
+        """Return unchecked distances and normals at points (3, n), from the present place."""
         motion = self._motion
         if motion == RigidMotion.none():
             return self._signed_distance(points)
@@ -345,7 +342,7 @@ class RigidCylinder(RigidObstacle):
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
-    """Return a function without arguments that gives the present value of an argument, checked.
+    """Return a function that checks and returns the present value of a user's argument.
 
     Args:
         check: function from the name and a value to the checked value.

@@ -82,7 +82,7 @@ class Sagitta:
 
 
 def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
-    """Fit a quadratic surface to each node and its neighbours; return its normal there, (n, 3).
+    """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
     The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
     with facets of different sizes and shapes, as after local refinement, its error is a fixed part

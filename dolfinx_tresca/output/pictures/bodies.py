@@ -77,7 +77,7 @@ def draw_bodies(
         diffuse=0.7,
         **colours.mesh_options,
     )
-    if volume.degree > 1:  # the edges of the pieces, into which `skin` cuts faces, are not shown
+    if volume.degree > 1:  # edges of cells, not of the pieces into which `skin` cuts their faces
         plotter.add_mesh(_outer_edges(deformed).translate(lift), **white)
     # no creases in 2D: orientations of triangles may differ
     outline = skin(bodies).clean()

@@ -147,7 +147,10 @@ def _bodies(volume: Grid) -> npt.NDArray[np.int32]:
 
 
 def _primary(volume: Grid, body: npt.NDArray[np.int32], own: int, contact: Contact) -> int | None:
-    """Return the number of the body that a surface of body `own` meets; None if there is none."""
+    """Return the number of the other body that a surface of body `own` is nearest to, or None.
+
+    The result is None if there is no other body.
+    """
     others = np.flatnonzero(body != own)
     if not len(others):
         return None

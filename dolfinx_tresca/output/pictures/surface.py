@@ -87,10 +87,10 @@ def _with_normals(surface: Any) -> Any:
 
 
 def _taking_part(surface: Any, contact: Contact) -> Any:
-    """Return facets with a node that has a multiplier, without facets along the contact normal.
+    """Return the facets with a node that has a multiplier, except lateral facets (`FACING`).
 
     Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
-    hide the facets in contact. See `FACING`.
+    hide the facets that may touch.
     """
     normals = np.zeros((len(contact.grid.points), 3))
     normals[contact.nodes] = contact.normals
