@@ -37,8 +37,8 @@ class BisectedCells:
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
-        ends: (nodes, 2) numbers, at the creation of the mesh, of the two nodes of the mesh midway
-            between which each node is; twice the same number for a corner.
+        ends: (nodes, 2) for the middle of an edge the two ends of the edge, for a corner twice the
+            corner itself, as numbers that the mesh's nodes had at its creation.
         shared: numbering of the nodes over all ranks.
     """
 
@@ -53,8 +53,8 @@ class BisectedCells:
     def of(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
         """Bisect edges of marked cells, and further edges as needed. Collective.
 
-        The method is DOLFINx's, of Plaza and Carey (2000, Local refinement of simplicial grids
-        based on the skeleton): angles stay away from zero after any number of bisections.
+        DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
+        on the skeleton): angles stay away from zero after any number of bisections.
 
         Args:
             mesh: mesh of simplices.
@@ -82,11 +82,12 @@ class BisectedCells:
         corners = geometry_dofmap(mesh)[parent]
         ends = fine.geometry.x[geometry_dofmap(fine)[:count]]
         twice = _halves(moved[corners][:, :, :dim], ends[:, :, :dim])
-        # the parent's first and last corner with a nonzero coordinate: equal, or ends of an edge
+        # the parent's first and last corner with a nonzero barycentric coordinate: at a corner both
+        # are this corner, at the middle of an edge they are its ends
         first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
         one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
-        # nodes of a submesh have numbers of its parent mesh, with gaps
+        # nodes of a submesh have the numbers of its parent mesh, with gaps
         largest = np.max(mesh.geometry.input_global_indices, initial=0)
         total = int(reduce_array(comm, largest, MPI.MAX)) + 1
         keys, position, nodes = np.unique(
@@ -125,9 +126,10 @@ class BisectedCells:
     def inherited_facets(
         self, mesh: Any, tags: Any
     ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
-        """Return facets on tagged facets of the mesh: nodes (m, d) and tag (m,). Not collective.
+        """Return the nodes (m, d) and tags (m,) of all facets of the cells that get a tag.
 
-        A facet between two cells occurs twice.
+        A facet inside a tagged facet of `mesh` gets this tag. A facet between two cells occurs
+        twice. Not collective.
         """
         dim = self.dim
         mesh.topology.create_connectivity(dim, dim - 1)
@@ -140,7 +142,7 @@ class BisectedCells:
         return self.nodes[cell][on].reshape(-1, dim), value[facets[cell, side]]
 
     def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
-        """Return cells in tagged cells: nodes (m, d + 1) and tag (m,). Not collective."""
+        """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
         value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
         some = tagged[self.parent]
         return self.nodes[some], value[self.parent[some]]
@@ -148,10 +150,10 @@ class BisectedCells:
 
 @contextmanager
 def _without_ties(mesh: Any) -> Iterator[Array]:
-    """Move the nodes of a mesh slightly, and back again; yield their coordinates. Collective.
+    """Move the nodes of a mesh slightly within a `with` block; yield the moved coordinates.
 
-    Of edges of equal length DOLFINx cuts the first one on a rank; after the motion lengths differ,
-    in the same way on all ranks and for any partition.
+    Of edges of equal length DOLFINx cuts the first one on a rank. After the motion the lengths
+    differ, in the same way on all ranks and for any partition. Collective.
     """
     x = mesh.geometry.x
     start = x.copy()
@@ -170,7 +172,7 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
 
 
 def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Return the longest edges of some cells, without repetition. Not collective."""
+    """Return the longest edge of each of some cells, without repetition. Not collective."""
     dim = mesh.topology.dim
     of_cell = mesh.topology.connectivity(dim, 1).array.reshape(-1, dim * (dim + 1) // 2)[cells]
     edges, position = np.unique(of_cell, return_inverse=True)
@@ -183,7 +185,7 @@ def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.in
 
 
 def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
-    """Return twice the barycentric coordinates (n, k, d + 1), which are whole numbers.
+    """Return twice the barycentric coordinates (n, k, d + 1) of points, which are whole numbers.
 
     Args:
         corners: (n, d + 1, d) corners of simplices.
@@ -196,7 +198,10 @@ def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
 
 
 def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
-    """Return the tag (n,) of each entity, 0 if untagged, and whether it is tagged; n >= `count`."""
+    """Return the tag (n,) of each entity, 0 if untagged, and whether it is tagged (n,).
+
+    The number n is at least `count`, and large enough for all tagged entities.
+    """
     count = max(count, int(tags.indices.max(initial=-1)) + 1)
     value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
     value[tags.indices], tagged[tags.indices] = tags.values, True

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dolfinx_tresca.adapt.levels import Level
 
 #: Approximate number of cells that a refinement adds for each marked cell, by dimension; most of
-#: them avoid hanging nodes. Measured with half of the squared error marked: on Hertz's line contact
-#: 4.4 to 6.2, on the two bricks 2.6 to 4.8.
+#: the added cells avoid hanging nodes. Measured with half of the squared error marked: on Hertz's
+#: line contact 4.4 to 6.2, on the two bricks 2.6 to 4.8.
 ADDED = {2: 5.0, 3: 4.0}
 
 #: Assumed power of 1/n, for n unknowns, with which the error falls from the first mesh to the
@@ -21,19 +21,21 @@ MOST_LOGARITHM = 100.0
 
 
 class Forecast:
-    """Predicts the size of a refined mesh, from the growth of earlier ones.
+    """Predicts the size of a refined mesh, from the growth in earlier refinements.
+
+    A growth is a factor: a number of cells or unknowns divided by the number before.
 
     Attributes:
-        cut: number of cells after the last cut, divided by the number before it; 1 at first.
+        cut: growth of the number of cells in the last cut; 1 before the first cut.
     """
 
     def __init__(self, dim: int) -> None:
-        """Begin with the usual growth in a dimension."""
+        """Begin with the usual growth of meshes of dimension `dim`."""
         self._added, self._most = ADDED[dim], 2.0**dim
         self.cut = 1.0
 
     def growth(self, marked: float) -> float:
-        """Return the growth of the number of cells, at most the growth of uniform refinement.
+        """Predict the growth of the number of cells, at most the growth of uniform refinement.
 
         Args:
             marked: part of the cells that is marked.
@@ -51,7 +53,7 @@ class Forecast:
 
     @staticmethod
     def error(levels: Sequence[Level], free_dofs: int) -> float:
-        """Return the relative error of a mesh, extrapolated from earlier ones; inf if none exist.
+        """Predict the relative error of a mesh from earlier meshes; infinite if there are none.
 
         Args:
             levels: the earlier meshes.

@@ -28,7 +28,7 @@ class Judgement:
         error: relative error; infinite if unknown. It is the energy error if a goal does not depend
             on the displacement, such as the pressure on an open patch, which smaller cells may
             close.
-        cell_errors: errors of the cells for `refine`: see `adapt/opposite.py`.
+        cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
         products: total number of applications of A.
         goal_error: error of the goal, if there is one.
     """

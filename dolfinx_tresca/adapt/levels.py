@@ -22,10 +22,11 @@ class Level:
         tagged_mesh: the mesh.
         solution: the solution on the mesh.
         free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
-        error: estimate of the mesh's error in the energy norm, relative to the solution's norm.
-        products: applications of A.
+        error: estimate of the mesh's error: in the energy norm, relative to the solution's norm,
+            or, with a goal, the relative error of the goal.
+        products: number of applications of A.
         seconds: time for building, solving and refining on the slowest rank.
-        goal_error: error of the goal, if there is one; `error` is its relative error then.
+        goal_error: the goal and its error; None without a goal.
     """
 
     number: int

@@ -19,7 +19,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
     The marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation), except
-    that all cells with the least marked error are marked.
+    that all cells are marked whose errors equal the least marked error.
 
     Args:
         comm: the ranks.

@@ -18,9 +18,9 @@ from dolfinx_tresca.status import AdaptiveStatus
 #: Approximate growth of the number of cells from mesh to mesh: so large that all meshes before the
 #: last one cost about as much as the last, and so small that errors of cells are as expected. (On
 #: the two bricks and a ball one cut at a time took 0.95 to 1.3 times as long, for twice as many
-#: solutions; with degree 1 half of the time goes into cuts. A growth of 3 took 1.3 to 1.7 times as
-#: many unknowns for the same error, 2 took 1.1 to 1.2 times: at singular edges errors fall less
-#: than expected.)
+#: solutions; with degree 1 half of the time goes into cuts. For the same error a growth of 3 took
+#: 1.3 to 1.7 times as many unknowns as one cut at a time, a growth of 2 took 1.1 to 1.2 times as
+#: many: at singular edges errors fall less than expected.)
 GROWTH = 2.0
 
 #: Part of the wanted growth that is enough, except for the last mesh, since cuts take time as well.
@@ -29,7 +29,8 @@ ENOUGH = 0.85
 #: Least factor by which `fraction` is multiplied if fewer cells are enough.
 LEAST_PART = 0.3
 
-#: Largest ratio of a mesh's size to its limit with which a mesh is used that a forecast allowed.
+#: If a mesh that a forecast allowed is larger than its limit, it is used up to this ratio of the
+#: sizes.
 OVERSHOOT = 1.1
 
 
@@ -62,9 +63,9 @@ class Refinement:
 
         Args:
             level: the last mesh and its solution.
-            cell_errors: errors of its cells.
-            growth: factor by which the number of cells still has to grow in total; it is split into
-                equal factors, of which this mesh takes one.
+            cell_errors: errors of the cells of this mesh.
+            growth: factor by which the number of cells still has to grow in total. It is split into
+                equal factors, of which the returned mesh takes one.
         """
         step = step_of(growth)
         enough = step if step == growth else ENOUGH * step

@@ -70,7 +70,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
         )
         np.divide(density.x.array, areas.x.array, out=density.x.array, where=areas.x.array > 0.0)
         opposite = assembled(operator.transfer(density) * cell * ds(pair.secondary), cells)
-        # negative values are overshoots of the projection
+        # `opposite` is negative where the projection of `transfer` overshoots
         squares = np.maximum(np.square(result.x.array), opposite.x.array)
         result.x.array[:] = np.sqrt(squares)
     return result

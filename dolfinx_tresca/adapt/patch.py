@@ -18,7 +18,8 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
-#: Size of facets, relative to the radius of a patch, below which they lie on the curved surface.
+#: Size of facets, relative to the radius of a patch, below which the facets follow the curved
+#: surface so closely that smaller cells bring no node into the patch.
 FLAT = 0.1
 
 #: Difference of distances, relative to the size of facets, that counts as rounding: facets whose
@@ -31,9 +32,9 @@ def with_node_in_patch(
 ) -> TaggedMesh:
     """Return a mesh with smaller cells if the patch of a goal has no contact node. Collective.
 
-    Edges of the cells next to the middle of the patch are halved; if the patch has a node, the mesh
-    itself is returned. Call the function again with a problem on the new mesh, whose patch may
-    still have no node.
+    Without a node in the patch the goal has no value. Edges of the cells next to the middle of the
+    patch are halved; if the patch has a node, the mesh itself is returned. Call the function again
+    with a problem on the new mesh: its patch may still have no node.
 
     Args:
         problem: the problem on the mesh.

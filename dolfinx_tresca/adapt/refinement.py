@@ -131,9 +131,10 @@ def cut(
 ) -> tuple[TaggedMesh, Array]:
     """Return a refined mesh, see `refine`, and the errors expected on it. Collective.
 
-    The squared error of a cell is taken as proportional to its volume times the power 2 degree of
-    its size, as for smooth displacements. Cells where displacements are not smooth are therefore
-    cut too rarely, until a solution shows their errors.
+    With these errors the mesh can be cut again before a problem is solved on it. The squared error
+    of a cell is taken as proportional to its volume times size^(2 degree), as for smooth
+    displacements. Cells where displacements are not smooth are therefore cut too rarely, until a
+    solution shows their errors.
 
     Args:
         tagged_mesh: mesh of triangles or tetrahedra, checked.
@@ -230,7 +231,7 @@ def _sent_to_owners(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> A
 def _surfaces(
     tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
 ) -> Iterator[dict[int, tuple[str, Projection]]]:
-    """Yield the names and projections of curved surfaces, by their tags. Collective.
+    """Yield tag -> name and projection of the curved surfaces. Collective.
 
     These are the `given` surfaces if `snap` is not None or the mesh has no geometry with curved
     surfaces; otherwise they are the curved surfaces of Gmsh.
@@ -363,7 +364,7 @@ def owned_values(mesh: Any, cell_errors: Any) -> Array:
 def _distributed(
     mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
 ) -> Any:
-    """Return the tags of a refined mesh, for the tags of the old mesh. Collective.
+    """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
 
     Args:
         mesh: the mesh.

@@ -14,8 +14,8 @@ from dolfinx_tresca._base.exchange import exchange
 class SharedNodes:
     """Nodes with keys: a node has the same key on all ranks that have the node.
 
-    Each key is kept by one rank, which follows from the key alone; all ranks that have the key send
-    their messages to this rank.
+    Each key determines one rank, its keeper. All ranks that have the key send their messages to the
+    keeper.
 
     Attributes:
         numbers: (n,) numbers of this rank's nodes: 0, 1, ... over all ranks, in the order of their
@@ -31,7 +31,7 @@ class SharedNodes:
             limit: a number larger than all keys.
         """
         self._comm = comm
-        # ascending as the keys are, so that answers come back in the order of the questions
+        # ascending like the keys, so that answers come back in the order of the questions
         self._keepers = (keys // (limit // comm.size + 1)).astype(np.intp)
         asked, self._askers = exchange(comm, keys, self._keepers)
         kept, self._position = np.unique(asked, return_inverse=True)
@@ -40,7 +40,9 @@ class SharedNodes:
         self.numbers, _ = exchange(comm, (first + self._position).astype(np.int64), self._askers)
 
     def kept(self, rows: Array) -> Array:
-        """Return rows (m, k) of the nodes that this rank keeps, in order of number. Collective.
+        """Return the rows (m, k) of the nodes whose keeper is this rank, by ascending number.
+
+        Collective.
 
         Args:
             rows: (n, k) rows of this rank's nodes, the same on all ranks that have them.
@@ -53,12 +55,13 @@ class SharedNodes:
     def known_values(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
         """Return values at this rank's nodes, taken from any rank that knows them. Collective.
 
-        Returns:
-            The rows (n, k), unchanged where no rank knows them, and whether a rank does (n,).
-
         Args:
             rows: (n, k) rows of this rank's nodes; known rows are the same on all ranks.
             known: (n,) whether this rank knows each row.
+
+        Returns:
+            The rows (n, k), unchanged where no rank knows them; and whether a rank knows each row,
+            (n,).
         """
         told, _ = exchange(self._comm, np.column_stack([rows, known]), self._keepers)
         result = np.zeros((self._count, rows.shape[1] + 1))

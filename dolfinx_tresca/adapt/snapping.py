@@ -60,13 +60,13 @@ def snapped(
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
 
-    The nodes of a cell that would become flat or inverted do not move, which is logged; the next
-    refinement tries again, with smaller cells.
+    The nodes of a cell that would become flat or inverted do not move. A warning is logged, and the
+    next refinement tries again, with smaller cells.
 
     Args:
         comm: the ranks.
         cells: the cells.
-        facets: (m, d) nodes of tagged facets.
+        facets: (m, d) nodes of tagged facets, as positions in `cells.points`.
         tags: (m,) tags of the facets.
         snap: tag -> name, projection.
 

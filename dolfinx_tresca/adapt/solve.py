@@ -49,12 +49,13 @@ LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
 #: `SolverOptions.mesh_part` and `local_accuracy` of solutions that only choose the cells to refine.
 ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 
-#: `SolverOptions.mesh_part` of such solutions if solves with K are iterative. The preconditioner
-#: depends on the number of ranks, and so do the error of the iteration and the marked cells. (On
-#: two bricks with multigrid and `ROUGH_PART`, estimates differed by 1e-2, and meshes by a tenth of
-#: the unknowns. With three times the part below, estimates differed by 4e-3, and the fourth mesh by
-#: a tenth of the unknowns. With this part, which takes twice the products on these meshes,
-#: estimates differed by 4e-5, and four meshes not at all.)
+#: `SolverOptions.mesh_part` of solutions that only choose the cells to refine, if solves with K are
+#: iterative: then the preconditioner depends on the number of ranks, and so do the error of the
+#: iteration and the marked cells. (On two bricks with multigrid and `ROUGH_PART`, estimates
+#: differed by 1e-2, and meshes by a tenth of the unknowns. With three times the part below,
+#: estimates differed by 4e-3, and the fourth mesh by a tenth of the unknowns. With this part, which
+#: takes twice the products on these meshes, estimates differed by 4e-5, and four meshes not at
+#: all.)
 REPRODUCIBLE_PART = 0.003
 
 #: `local_accuracy` on the last mesh, relative to the mesh's error, and its largest value. (On two
@@ -87,8 +88,8 @@ def solve_adaptively(
     accuracy needs. On each mesh the iteration starts from the tractions on the previous mesh, and
     ends with an error below the error of the mesh. On the last mesh the options of the problem
     decide when the iteration ends, except that `local_accuracy` is at least 0.3 times the error of
-    the mesh, or 0.1 if this is less: a smaller value would cost products and improve nothing. If
-    the options set `rtol`, they are not changed.
+    the mesh, or 0.1 if 0.1 is less: a smaller value would cost products and improve nothing. If the
+    options set `rtol`, this last solve uses the options unchanged.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
@@ -177,7 +178,7 @@ def solve_adaptively(
         with errors_on_all_ranks(comm):
             _check_problem(problem, tagged_mesh)
         with problem:
-            if goal is not None:  # before anything is solved for it
+            if goal is not None:  # checked before a solve
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
                 finer = with_node_in_patch(problem, tagged_mesh, goal, snap, limits)
                 if finer is not tagged_mesh:
@@ -197,7 +198,7 @@ def solve_adaptively(
             solution = _solve_accurately(problem, error) if last else _solve_roughly(problem)
             judgement = judged(problem, solution, goal)
             wrong = last and ends is None and judgement.error > accuracy
-            if wrong and not problem.solves_exactly:  # cells are to be marked after all
+            if wrong and not problem.solves_exactly:  # not the last mesh: cells are to be marked
                 last, products = False, judgement.products
                 judgement = judged(problem, _solve_roughly(problem), goal)
                 judgement = replace(judgement, products=products + judgement.products)

@@ -31,7 +31,7 @@ Blocks: TypeAlias = dict[str, list[fem.Function]]
 #: Largest number of characters in the name of a block that is named after a pair or a body.
 NAME_LENGTH = 60
 
-#: Mesh -> number of each cell's body; kept, since to find it takes longer than to write a step.
+#: Mesh -> number of each cell's body; kept, since finding bodies takes longer than writing a step.
 _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 
@@ -159,7 +159,10 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def curved(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Return Functions in one degree, high enough to show curved cells as curved. Collective."""
+    """Interpolate Functions to one degree, high enough for curved cells to be shown as curved.
+
+    Collective.
+    """
     degrees = [function.function_space.ufl_element().degree for function in functions]
     return in_degree(functions, max(*degrees, mesh_degree(functions[0].function_space.mesh)))
 
@@ -170,7 +173,7 @@ def mesh_degree(mesh: Any) -> int:
 
 
 def in_degree(functions: Sequence[fem.Function], degree: int) -> list[fem.Function]:
-    """Return Functions interpolated to another degree, except for degree 0. Collective."""
+    """Interpolate Functions to a degree, except Functions of degree 0. Collective."""
     return [_in_degree(function, degree) for function in functions]
 
 
@@ -189,7 +192,10 @@ def _in_degree(function: fem.Function, degree: int) -> fem.Function:
 
 
 def _interpolate_categories(function: IntegerFunction, result: IntegerFunction) -> None:
-    """Give each node the category with the largest share; of equal shares the lowest category."""
+    """Interpolate integers: each node gets the category whose indicator is largest there.
+
+    Of categories with equally large indicators the lowest one counts.
+    """
     one, parts = fem.Function(function.function_space), fem.Function(result.function_space)
     largest = np.zeros(len(parts.x.array))
     mesh = function.function_space.mesh

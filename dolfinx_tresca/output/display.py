@@ -25,11 +25,11 @@ WINDOWS_OFF_SCREEN = (
 
 @contextmanager
 def display_for_pictures() -> Iterator[None]:
-    """Let VTK render within a block, also without a display. Not collective.
+    """Let VTK render within a `with` block, also without a display. Not collective.
 
     Without a display VTK 9.5 and later render through EGL or OSMesa, if the system has one of these
-    libraries. Other versions, and later ones without these libraries, would end in a segmentation
-    fault: Xvfb, an X server, is started for them.
+    libraries. Older versions of VTK, and later versions without these libraries, would end in a
+    segmentation fault: for these versions Xvfb, an X server, is started.
 
     Raises:
         ContactError: neither EGL nor OSMesa can be used, and Xvfb is not installed or fails.
@@ -53,7 +53,7 @@ def display_for_pictures() -> Iterator[None]:
 
 
 def lacks_display() -> bool:
-    """Return whether there is no display, and VTK cannot render without one as it is set up."""
+    """Return whether there is no display, but VTK, as it is set up, would use one."""
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or WINDOW in os.environ:
         return False
     if vtk_version() >= (9, 5):

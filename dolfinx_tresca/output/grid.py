@@ -25,7 +25,7 @@ class Grid:
 
     Attributes:
         dim: dimension of space, 2 or 3.
-        degree: degree of the Functions; VTK has Lagrange cells from degree 2.
+        degree: degree of the Functions; from degree 2 on, the cells are VTK's Lagrange cells.
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers of the cell types.
@@ -45,7 +45,7 @@ class Grid:
     texts: dict[str, Sequence[str]] = field(default_factory=dict)
 
     def part(self, kept: npt.NDArray[np.bool_]) -> Grid:
-        """Return the cells with True in `kept` (m,), and their nodes. Not collective."""
+        """Return the grid of the cells with True in `kept` (m,). Not collective."""
         cells = self.cells[kept]
         used = np.zeros(len(self.points), dtype=np.bool_)
         used[cells[:, 1:]] = True
@@ -90,11 +90,11 @@ class Grid:
 
 
 def local_grid(functions: Sequence[fem.Function]) -> Grid:
-    """Return this rank's cells and their nodes. Not collective.
+    """Return the grid of this rank's own cells and their nodes. Not collective.
 
     Args:
-        functions: Functions on the same mesh: at least one continuous Lagrange Function, all of
-            these of the same degree, and Functions of degree 0.
+        functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
+            degree, and maybe Functions of degree 0.
     """
     grid = _with_ghosts(functions)
     return grid.part(np.ones(len(grid.cells), dtype=np.bool_))
@@ -132,7 +132,7 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
 
 def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
-    """Return this rank's own cells, and all its nodes with ghosts. Not collective."""
+    """Return the grid of this rank's own cells, with all its nodes and ghosts. Not collective."""
     space = _at_nodes(functions)[0].function_space
     cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
     nodes = space.dofmap.list.shape[1]
@@ -158,7 +158,7 @@ def _at_nodes(functions: Sequence[fem.Function]) -> list[fem.Function]:
 
 
 def _in_order_of(space: Any, function: fem.Function) -> npt.NDArray[Any]:
-    """Return the values at the nodes of `space`, in its numbering. Not collective."""
+    """Return a Function's values in the numbering of `space`, which has the same nodes."""
     values = _rows(function)
     order = np.arange(len(values))
     order[space.dofmap.list] = function.function_space.dofmap.list

@@ -61,18 +61,18 @@ def write(
     """Write displacement and contact fields for ParaView.
 
     There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
-    several pairs, blocks named after them, such as "upper_on_lower". The suffix selects the format;
-    the parent folder is created:
+    several pairs, there are blocks named after the pairs, such as "upper_on_lower". The suffix
+    selects the format; the parent folder is created:
 
     * `.pvd`: best for ParaView, since its blocks have names. Beside the file is a folder, to which
       each rank writes its part of the grids. The folder also has the names and colours of the
       states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
-    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, with
-      about 1 kB for each node of the whole mesh: on many ranks take `.pvd`.
+    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids. The first rank gathers them, and
+      needs about 1 kB of memory for each node of the whole mesh: on many ranks take `.pvd`.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
       mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
-    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no cell
-      fields.
+    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2, without fields of
+      cells.
 
     Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
     contact fields then have values at the middles of edges as well; there `state` has the value of
@@ -95,10 +95,11 @@ def write(
             degree 0, on the mesh of the displacement, such as a von Mises stress; and `MeshTags` of
             its cells, such as materials, with 0 in cells without a tag.
         revolve: angle in degrees, up to 360, by which bodies of revolution and their fields are
-            turned about the axis, in `.pvd` and `.vtu`: a grid in 3D of degree 1, whose first
-            meridian is the mesh; y is the axis. None: the meridian alone is written.
-        by_body: in `.pvd`, a block for each body, under its name in `solution.body_names`, instead
-            of the block "volume": a file for each body, from each rank with cells of the body.
+            turned about the y axis; only for `.pvd` and `.vtu`. The result is a grid in 3D of
+            degree 1, whose first meridian is the mesh. None: the meridian alone is written.
+        by_body: whether a `.pvd` has a block for each body, under its name in
+            `solution.body_names`, instead of the block "volume". Each rank that has cells of a body
+            then writes a file for this body.
 
     Raises:
         InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
@@ -133,20 +134,21 @@ def write(
 
 
 def _bytes(functions: Sequence[fem.Function]) -> int:
-    """Return an upper bound of the size of a mesh with Functions in a file.
+    """Return an upper bound of the bytes that this rank's part of a mesh with Functions needs.
 
-    It counts each rank's nodes with ghosts, as VTX files have them. Not collective.
+    The room on the disk is checked by this bound. Ghost nodes count, since VTX files contain them.
+    Not collective.
     """
     V = functions[0].function_space
     maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
     nodes = max(int(map.size_local + map.num_ghosts) for map in maps)
     cells, per_cell = map(int, compat.geometry_dofmap(V.mesh).shape)
     per_cell = max(per_cell, int(V.dofmap.list.shape[1]))
-    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables of both
+    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables for both
     for function in functions:
         count = cells if is_constant_in_cells(function) else nodes
         numbers += count * 3 ** len(function.ufl_shape)
-    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU makes 4 bytes of 3; headers
+    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU has 4 bytes for 3 of the data, and headers
 
 
 class SolutionWriter:
@@ -273,7 +275,7 @@ def _series(path: Path, append: bool = False) -> Series:
 def _write_step(
     series: Series, solution: HasFields, blocks: Blocks, time: float, angle: float, by_body: bool
 ) -> None:
-    """Add a step to a series, turned by an angle in degrees. Collective."""
+    """Add a step to a series, with grids that are turned by an angle [degrees]. Collective."""
     grids = {name: local_grid(_shown(functions, angle)) for name, functions in blocks.items()}
     if angle:
         grids = {name: revolved(grid, angle) for name, grid in grids.items()}
@@ -284,7 +286,7 @@ def _write_step(
 def _with_bodies(
     grids: dict[str, Grid], solution: HasFields, here: bool, by_body: bool
 ) -> dict[str, Grid]:
-    """Return grids with the names of bodies and, for three or more, the forces between them.
+    """Add names of bodies to grids, and with three or more bodies the forces between them.
 
     For two bodies the force between them is already known as the force of their pair. Not
     collective.
@@ -309,7 +311,7 @@ def _with_bodies(
 
 
 def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:
-    """Write a `.vtu` for each block, on the first rank, turned by an angle. Collective."""
+    """Write a `.vtu` for each block, on the first rank; `angle`: see `_gathered`. Collective."""
     for file, functions in _files(path, blocks).items():
         grid = _gathered(functions, angle)
         with errors_on_all_ranks(_comm(blocks)):
@@ -318,13 +320,18 @@ def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:
 
 
 def _gathered(functions: Sequence[fem.Function], angle: float) -> Grid | None:
-    """Return the whole grid on the first rank, turned by an angle in degrees. Collective."""
+    """Return the whole grid, turned by an angle [degrees]; None except on the first rank.
+
+    Collective.
+    """
     grid = gather_grid(_shown(functions, angle))
     return revolved(grid, angle) if grid is not None and angle else grid
 
 
 def _shown(functions: Sequence[fem.Function], angle: float) -> list[fem.Function]:
-    """Return Functions with the same nodes, of degree 1 for bodies of revolution. Collective.
+    """Interpolate Functions to the degree of files: 1 for revolved bodies, else see `curved`.
+
+    Collective.
 
     Args:
         functions: Functions on the same mesh.
@@ -342,7 +349,7 @@ def _write_vtx(path: Path, blocks: Blocks) -> None:
 
 
 def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
-    """Return file -> its Functions, for formats with one mesh in a file."""
+    """Return path -> Functions of the file, for formats with a file for each block."""
     return {
         path if i == 0 else path.with_name(f"{path.stem}_{name}{path.suffix}"): functions
         for i, (name, functions) in enumerate(blocks.items())

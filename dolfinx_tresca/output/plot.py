@@ -61,15 +61,16 @@ def plot(
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
     its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
-    where it is open, and begins at the dot, or at its number; a closed curve runs counterclockwise.
-    Without friction there are no arrows, marks, tractions and slips.
+    where it is open. Its start is marked by a dot or, with several pairs, by the number of the
+    pair; a closed curve runs counterclockwise. Without friction there are no arrows, marks,
+    tractions and slips.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
     the others, the range of colours ends below these, and the colour bar has an arrow and the
     largest value.
 
-    Needs pyvista and matplotlib on the first rank, and no display. In `.svg` and `.pdf` text, bars
-    and charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
+    The first rank needs pyvista and matplotlib, but no display. In `.svg` and `.pdf` text, bars and
+    charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
 
     Collective.
 
@@ -125,7 +126,7 @@ def _draw(
     suffix: str,
     angle: float,
 ) -> bytes:
-    """Return the picture as a file. Not collective.
+    """Return the bytes of the picture's file. Not collective.
 
     Raises:
         ContactError: pyvista or matplotlib is missing.

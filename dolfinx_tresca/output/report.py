@@ -13,16 +13,16 @@ from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
 def significant(value: float, error: float) -> str:
-    """Return a number with the digits that a relative error justifies: one to eight."""
+    """Return the text of a number, with one to eight digits as a relative error justifies them."""
     return f"{value:.{_digits(error)}g}"
 
 
 def vector(values: Array, error: float) -> str:
-    """Return a vector with the digits that an error relative to its largest component justifies."""
+    """Return the text of a vector, with digits for an error relative to its largest component."""
     digits = _digits(error)
     size = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0
-    # without the sign of components that are rounded to zero
+    # + 0.0: components that are rounded to zero have no sign
     return (
         "("
         + f",{UNBROKEN}".join(f"{round(float(one), places) + 0.0:.{digits}g}" for one in values)
@@ -91,7 +91,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         slip += f" in this step, {number(found.greatest_total_slip, 'length')} along its path"
     work = [number(one, "energy") for one in (found.dissipation, found.total_dissipation)]
     primal, dual = found.primal_energy, found.dual_energy
-    # with enough digits to distinguish them
+    # both energies get enough digits to be distinguished
     apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
     rows = [
         ("contact nodes", f"{counts.nodes}"),

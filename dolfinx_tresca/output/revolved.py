@@ -49,8 +49,8 @@ def checked_angle(revolve: Any, axisymmetric: bool) -> float:
 def revolved(grid: Grid, angle: float) -> Grid:
     """Return the grid of degree 1 that a meridian in the plane of x and y sweeps about the y axis.
 
-    The meridian of `grid` is the first meridian of the new grid; the others are turned from x
-    towards -z, so that the open part of an incomplete turn is in front. Vectors and tensors are
+    The meridian of `grid` is the first meridian of the new grid; further meridians are turned from
+    x towards -z, so that the open part of an incomplete turn is in front. Vectors and tensors are
     turned as well. Triangles become wedges, quadrilaterals hexahedra, and lines quadrilaterals. Not
     collective.
 

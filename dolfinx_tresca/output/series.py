@@ -34,8 +34,8 @@ class Series:
 
     Each rank writes its part of each grid of a step under a temporary name. When the step is
     complete, it is renamed, and a `.pvd` with this step replaces the old `.pvd`. The first step
-    begins a new series: just before its renaming the steps of an older series are removed, except
-    those that `append` keeps.
+    begins a new series: just before this step is renamed, the steps of an older series are removed,
+    except the steps that `append` keeps.
     """
 
     def __init__(
@@ -45,7 +45,8 @@ class Series:
 
         Args:
             path: the `.pvd`, the same on all ranks.
-            append: whether to keep existing steps before the first written time.
+            append: whether to keep the steps of an existing series that are before the first time
+                that is written.
             texts: name -> content of further files in the folder.
         """
         self._path = path
@@ -53,7 +54,7 @@ class Series:
         self._folder = path.with_suffix("")
         self._append = append
         self._begun = False
-        self._series: list[DataSet] = []  # on the first rank
+        self._series: list[DataSet] = []  # filled on the first rank only
 
     def write(self, comm: MPI.Comm, grids: Mapping[str, Grid], time: float) -> None:
         """Add a step. Collective.
@@ -85,7 +86,7 @@ class Series:
                         _write_pvtus(unfinished, grids, cells)
                     suffix = ".vtu" if comm.size == 1 else ".pvtu"
                     self._finish(unfinished, step, [f"{name}{suffix}" for name in grids], time)
-        except Exception:  # on all ranks
+        except Exception:  # raised on all ranks
             if first:
                 _remove(unfinished)
                 self._index.unlink(missing_ok=True)
@@ -100,7 +101,8 @@ class Series:
     def _begin(self, time: float) -> Path:
         """Return the folder of the step, and create its temporary folder. Not collective.
 
-        The first step of a continued series reads the older steps, and drops those after its time.
+        The first step of a continued series reads the older steps, and drops all steps that are not
+        before its time.
 
         Raises:
             InputError: the older series cannot be read.
@@ -110,7 +112,7 @@ class Series:
                 found = read_pvd(self._path)
                 self._series = [data for data in found if data.time < time]
                 last = max(self._numbers, default=-1)
-            except ValueError as error:  # also for names that are no numbers
+            except ValueError as error:  # also if the name of a folder is not a number
                 raise InputError(f"cannot add to '{self._path}': {error}.") from error
         else:
             last = max(self._numbers, default=-1)
@@ -158,7 +160,7 @@ class Series:
 def _write_pvtus(
     folder: Path, grids: Mapping[str, Grid], cells: Sequence[Mapping[str, int]]
 ) -> None:
-    """Write the `.pvtu` of each grid: ranks without cells have no file. Not collective."""
+    """Write the `.pvtu` of each grid; ranks without cells have no file in it. Not collective."""
     for name, grid in grids.items():
         pieces = [f"{name}_{rank}.vtu" for rank, mine in enumerate(cells) if mine[name]]
         write_pvtu(folder / f"{name}.pvtu", grid, pieces)

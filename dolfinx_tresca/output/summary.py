@@ -27,12 +27,13 @@ class ProblemSummary:
     """Sizes of a problem, over all ranks.
 
     Attributes:
-        mesh: number and type of cells, ranks.
+        mesh: the number and type of cells and the number of ranks, as text.
         dofs: degrees of freedom of the displacement.
         free_dofs: n, degrees of freedom of the displacement that are not prescribed.
         other_dofs: free degrees of freedom of other components of a mixed space.
         contact_nodes: m, nodes that carry multipliers.
-        pairs: each pair, its kind of pairing and number of nodes, and the range of its gap.
+        pairs: for each pair: the pair; its kind of pairing and number of nodes, as text; and the
+            range of its gap, as text.
     """
 
     mesh: str

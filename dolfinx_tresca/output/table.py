@@ -15,7 +15,7 @@ Row: TypeAlias = tuple[str, str]
 _NAME = 14
 
 #: Largest number of rows of a list. Of a longer list the first rows are shown, and the number of
-#: the others.
+#: the remaining rows.
 LISTED_ROWS = 8
 
 
@@ -24,7 +24,7 @@ class Tabulated(ABC):
 
     @abstractmethod
     def _rows(self) -> list[Row]:
-        """Return the rows. Not collective."""
+        """Return the rows of the table. Not collective."""
 
     def __str__(self) -> str:
         return as_text(self._rows())
@@ -34,7 +34,7 @@ class Tabulated(ABC):
 
 
 def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
-    """Return a list's rows, or its first ones and a row with the number of the others."""
+    """Return all rows of a list, or the first rows and a row with the number of other rows."""
     if len(rows) <= LISTED_ROWS:
         return list(rows)
     first = list(rows[: LISTED_ROWS - 1])
@@ -42,7 +42,7 @@ def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """Return a table with a line for each row, or more for long values."""
+    """Return a table as text: each row is a line, or several lines if its value is long."""
     return "\n".join(fill(value, f"{name:<{_NAME}} ", " " * (_NAME + 1)) for name, value in rows)
 
 

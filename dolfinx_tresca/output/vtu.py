@@ -39,7 +39,7 @@ def write_vtu(path: Path, grid: Grid) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    # before version 2.2 readers change the order of nodes in hexahedra of degree 2
+    # for versions below 2.2 readers change the order of nodes in hexahedra of degree 2
     root = _root("UnstructuredGrid", "2.2" if grid.degree > 1 else "1.0")
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")
@@ -59,7 +59,7 @@ def write_vtu(path: Path, grid: Grid) -> None:
 
 
 def _write_texts(section: ET.Element, name: str, texts: Sequence[str]) -> None:
-    """Add texts as bytes, each with a zero at its end."""
+    """Add texts to a section of the XML, as bytes with a zero at the end of each text."""
     data = b"".join(text.encode() + b"\0" for text in texts)
     element = ET.SubElement(section, "DataArray", type="String", Name=name, format="ascii")
     element.set("NumberOfTuples", str(len(texts)))
@@ -132,7 +132,7 @@ def _root(kind: str, version: str = "1.0") -> ET.Element:
 
 
 def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
-    """Return parent, name and values of all arrays of a grid."""
+    """Yield, for each array of a grid, the name of its section, its own name and its values."""
     nodes = grid.cells[:, 1:]
     for name, values in grid.values.items():
         yield "PointData", name, values
@@ -145,9 +145,10 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
 
 
 def _section(parent: ET.Element, name: str, first: str) -> ET.Element:
-    """Return a section, created with its first array.
+    """Return the section `name` of an element; the first call creates the section.
 
-    ParaView initially colours by the first array of points, warps by it, and draws it as arrows.
+    In a new section of point data the array `first` is active: ParaView initially colours by it,
+    warps by it, and draws it as arrows.
     """
     found = parent.find(name)
     if found is not None:

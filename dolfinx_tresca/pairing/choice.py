@@ -1,4 +1,4 @@
-"""Pairing of the two sides of a contact pair: mortar, node-to-node or rigid obstacle."""
+"""Choice of the method of pairing: mortar, node-to-node, or for a rigid obstacle."""
 
 from __future__ import annotations
 
@@ -32,14 +32,16 @@ def pair_surfaces(
     *,
     axisymmetric: bool = False,
 ) -> PairOperators:
-    """Compute N, T and the gap of a pair. Collective.
+    """Compute N, T and the gap of a pair, for the present positions of the mesh's nodes.
+
+    Collective.
 
     Args:
         V: vector space of degree 1 or 2.
         prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         pair: the contact pair.
-        undeformed: result of `Undeformed.of` before the mesh was moved; None if the mesh is not
-            moved.
+        undeformed: properties of the undeformed surfaces, found by `Undeformed.of` before the mesh
+            was moved; None if the mesh is not moved.
         axisymmetric: whether integrals are over rings about the axis x = 0.
 
     Raises:
@@ -54,7 +56,7 @@ def pair_surfaces(
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
-        # heights over facets need the normals at their corners, and so all facets at the corners
+        # heights over facets need nodal normals, which are means over all facets at a node
         if halo.comm.size > 1 and halo.facets.degree > 1:
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_on_this_rank(V, moved)
@@ -84,15 +86,15 @@ def _couple_surfaces(
     other_nodes: SurfaceNodes,
     moved: bool,
 ) -> tuple[Coupling, Indices | None]:
-    """Couple two surfaces: node-to-node if their meshes match, else by mortar. Collective.
+    """Find the jumps at secondary nodes: node-to-node if meshes match, else mortar. Collective.
 
     Returns:
-        The coupling; and for a surface that touches itself the number of the body opposite to each
-        node (`opposite_bodies`), None for two surfaces.
+        The coupling, and the number of the body opposite to each node (`opposite_bodies`), which is
+        None unless the surface touches itself.
 
     Raises:
-        PairingError: the meshes do not match, but `pair.pairing` is "nodes"; or no node can carry a
-            multiplier.
+        PairingError: `pair.pairing` is "nodes", but the meshes do not match or displacements have
+            degree 2; or no node can carry a multiplier.
     """
     facets, others = secondary.halo.facets, primary.halo.facets
     bodies = None

@@ -19,24 +19,26 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def _space(operators: ContactOperators) -> dict[str, Any]:
-    """Return the space of the problem, by name, for `collective`. Not collective."""
+    """Return name -> space of the problem, which `collective` compares between the ranks."""
     return {"the space of the problem": operators._V}
 
 
 class ContactOperators(PetscOwner):
     """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
-    Rows are distributed like the contact nodes, columns like those of K. K and f are the stiffness
-    matrix and the load of the problem, w the areas of the rows' nodes, p the pressure, t the
-    tangential traction and g the slip bound. The solution satisfies K u + N'(w p) + T'(w t) = f at
-    free degrees of freedom; p >= 0, N u <= gap and p (gap - N u) = 0; and at each node |t| <= g and
-    T u = c t with a factor c >= 0, which is 0 if |t| < g.
+    The rows of N and T are distributed among the ranks like the contact nodes, the columns like
+    those of K. K and f are the stiffness matrix and the load of the problem, w the areas of the
+    rows' nodes, p the pressure, t the tangential traction and g the slip bound. The solution
+    satisfies K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap and
+    p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0 if
+    |t| < g.
 
     N and T are PETSc matrices, which `ContactProblem.destroy()` frees.
 
     Example:
         The cube of `ContactProblem`, pressed by a plane, on one rank. Non-negative least squares
-        find the forces F >= 0 that minimise 1/2 F'A F - F'b.
+        find the forces F >= 0 that minimise 1/2 F'A F - F'b, where A = N K^-1 N' = C C' and
+        b = N K^-1 f - gap.
 
         >>> from scipy.optimize import nnls
         >>> from scipy.sparse import csr_array
@@ -63,8 +65,8 @@ class ContactOperators(PetscOwner):
             V: the space of the displacement.
             pair: the operators of the pair.
             surfaces: the contact pair.
-            columns: function that converts a matrix with columns of V to the columns of K; it takes
-                over the ownership of its argument.
+            columns: function that converts a matrix from the columns of V to the columns of K,
+                which differ if V is a component of a mixed space.
         """
         self._V, self._pair, self._columns = V, pair, columns
         self._transfer = SideTransfer(V, pair, surfaces)
@@ -119,7 +121,10 @@ class ContactOperators(PetscOwner):
 
     @property
     def weights(self) -> Array:
-        """(n,) covered areas of the contact nodes [length^2, in 2D length]."""
+        """(n,) covered areas of the contact nodes [length^2, in 2D length].
+
+        The covered part of a node's area is the part that faces the primary side.
+        """
         return self._pair.weights
 
     @property
@@ -164,9 +169,9 @@ class ContactOperators(PetscOwner):
         nodes of both sides: `areas` divided by the integral of the node's hat function over all
         facets of the pair. The fraction is 1 if all facets at a node face the other side, in
         contact or open, and less at the rim of the overlap. It is 0 off the surfaces, and at
-        secondary nodes beyond the rim, which carry no multiplier: their neighbours take over their
-        areas, and may have fractions above 1. After `update_geometry` the fraction also contains
-        the stretch of the facets.
+        secondary nodes beyond the rim, which carry no multiplier: the neighbours of these nodes
+        take over their areas, and may have fractions above 1. After `update_geometry` the fraction
+        also contains the stretch of the facets.
 
         Multiply nodal values by this fraction to integrate them in forms: the integral over the
         facets of either side is then the sum of the values times `areas`. For
@@ -187,8 +192,8 @@ class ContactOperators(PetscOwner):
         and conserves the sum of values times `areas`. This sum is the integral over the primary
         facets only if the secondary side covers all primary facets.
 
-        A discontinuous field, such as a field of degree 0, has the value of the facet's cell on a
-        facet; its value at a node is the mean over the facets at the node, weighted by area.
+        On a facet, a discontinuous field, such as a field of degree 0, has the value of the facet's
+        cell; its value at a node is the mean over the facets at the node, weighted by area.
 
         Args:
             function: a scalar or vector on the mesh of the displacement; it is interpolated in

@@ -16,11 +16,15 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 @dataclass(frozen=True)
 class Coupling:
-    """The jump of the displacement at secondary nodes of this rank, for any direction.
+    """The jump of the displacement at secondary nodes of this rank.
+
+    The rows of `jump` apply to each component of the displacement. `PairOperators` combines the
+    components along normals and tangents, which gives N and T.
 
     Attributes:
         pairing: kind of the pairing, for tables and messages.
-        position: (n,) indices of the nodes in the secondary side's `SurfaceNodes`.
+        position: (n,) indices of the nodes in the secondary side's `SurfaceNodes`, which may have
+            several entries for a node on a sharp edge.
         weights: (n,) covered area of each node: the part that faces the primary side [length^2, in
             2D length].
         normals: (n, 3) outward unit normals of the secondary side.
@@ -68,7 +72,8 @@ def nodes_with_multipliers(
         pair: the contact pair.
         nodes: the secondary nodes.
         unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
-        shared: (n,) whether a node also belongs to the primary side.
+        shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
+            a surface that touches itself, see `redundant_nodes`.
         kind: kind of the pairing, for the log.
         reason: reason for this kind, for the log; may be empty.
 
@@ -79,7 +84,7 @@ def nodes_with_multipliers(
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)
     carries = own & ~unpaired & ~fixed & ~shared
-    # a node on a sharp edge is paired if any of its patches is paired
+    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
     facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
     partly_free = carries & ~nodes.free.all(axis=1)
     parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)

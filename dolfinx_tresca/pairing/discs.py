@@ -14,15 +14,18 @@ from dolfinx_tresca.pairing.operators import PairOperators
 class FrictionDiscs:
     """Scaled tangential unknowns, in which each node's ellipse is a disc (docs/theory/coulomb.md).
 
-    For semi-axes b_1 and b_2 the unknowns are t_i / stretch_i with stretch_1^2 = b_1 / b_2 and
-    stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2). If one semi-axis is zero,
-    the disc of the node is an interval, from minus to plus the other semi-axis.
+    The projection onto a disc is explicit, but the projection onto an ellipse is not.
+
+    For components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i
+    with stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius
+    sqrt(b_1 b_2). If one semi-axis is zero, the disc of the node is an interval, from minus to plus
+    the other semi-axis.
 
     Attributes:
         stretch: (n_tangential,) ratio of traction to unknown [1].
         radius: (n,) radius of the disc, relative to the longer semi-axis [1].
         frictionless: (n_tangential,) whether a row has a zero bound, while the other row of its
-            node has a positive one.
+            node has a positive bound.
     """
 
     stretch: Array

@@ -12,15 +12,17 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Entries of a weighted jump count as rounding up to this factor times the relative rounding of the
-#: coordinates times the node's area. (Integrals over overlaps sum differences of coordinates.)
+#: Entries of a weighted jump count as rounding up to the product of this factor, the relative
+#: rounding of the coordinates and the node's area. (Integrals over overlaps are sums of differences
+#: of coordinates.)
 ENTRY_ROUNDING = 8.0
 
 EPSILON = float(np.finfo(np.float64).eps)
 
-#: Value to which smaller eigenvalues of the scaled mass matrix of a covered part are raised, since
-#: the inverse of this matrix amplifies rounding. Smaller eigenvalues occur only if the covered part
-#: is a strip or a corner of some thousandths of the facet.
+#: Least eigenvalue of the scaled mass matrix of a covered part. If an eigenvalue is smaller, the
+#: inverse of the matrix would amplify rounding, and a shift raises the eigenvalue to this value
+#: (`_regularised_dual`). This occurs only if the covered part is a strip or a corner of some
+#: thousandths of the facet.
 LEAST_EIGENVALUE = 1e-6
 
 
@@ -57,16 +59,17 @@ def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
 def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
-    The basis psi is biorthogonal on the covered part of each facet (Wohlmuth 2000; Cichosz and
-    Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i for i = j, and zero
-    otherwise. So a nodal pressure is the nodal force divided by the node's covered area. Hat
-    functions of corners without a multiplier are first distributed in equal parts over the other
-    corners of the facet, and the basis is biorthogonal to these sums. In both cases the basis
-    functions sum to 1, so that constant pressures are transferred exactly.
+    The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
+    (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i
+    for i = j, and zero otherwise. So a nodal pressure is the nodal force divided by the node's
+    covered area. If corners have no multiplier, their hat functions are first added, in equal
+    parts, to the hat functions of the other corners of the facet, and the basis is biorthogonal to
+    these sums. In both cases the basis functions sum to 1, so that constant pressures are
+    transferred exactly.
 
     Args:
         integrals: the integrals over the covered parts.
-        full: (n,) whether the whole facet is covered.
+        full: (n,) whether the whole facet is covered, so that no regularisation is needed.
         carries: (n, corners) whether a corner carries a multiplier; None: all do. A facet without
             such corners has no basis functions.
     """
@@ -83,15 +86,17 @@ def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | Non
 
 
 def _regularised_dual(masses: Array) -> Array:
-    """Return the coefficients (n, k, k) of dual bases of facets with k functions that sum to 1.
+    """Return the coefficients (n, k, k) of each facet's dual basis, whose k functions sum to 1.
 
-    With the mass matrix M, its row sums D and S = D^-1/2 M D^-1/2, the basis is D M^-1. If the
-    covered part is a narrow strip, M is nearly singular, and the basis is (1 + t) D (M + t D)^-1
-    with the least t for which the eigenvalues of S + t I are at least `LEAST_EIGENVALUE`. Since
-    M 1 = D 1, the basis sums to 1 for any t; it is biorthogonal for t = 0 only.
+    With the mass matrix M, the diagonal matrix D of its row sums and S = D^-1/2 M D^-1/2, the
+    coefficients are D M^-1. If the covered part is a narrow strip, M is nearly singular, and the
+    coefficients are (1 + t) D (M + t D)^-1 with the least t for which the eigenvalues of S + t I
+    are at least `LEAST_EIGENVALUE`. Since M 1 = D 1, the basis sums to 1 for any t; it is
+    biorthogonal for t = 0 only.
 
     Args:
-        masses: (n, k, k) mass matrices; a zero row means that there is no such function.
+        masses: (n, k, k) mass matrices of the functions from which the bases are formed, which sum
+            to 1; a zero row stands for a missing function.
     """
     weights: Array = masses.sum(axis=2)
     absent: Mask = np.logical_not(masses.any(axis=2))
@@ -131,7 +136,7 @@ def assemble_rows(
     values: Array,
     shape: int,
 ) -> Any:
-    """Assemble the blocks of facets into a sparse matrix (nodes, shape).
+    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, shape).
 
     Args:
         nodes: the secondary nodes, one row for each.
@@ -152,13 +157,13 @@ def force_moments(
 ) -> Array:
     """Return the points of application of nodal forces, times the nodes' weights, (nodes, 3).
 
-    The entries of a node's row are the forces of a unit pressure at this node; they act at the
-    positions of the columns.
+    A unit pressure at one node causes forces at the nodes of the columns; these forces are the
+    entries of the node's row in `assemble_rows`.
 
     Args:
         nodes: the secondary nodes.
         facet_corners: (n, corners) indices in `nodes` of the rows of each block.
-        points: (n, k, 3) positions of the columns of each block [length].
+        points: (n, k, 3) positions of the nodes that are the columns of each block [length].
         values: (n, corners, k) the blocks, see `assemble_rows`.
     """
     result = np.zeros((len(nodes.numbers), 3))

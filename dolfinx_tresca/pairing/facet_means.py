@@ -14,7 +14,8 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.assembly import assembled
 
-#: Quadrature at the corners of facets, which lumps integrals: a node gets only values at this node.
+#: Quadrature at the corners of facets, which lumps integrals: only values at a node contribute to
+#: the node's integral.
 AT_CORNERS = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
 
@@ -36,9 +37,8 @@ def node_areas(Q: Any, facet_tags: Any, tags: Collection[int], axisymmetric: boo
 def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
     """Average a field over the tagged facets at each node. Collective.
 
-    On a boundary facet the field has the values of the facet's cell. The result
-    at a node is the mean over its tagged facets, weighted by area; it is zero at nodes without
-    tagged facets.
+    On a boundary facet the field has the values of the facet's cell. The result at a node is the
+    mean over its tagged facets, weighted by area; it is zero at nodes without tagged facets.
 
     Args:
         function: a scalar or vector field of any element with values at the corners of facets.
@@ -58,7 +58,7 @@ def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -
 def _tagged_measure(space: Any, facet_tags: Any, tags: Collection[int]) -> Any:
     """Return the measure of all facets with any of the tags.
 
-    The facets get the same new tag, so that forms are compiled once for all tags.
+    All these facets get one new tag, so that a form is compiled only once, whatever the tags are.
     """
     facets = facet_tags.indices[np.isin(facet_tags.values, list(tags))]
     numbered = dolfinx.mesh.meshtags(

@@ -34,9 +34,12 @@ class NodalEllipses:
 def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOperators:
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
+    Along its axes an ellipse can be scaled to a disc (`FrictionDiscs`).
+
     A node with a single tangential direction keeps this direction, and its slip bound is the
-    semi-diameter of the ellipse along it. A node with a circle keeps its tangents. If neither
-    tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
+    semi-diameter of the ellipse along this direction. A node whose ellipse is a circle keeps its
+    tangents. If neither tangents nor semi-axes change on this rank, up to rounding, the result is
+    `pair` itself.
 
     Args:
         V: the space of the displacement.
@@ -135,7 +138,7 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
     np.divide(direction, shape, out=inverse, where=nonzero & (shape > 0.0))
     length = np.linalg.norm(inverse, axis=1)
     length[(nonzero & (shape == 0.0)).any(axis=1)] = np.inf
-    # the directions of a circle may be zero, since it has no axes
+    # at circles, which have no axes, `direction` may be zero
     length[shape[:, 0] == shape[:, 1]] = 1.0
     result: Array = 1.0 / length
     return result

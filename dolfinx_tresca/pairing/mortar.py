@@ -28,26 +28,27 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
 from dolfinx_tresca.surface.offsets import any_known_surface
 
-#: Least covered part of a node's area with which the node carries a multiplier. (Round values, such
-#: as overlaps by 0.1 or 0.01 of a cell, are not at this limit, where rounding would decide.)
+#: Least covered part of a node's area with which the node carries a multiplier. (At the limit
+#: rounding decides. So the limit is not round: round overlaps, such as 0.1 or 0.01 of a cell, are
+#: above or below it.)
 LEAST_AREA_PART = 3e-4
 
 #: Least ratio of the penetration of bodies to the sagitta, the height of their curved surfaces over
-#: the facets. Below this ratio the error of the sagitta, which is 1 to 5 % of the sagitta, may be
-#: more than a tenth of the penetration.
+#: the facets, that causes no warning. Below this ratio the error of the sagitta, which is 1 to 5 %
+#: of the sagitta, may be more than a tenth of the penetration.
 CLOSE_FIT = 0.5
 
-#: Least part of penetrating nodes with which bodies count as press-fitted. Bodies that touch may
-#: penetrate at a few nodes, by errors of the sagitta.
+#: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
+#: may penetrate at a few nodes, by errors of the sagitta.
 FITTED_PART = 0.25
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
-#: corners included, this ratio is 1; at nodes beyond a straight rim it is 1 minus the distance from
-#: the rim, divided by the facet's size. If the limit were 0.76 (twice the distance), nodes just
-#: beyond a block's edge would have up to 1.5 times the pressure of the nodes on the edge. If it
-#: were 0.94 (half the distance), nodes on a circle of 16 segments, which lie outside the chords of
-#: another mesh, would lose their multipliers.
+#: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
+#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it
+#: were 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the
+#: pressure of the nodes on the edge. If it were 0.94 (half this d), nodes on a circle of 16
+#: segments, which lie outside the chords of another mesh, would lose their multipliers.
 LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
@@ -71,14 +72,14 @@ def couple(
     moved: bool,
     reason: str,
 ) -> Coupling:
-    """Couple two surfaces by integrals over their overlap. Collective.
+    """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
     is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
     the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
     multiplier since they belong to both sides. If `moved`, the surfaces are displaced, and there is
-    no warning of a close fit: their penetration is an error of the displacement. `reason` says, for
-    the log, why the pairing is by mortar.
+    no warning of a close fit, since penetration is then an error of the displacement. `reason`
+    says, for the log, why the pairing is by mortar.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -112,7 +113,7 @@ def couple(
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
-    """Log a warning if nodes (n,) penetrate by less than the sagitta can resolve. Collective."""
+    """Warn if nodes (n,) penetrate so little that the error of the sagitta matters. Collective."""
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
@@ -180,8 +181,9 @@ def mortar_rows(
         primary: facets of the primary side.
         integrals: the integrals over the overlap.
         columns: number of nodes of V on all ranks.
-        without: (n,) nodes without a multiplier, whose part of the overlap is distributed over the
-            other nodes of their facets; see `nodes_without_multiplier`. None: no node.
+        without: (n,) whether a node has no multiplier, so that its part of the overlap is
+            distributed over the other nodes of its facets (`nodes_without_multiplier`); None if all
+            nodes have multipliers.
     """
     carries = None if without is None else ~without[nodes.facet_nodes]
     dual = dual_coefficients(integrals.own, integrals.full, carries)
@@ -225,8 +227,9 @@ def nodes_without_multiplier(
     These are nodes beyond the rim of the overlap. Such a node may have a covered part of its area,
     but does not face the primary side itself. If it had a multiplier, the primary side would seem
     to extend up to the node: the nodal force would be as large as for a whole facet, and the
-    pressure the larger, the smaller the covered part. Nodes that are prescribed tangentially and
-    face a coarser mesh are returned, too, see `prescribed_before_coarser_facets`.
+    pressure, this force divided by the covered area, would be far too large. With friction, nodes
+    that are prescribed tangentially and face a coarser mesh are returned, too
+    (`prescribed_before_coarser_facets`).
 
     If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
     its multiplier.
@@ -254,14 +257,15 @@ def nodes_without_multiplier(
     own = owned_nodes(V, nodes)
 
     def owners_flags(some: Mask) -> Mask:
-        """Return nodal flags as found by the nodes' owners, which have all facets at the nodes."""
+        """Return the flags (n,) that the nodes' owners found, who have all facets at the nodes."""
         return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = _corners_of(corners, part, count)
     without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
-    # first the nodes at the rim that belong to fully covered facets, then also their neighbours at
-    # the rim; at last the corners of partly covered facets with such a node that has a multiplier
+    # `near` in three steps: nodes at the rim that belong to fully covered facets; these nodes and
+    # their neighbours at the rim; the corners of partly covered facets on which one of these nodes
+    # has a multiplier
     near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
     near = owners_flags(
         at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))

@@ -17,13 +17,13 @@ from dolfinx_tresca.surface.search import Balls, blocks
 from dolfinx_tresca.surface.self_contact import SelfContact
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
-#: Part of a facet's area that may be uncovered, by rounding, if the facet counts as fully covered.
+#: A facet counts as fully covered if at most this part of its area is uncovered, by rounding.
 COVER_ROUNDING = 1e-8
 
 #: Distance, relative to the radius of a facet, within which opposite facets are sought first on a
 #: surface that touches itself. Without this first search a wall of 2,046 bricks is paired in 71 s.
-#: Halved or doubled, 150 bricks have as many contact nodes, and are paired in 1.1 or 1.4 times the
-#: time.
+#: With half or twice this distance 150 bricks have as many contact nodes, and are paired in 1.1 or
+#: 1.4 times the time.
 NEAR = 2.0
 
 #: Number of pairs of facets that are integrated at once, which bounds the memory.
@@ -35,7 +35,7 @@ class MortarIntegrals:
     """Integrals over the covered parts of secondary facets, which face the primary side.
 
     Attributes:
-        own: integrals of products of secondary functions, for all secondary facets.
+        own: integrals of products of two secondary functions, for all secondary facets.
         sagitta: (n, corners) integrals of hat functions times the heights of both curved surfaces
             over their facets, which reduce the gap.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
@@ -87,8 +87,8 @@ class MortarIntegrals:
             selected: (m,) indices of the secondary facets to integrate over; the integrals of all
                 other facets are zero.
             limit: search distance, beyond which no points are paired [length].
-            order: rule that decides which of two facets is secondary, for a surface that touches
-                itself, where `primary` are the same facets; None for two surfaces.
+            order: rule that decides which of two facets is secondary on a surface that touches
+                itself (`primary` and `secondary` are then the same facets); None for two surfaces.
         """
         n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
@@ -141,9 +141,9 @@ def _overlaps(
 ) -> Iterator[Overlap]:
     """Yield the integrals over blocks of pairs of pieces that may face each other.
 
-    The normal of a facet of an assembly meets facets of many bodies behind each other. So pieces of
-    a surface that touches itself are first paired with pieces nearby; only pieces that are then not
-    fully covered are paired with all pieces within the search distance.
+    In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
+    pieces of a surface that touches itself are first paired with pieces nearby. Only pieces that
+    are not fully covered by these are paired with all pieces within the search distance.
 
     `pieces` and `others` are the pieces of secondary and primary facets; `selected`, `limit` and
     `order` are arguments of `MortarIntegrals.of`.
@@ -175,10 +175,11 @@ def _facing_pairs(
 ) -> Iterator[tuple[Indices, Indices]]:
     """Yield blocks of pairs of pieces that may face each other.
 
-    All pairs of a secondary piece are in the same block.
+    The normals of such a pair are opposed, and the primary piece lies along the normal of the
+    secondary piece. All pairs of a secondary piece are in the same block.
 
     Args:
-        balls: the balls round the primary pieces.
+        balls: balls that enclose the primary pieces, for the search.
         pieces: secondary pieces.
         others: primary pieces.
         mine: (m,) indices of the secondary pieces to pair.

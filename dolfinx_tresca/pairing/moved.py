@@ -16,7 +16,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def interpolate_in_geometry(u: fem.Function) -> fem.Function:
-    """Interpolate a displacement in the Lagrange space of the mesh's geometry.
+    """Interpolate a displacement in the Lagrange space of the mesh's geometry, for `moved_mesh`.
 
     The result is u itself if u is in this space.
     """

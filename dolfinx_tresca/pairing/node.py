@@ -64,7 +64,7 @@ def match(
         nodes: nodes of the secondary facets.
         primary: facets of the primary side.
         integrals: integrals over the overlap, for the facets at this rank's nodes.
-        extent: largest coordinate of the secondary side [length].
+        extent: largest coordinate of the secondary side, which determines its rounding [length].
     """
     n, corners = len(nodes.numbers), secondary.corners
     partner, gap_vector, weights = np.full(n, -1), np.zeros((n, 3)), np.zeros(n)
@@ -80,7 +80,8 @@ def match(
         np.add.at(weights, corner, nodes.corner_weights[facet])
         # nodes that match several primary nodes
         ambiguous = numbers != partner[corner]
-        # facets with different numbers of corners, or two corners that are nearest to the same one
+        # also unmatched: facets with different numbers of corners, and facets of which two corners
+        # have the same nearest corner
         distinct = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
         unmatched = (distance > allowed) | ~distinct[:, None] | (primary.corners != corners)
     mismatch = _mismatch(V, nodes, corner, distance, unmatched, ambiguous)
@@ -100,7 +101,7 @@ def _nearest_corners(
 
     Returns:
         The nearest corners (p, corners), their tangential distances (p, corners) relative to the
-        size of the secondary facet, and the largest relative distances (p, 1) of matching nodes.
+        size of the secondary facet, and the relative distances (p, 1) up to which nodes match.
     """
     corners = secondary.points[facet, : secondary.corners]
     middle = np.full((len(facet), secondary.dim), 1.0 / 3.0)
@@ -159,14 +160,15 @@ def _point_text(point: Array) -> str:
 def couple(
     V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching, without: Mask | None = None
 ) -> Coupling:
-    """Couple each secondary node with its primary node. Collective.
+    """Find the jump between each secondary node and its primary node. Collective.
 
     Args:
         V: the space of the displacement.
         pair: the contact pair.
         nodes: nodes of the secondary facets.
         matching: the primary node of each secondary node.
-        without: (n,) nodes without multiplier; None: nodes that are their own primary node.
+        without: (n,) whether a node has no multiplier. None: a node has no multiplier if it is its
+            own primary node.
 
     Raises:
         PairingError: no node can carry a multiplier.

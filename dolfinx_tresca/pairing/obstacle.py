@@ -29,7 +29,7 @@ from dolfinx_tresca.surface.visibility import FACING_COSINE
 def couple(
     V: Any, pair: ContactPair, obstacle: RigidObstacle, facets: Facets, nodes: SurfaceNodes
 ) -> Coupling:
-    """Couple a surface with a rigid obstacle. Collective.
+    """Find the jumps at the nodes of a surface that faces a rigid obstacle. Collective.
 
     The signed distance is interpolated like a displacement and averaged with the dual basis; with
     degree 1 gap and jump are the nodal values. With degree 2 the distance at nodes on straight
@@ -69,7 +69,7 @@ def couple(
     jump = diags_array(scale) @ drop_rounding(jump, facets, facet_nodes, weights)
 
     def nodal_means(at_nodes: Array) -> Array:
-        """Average values at facets' nodes over facing facets, with the dual basis; (nodes,)."""
+        """Average values at facets' nodes with the dual basis over facing facets: (nodes,)."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
         return scale * summed(values / nodes.corner_weights * corner_weights)
 

@@ -103,8 +103,8 @@ class PairOperators:
             primary: facets of the primary side; None for an obstacle.
             axisymmetric: whether areas are areas of rings.
             bodies: number of the body that each of `nodes` faces; None if all face the same body.
-                Patches of one node on a sharp edge that face different bodies are treated like
-                different nodes.
+                Smooth patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies
+                are treated like different nodes.
         """
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
@@ -157,10 +157,10 @@ class PairOperators:
 
     @property
     def sizes(self) -> Array:
-        """The size (n,) of the surface around each node [length], covered or not."""
+        """(n,) linear size of each node's whole area [length]; the width if it is a ring."""
         if not self.axisymmetric:
             return np.asarray(self.areas ** (1.0 / (self.normals.shape[1] - 1)))
-        radii = np.maximum(self.places[:, 0], np.sqrt(self.areas / np.pi))  # a disc at the axis
+        radii = np.maximum(self.places[:, 0], np.sqrt(self.areas / np.pi))  # at the axis: a disc
         return np.asarray(self.areas / (2.0 * np.pi * radii))
 
     @property
@@ -210,13 +210,13 @@ def _tangential_projections(
 ) -> Array:
     """Return projections (n, d, d) onto the directions that are available for rows of T.
 
-    If several patches of a node on a sharp edge are in contact, each has a row for its normal, as
-    long as these rows are linearly independent; `moves` of the other patches is set to False.
-    Friction then acts only along the edge, on the patch with the largest weight.
+    If several patches of a node on a sharp edge are in contact, each has a row of N for its normal,
+    as long as these rows are linearly independent; `moves` is set to False for patches without such
+    a row. Friction then acts only along the edge, on the patch with the largest weight.
 
     Args:
-        owners: (n,) a number for each patch that is the same for patches of the same node, and of
-            the same opposite body if there are several; patches of a node by ascending weights.
+        owners: (n,) a number for each patch. Patches of one node that face the same body have the
+            same number, and are sorted by ascending weight.
         normals: (n, d) unit normals.
         free: (n, d) whether friction may act along a coordinate axis.
         moves: (n,) whether the node has a row of N; changed in place.
@@ -276,7 +276,7 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
     Args:
         index_map: index map of the columns.
         block_size: number of columns for each index.
-        blocks: sparse matrices of consecutive rows.
+        blocks: sparse matrices, whose rows follow one another in the result.
         comm: the communicator.
     """
     rows = vstack(blocks, format="csr")
@@ -293,7 +293,7 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
 
 
 def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:
-    """Return for each pair the local rows of B that belong to N, and to T."""
+    """Return, for each pair, the slices of this rank's rows of B that belong to N and to T."""
     result, first = [], 0
     for pair in pairs:
         middle = first + len(pair.normal_node)

@@ -60,7 +60,7 @@ class Overlap:
 
 
 class OverlapIntegrals:
-    """Integrates over the visible overlaps of pairs of pieces, of the nearest layer only.
+    """Integrates over the visible and nearest parts of the overlaps of pairs of pieces.
 
     The arguments are those of `MortarIntegrals.of`; `pieces` and `others` are the pieces of the
     secondary and the primary facets.
@@ -89,7 +89,7 @@ class OverlapIntegrals:
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine and not self._known
         if not (secondary.affine and primary.affine):
-            degree = 2 * degree + 4  # integrands are rational: more accurate than the mesh
+            degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif self._known:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
         elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
@@ -100,7 +100,7 @@ class OverlapIntegrals:
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
         _, size, piece = overlaps(flat, flat)
         self._rounding = rounding_of(pieces.points)
-        #: (pieces,) sizes of the secondary pieces in their planes
+        #: (pieces,) areas of the secondary pieces in their planes [length^2, in 2D length]
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
     def __call__(self, first: Indices, second: Indices, limit: Array) -> Overlap:
@@ -166,7 +166,7 @@ class OverlapIntegrals:
             area = area * secondary.circumferences(radii)
 
         def summed(integrand: Array) -> Array:
-            """Sum over the points of each pair; the result is (overlapping pairs, ...)."""
+            """Sum over the quadrature points of each pair: (overlapping pairs, ...)."""
             return np.asarray(np.add.reduceat(integrand, starts, axis=0))
 
         def products(right: Array) -> Array:
@@ -209,9 +209,9 @@ class OverlapIntegrals:
     ) -> Array:
         """Return the distances (n,) of the exact surfaces along the secondary normals [length].
 
-        They are computed from the vectors between points on the exact surfaces. The distance of the
-        facets minus both heights would lose accuracy for closely fitting bodies, whose heights are
-        much larger than their distance.
+        These distances are computed from vectors between points on the exact surfaces. The distance
+        of the facets minus both heights would lose accuracy for closely fitting bodies, for which
+        the heights are much larger than the distance.
 
         Args:
             facet: (n,) secondary facets.
@@ -225,7 +225,7 @@ class OverlapIntegrals:
         return np.asarray(np.einsum("ni,ni->n", between + theirs - own, along))
 
     def _stretch(self, facet: Indices, x: Array, piece: Indices) -> Array:
-        """Return ratios (n,) of area elements, of curved facets to the planes of their pieces."""
+        """Return ratios (n,) of areas on curved facets to areas in the planes of their pieces."""
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)

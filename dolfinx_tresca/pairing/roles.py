@@ -27,7 +27,7 @@ def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegr
     in_file = facets.file_numbers[:, :count]
 
     def rows(pairs: Indices) -> Indices:
-        """Return nodes, their file numbers, and opposite file numbers, for pairs of facets."""
+        """Return rows (node, its number in the file, number of an opposite node in the file)."""
         own, theirs = pairs.T
         columns = (
             np.repeat(nodes.facet_nodes[own], count, axis=1),
@@ -47,10 +47,11 @@ def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegr
 
 
 def opposite_bodies(nodes: SurfaceNodes, integrals: MortarIntegrals, order: SelfContact) -> Indices:
-    """Return the body that is opposite to each node, the first one of several. Not collective.
+    """Return the body that is opposite to each node. Not collective.
 
     Returns:
-        (n,) the bodies; -1 for nodes without an opposite facet.
+        (n,) the number of the body, the least number if there are several bodies; -1 for nodes
+        without an opposite facet.
     """
     none = np.iinfo(np.intp).max
     result = np.full(len(nodes.numbers), none)

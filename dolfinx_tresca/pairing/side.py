@@ -40,8 +40,8 @@ class Side:
         tag: tag of the facets.
         name: "secondary" or "primary", for messages.
         facet_tags: tags of all facets.
-        whole: properties of the whole surface, on all ranks.
-        halo: the facets on this rank.
+        whole: properties of the whole surface, the same on all ranks.
+        halo: this rank's facets, and copies of facets of other ranks.
     """
 
     tag: int
@@ -82,7 +82,9 @@ class Side:
     def nodes_on_this_rank(self, V: Any, moved: bool) -> SurfaceNodes:
         """Return the nodes of this rank's facets. Collective.
 
-        If nodes of the undeformed surface alone coincide, the log has a warning.
+        The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
+        there. Nodes that also belong to facets with other tags, and surfaces that touch themselves,
+        are not checked.
 
         Args:
             V: the space of the displacement.
@@ -106,7 +108,7 @@ class Side:
         if moved or self.halo.facets.origins.shape[1]:
             return nodes
         numbers, first = np.unique(nodes.numbers[own], return_index=True)
-        # corners of bricks side by side are on their ends, which have tags for contact as well
+        # coincident corners of adjacent bricks also belong to their ends, which have other tags
         single = ~np.isin(numbers, self._nodes_with_other_tags(V))
         coincident = _coincident(comm, nodes.points[own][first][single], self.whole)
         if coincident:
@@ -122,7 +124,7 @@ class Side:
         return nodes
 
     def _nodes_with_other_tags(self, V: Any) -> GlobalNumbers:
-        """Return the nodes of facets with other tags, owned ones and some others. Collective."""
+        """Return the nodes of facets with other tags: all owned ones, some ghosts. Collective."""
         tags = self.facet_tags
         others = tags.indices[tags.values != self.tag]
         found = fem.locate_dofs_topological(V, tags.dim, others)

@@ -73,7 +73,7 @@ class SideTransfer:
 
     @cached_property
     def _nodes(self) -> LocalNumbers:
-        """(n,) numbers of the contact nodes in `_vector`, which differ from those in V."""
+        """(n,) numbers of the contact nodes in `_vector`; for degree 2 V has other numbers."""
         corners = entities_per_cell(self._V, 0)
         number = np.zeros(self._V.dofmap.list.max(initial=0) + 1, dtype=np.int32)
         number[self._V.dofmap.list[:, :corners]] = self._vector.dofmap.list
@@ -143,7 +143,7 @@ class SideTransfer:
     def conductance(self, h: fem.Function) -> PETSc.Mat:
         """Return G' diag(w h) G on the space of h, where G f = f - P f is the jump. Collective.
 
-        Rows and columns sum to zero, since the jump of a constant is zero.
+        Between two bodies rows and columns sum to zero, since the jump of a constant is zero.
 
         Args:
             h: a scalar of degree 1 on the mesh; only values at contact nodes are used.
@@ -166,6 +166,8 @@ class SideTransfer:
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
         """Return a density at contact nodes as a Function with values on both sides. Collective.
 
+        Nodes of the primary side have the transferred density.
+
         Args:
             density: (n, d) values at contact nodes; a scalar density is in the first column.
             name: name of the Function.
@@ -183,7 +185,7 @@ class SideTransfer:
 
         Args:
             function: a scalar or vector field.
-            side: tag of the side from which a discontinuous field takes its values.
+            side: tag of the side from which a discontinuous field takes its values, or an obstacle.
 
         Raises:
             InputError: `function` is not a scalar or vector Function on the mesh.
@@ -331,9 +333,9 @@ class SideTransfer:
         return result
 
     def _scatter_contact_values(self, values: Array) -> Array:
-        """Return nodal values (nodes of `_vector` with ghosts, d) for contact nodes' values (n, d).
+        """Put values (n, d) at contact nodes into an array (nodes of `_vector` with ghosts, d).
 
-        Collective.
+        Values at other nodes are zero. Collective.
         """
         whole = fem.Function(self._vector)
         rows: Array = whole.x.array.reshape(-1, values.shape[1])

@@ -44,9 +44,9 @@ UNKNOWN_COEFFICIENT = 100.0
 class BoundTerms:
     """A slip bound c + min(F p, l), where p is the contact pressure.
 
-    With a direction one of the terms is a pair of values, along the direction and across it. Their
-    ratio is the ratio of the semi-axes of an ellipse; c + min(F p, l), with the larger of the two
-    values, is its longer semi-axis.
+    If there is a direction, one of the three terms is a pair of values, along the direction and
+    across it, and the bound is an ellipse. The ratio of the two values is the ratio of its
+    semi-axes; its longer semi-axis is c + min(F p, l) with the larger value.
 
     Attributes:
         constant: c >= 0 [stress].
@@ -67,7 +67,7 @@ class BoundTerms:
 class DryFriction(ABC):
     """Base class of friction laws: the tangential traction stays within a circle or an ellipse.
 
-    A node slips only if its traction is on the boundary. A further law is a subclass that defines
+    A node slips only if its traction is on the boundary. To add a law, derive a class that defines
     `terms`.
 
     Attributes:

@@ -38,10 +38,10 @@ class FrictionCurve:
     Attributes:
         function: function that returns F >= 0 [1], a number or an array (n,), for the pressures
             p >= 0 (n,) [stress] and the slips v >= 0 (n,) [length], both in the units of the scene.
-            A slip is the length of the tangential displacement since the last accepted step, in the
-            first step since the undeformed state; a law for the rate of slip divides it by the time
-            step. The function is called with arrays of any length, and at any values that iterates
-            have.
+            A slip is the length of the tangential displacement since the last accepted step or, in
+            the first step, since the undeformed state; a law for the rate of slip divides the slip
+            by the time step. The function is called with arrays of any length, and with any values
+            that occur during the iteration.
         derivatives: dF/dp [1 / stress] and dF/dv [1 / length], as a function with the same
             arguments that returns a pair; None: difference quotients of F.
 
@@ -82,7 +82,7 @@ class FrictionCurve:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length].
 
         Raises:
-            InputError: the function returns neither a number nor one for each node.
+            InputError: the function returns neither a number nor a number for each node.
         """
         return _values(self.function(pressure, slip), len(pressure), "a friction curve")
 
@@ -90,7 +90,7 @@ class FrictionCurve:
         """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
 
         Raises:
-            InputError: a function returns neither a number nor one for each node.
+            InputError: a function returns neither a number nor a number for each node.
         """
         if self.derivatives is not None:
             name = "the derivatives of a friction curve"
@@ -137,10 +137,15 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
 
 
 def _values(found: Any, number: int, name: str) -> Array:
-    """Return values (n,) as an array.
+    """Return the result of a user's function as an array (n,) of floats.
+
+    Args:
+        found: the result.
+        number: the number n of nodes.
+        name: the name of the function, for error messages.
 
     Raises:
-        InputError: they are neither a real number nor one for each node.
+        InputError: the result is neither a real number nor an array with a number for each node.
     """
     values = np.asarray(found)
     if values.shape not in ((), (number,)) or not np.issubdtype(values.dtype, np.number):

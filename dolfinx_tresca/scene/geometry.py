@@ -36,11 +36,11 @@ LEAST_ON_SURFACE = 0.1
 #: Rounding of projections, relative to the size of the surface.
 PROJECTION_ROUNDING = 1e-8
 
-#: Name that Gmsh gives the surfaces of its built-in kernel, as the type of an entity.
+#: Gmsh's type of an entity that is a surface of its built-in kernel.
 BUILT_IN_SURFACE = "Surface"
 
 #: Number of sample points along each parameter from which the search for the nearest point starts,
-#: and limit on its steps. On the surfaces of the package's meshes it takes three.
+#: and limit on its steps. On the surfaces of the package's meshes the search takes three steps.
 SEARCH_SAMPLES, SEARCH_STEPS = 32, 20
 
 
@@ -212,7 +212,7 @@ def _project_to_surfaces(
 def _nearest_points(
     model: Any, entities: Sequence[tuple[int, int]], points: Array
 ) -> tuple[Array, Array]:
-    """Return for points (3, n) the nearest points (3, n) of entities, and the distances (n,)."""
+    """Return, for points (3, n), the nearest points (3, n) of entities and their distances (n,)."""
     place, distance = points.copy(), np.full(points.shape[1], np.inf)
     for dim, entity in entities:
         if model.getType(dim, entity) == BUILT_IN_SURFACE and not _is_flat(model, dim, entity):

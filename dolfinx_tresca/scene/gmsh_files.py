@@ -92,10 +92,10 @@ def open_file(
 
 
 def _parse(gmsh: Any, path: Path) -> None:
-    """Open a file in Gmsh.
+    """Let Gmsh read a file to its end, and then raise the first error that Gmsh has logged.
 
-    If Gmsh's parser raised an error itself, the next call would continue with the rest of the file,
-    even after `gmsh.finalize()`. So Gmsh reads the file to its end, and errors are raised then.
+    If Gmsh's parser raised the error itself, the next call would continue with the rest of the
+    file, even after `gmsh.finalize()`.
 
     Raises:
         MeshError: Gmsh found an error in the file.

@@ -201,10 +201,11 @@ def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArra
 
 
 def _renumber_cell_nodes_first(gmsh: Any) -> int:
-    """Renumber the nodes: those of cells in physical groups come first; return how many they are.
+    """Number the nodes of cells in physical groups first; return the number of these nodes.
 
     DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
-    facet exceeds the number of nodes of cells. Bodies in no physical group have such nodes.
+    facet exceeds the number of nodes of cells. Tagged facets of a body that is in no physical group
+    have such nodes.
     """
     mesh, dim = gmsh.model.mesh, gmsh.model.getDimension()
     groups = gmsh.model.getPhysicalGroups(dim)
@@ -219,11 +220,12 @@ def _renumber_cell_nodes_first(gmsh: Any) -> int:
 
 
 def _facet_counts(gmsh: Any, cell_nodes: int) -> tuple[dict[int, int], dict[int, int]]:
-    """Count the facets of each physical group, and its facets that belong to no cell.
+    """Count the facets of each physical group, and the facets in it that belong to no cell.
 
     Args:
         gmsh: the module, in a session.
-        cell_nodes: number of nodes of cells, which have the numbers 1, ..., cell_nodes.
+        cell_nodes: result of `_renumber_cell_nodes_first`: nodes with larger numbers belong to no
+            cell.
 
     Returns:
         tag -> number of facets, and tag -> number of facets with a node that no cell has.

@@ -28,8 +28,8 @@ class RigidObstacle:
     points is 0, and the third component of normals must be 0.
 
     An obstacle is moved by `move_to`. Attributes of its shape cannot be changed, but Constants on
-    which its signed distance depends can. Such a Constant is a parameter of the scene, such as a
-    place that is optimised: its change is not a motion, and does not count as slip.
+    which its signed distance depends can be changed. Such a Constant is a parameter of the scene,
+    such as a place that is optimised: its change is not a motion, and does not count as slip.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -45,7 +45,8 @@ class RigidObstacle:
         <RigidObstacle: a wavy floor>
     """
 
-    __slots__ = ("_centre", "_constants", "_motion", "_name", "_signed_distance")  # no others
+    # no other attributes can be set
+    __slots__ = ("_centre", "_constants", "_motion", "_name", "_signed_distance")
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class RigidObstacle:
 
     @property
     def signed_distance(self) -> SignedDistance:
-        """The signed distance from the obstacle at its original place."""
+        """The function of the signed distance from the obstacle at its original place."""
         return self._signed_distance
 
     @property
@@ -155,7 +156,7 @@ class RigidObstacle:
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return unchecked distances and normals at points (3, n), for the present place."""
+        """Return unchecked distances and normals at points (3, n), from the present place."""
         motion = self._motion
         if motion == RigidMotion.none():
             return self._signed_distance(points)
@@ -341,7 +342,12 @@ class RigidCylinder(RigidObstacle):
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
-    """Return a function that returns the checked present value of a number, vector or Constant.
+    """Return a function that checks and returns the present value of a user's argument.
+
+    Args:
+        check: function from the name and a value to the checked value.
+        name: the name of the argument, for error messages.
+        value: a number or a vector, or a Constant, which may change.
 
     Raises:
         InputError: the value is wrong; the returned function raises it if a Constant becomes wrong.

@@ -45,8 +45,8 @@ class ContactPair:
             the same list of tags, all bodies with this surface may touch each other, and so may
             parts of one body. Of two bodies that meet, the body with finer facets is secondary; if
             their facets are alike, the body with the smaller least x, then y, then z is secondary.
-            Of a list the pair keeps the first tag, which all facets with tags in the list get in
-            the pair's own `facet_tags`.
+            If a list is given, the pair keeps its first tag; in the pair's own `facet_tags` all
+            facets with a tag of the list have this first tag.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
         pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
             averages the jump over the facets by dual basis functions and needs no matching meshes;
@@ -223,7 +223,7 @@ class ContactPair:
         return f"{self.side('secondary')} on {self.side('primary')}"
 
     def side(self, which: Literal["secondary", "primary"]) -> str:
-        """Return the name of a side: its name in the mesh file, or its tag."""
+        """Return the name of a side: its name in the mesh file, its tag, or the obstacle's name."""
         tag = getattr(self, which)
         if isinstance(tag, RigidObstacle):
             return str(tag)

@@ -31,7 +31,7 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
     Args:
         value: the scalar.
         name: the name of the quantity, for error messages.
-        rounding: a number must be greater than minus this. The default accepts every finite
+        rounding: a number must be greater than minus `rounding`. The default accepts every finite
             negative number: a gap may be negative, and slip bounds are checked later, with a
             tolerance that depends on the stresses of the problem.
 

@@ -11,7 +11,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 
 @dataclass(frozen=True)
 class Box:
-    """A bounding box along the principal axes of points; it is flat if they lie in a plane.
+    """A bounding box along the principal axes of points, which is flat for points in a plane.
 
     Attributes:
         origin: (3,) the mean of the points, origin of the axes [length].
@@ -52,11 +52,17 @@ class Box:
     def line_intervals(
         self, origins: Array, directions: Array, reach: Array
     ) -> tuple[Array, Array]:
-        """Intersect lines (n,) with the box, widened by `reach` (n,) on all sides [length].
+        """Intersect lines with the box, widened on all sides.
+
+        Args:
+            origins: (n, 3) the point of each line whose parameter is 0 [length].
+            directions: (n, 3) unit vectors along the lines.
+            reach: (n,) distance by which the box is widened for each line [length].
 
         Returns:
-            The parameters (n,) at which the lines enter the box, and those at which they leave it
-            [length]. For a line that misses the box the first one is greater than the second one.
+            The parameters (n,) at which the lines enter the box, and the parameters (n,) at which
+            they leave it [length]. If a line misses the box, its first parameter is the greater
+            one.
         """
         x, slope = (origins - self.origin) @ self.axes, directions @ self.axes
         low, high = self.low - reach[:, None] - x, self.high + reach[:, None] - x

@@ -13,10 +13,10 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
     Args:
         first: (n, a, d) corners; for d = 1 of segments (a = 2), for d = 2 of convex polygons,
             clockwise or counter-clockwise.
-        second: (n, b, d) corners of the second segments or polygons, ordered as in `first`.
-        centred: whether polygons are cut into triangles with a corner at the centroid, instead of
-            a fan from one corner. This gives more triangles, but they do not depend on rounding or
-            on the order of the corners.
+        second: (n, b, d) corners of the second segments or polygons, in either order as well.
+        centred: whether polygons are cut into triangles round their centroid, instead of a fan of
+            triangles from one of their corners. This gives more triangles, but they do not depend
+            on rounding or on the order of the corners.
 
     Returns:
         The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
@@ -70,11 +70,11 @@ def clip(polygons: Array, windows: Array) -> Array:
 
 
 def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
-    """Return the parts (n, c, 2) of polygons on the left of a line.
+    """Return the part (n, c, 2) of each polygon on the left of its line.
 
-    A convex polygon gains at most one corner. If corners coincide up to rounding, a polygon may
-    cross the line more than twice; all crossings are kept. The line of each polygon has a point
-    `start` (n, 2) and a direction `along` (n, 2).
+    The line of each polygon goes through a point `start` (n, 2) in the direction `along` (n, 2). A
+    convex polygon gains at most one corner. If corners coincide up to rounding, a polygon may cross
+    its line more than twice; all crossings are kept.
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -84,7 +84,7 @@ def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
     crosses = inside != (next_height >= 0.0)
     share = np.divide(height, height - next_height, out=np.zeros_like(height), where=crosses)
     crossing = polygons + share[:, :, None] * (following - polygons)
-    # candidates: each corner, kept if it is inside, and then the crossing on the following side
+    # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
     points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
     kept = np.stack([inside, crosses], axis=2).reshape(n, 2 * a)
     place = np.cumsum(kept, axis=1)

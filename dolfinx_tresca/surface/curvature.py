@@ -26,9 +26,10 @@ TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 class Sagitta:
     """The height of a smooth surface over straight facets, from the normals at their corners.
 
-    The tangent planes at the corners are known (`fitted_normals`). The mean of their heights over
-    the facet, weighted with the hat functions, is twice the height of a parabolic surface. Half of
-    it is therefore correct to second order in the size of the facet, and zero for a flat surface.
+    These heights reduce the gap of curved bodies. The tangent planes at the corners are known
+    (`fitted_normals`). The mean of their heights over the facet, weighted with the hat functions,
+    is twice the height of a parabolic surface. Half of this mean is therefore correct to second
+    order in the size of the facet, and zero for a flat surface.
     """
 
     def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
@@ -81,7 +82,7 @@ class Sagitta:
 
 
 def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
-    """Fit a quadratic surface to each node and its neighbours; return its unit normals (n, 3).
+    """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
     The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
     with facets of different sizes and shapes, as after local refinement, its error is a fixed part

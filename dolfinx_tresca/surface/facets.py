@@ -32,13 +32,14 @@ class Facets:
         free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
         file_numbers: (n, corners) numbers of the corners in the mesh file, independent of the
             partition.
-        outward: (n,) 1 or -1: whether the order of the nodes gives the outward or inward normal.
+        outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
+            inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
             surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see surface/self_contact.py; (n, 0) on other surfaces.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
-        plane: whether each facet of the whole surface lies in a plane.
+        plane: whether each facet of the whole surface lies in a plane of its own.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
     """
 
@@ -105,12 +106,12 @@ class Facets:
         return np.asarray(cross_products(along) * self.outward[:, None, None])
 
     def area_elements(self, x: Array) -> Array:
-        """Return the area elements (n, q) at reference points (q, dim); of rings in axisymmetry."""
+        """Return area elements (n, q), of rings in axisymmetry, at reference points (q, dim)."""
         sizes = np.linalg.norm(self.area_vectors(x), axis=2)
         return np.asarray(sizes * self.circumferences(self.points[:, :, 0] @ self.basis(x).T))
 
     def circumferences(self, radii: Array) -> Array:
-        """Return 2 pi times radii, the factor of integrals over rings; 1 for plane bodies."""
+        """Return the factor of integrals over rings, 2 pi times radii; 1 without axisymmetry."""
         return 2.0 * np.pi * radii if self.axisymmetric else np.ones_like(radii)
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:

@@ -19,7 +19,7 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
-#: Attributes of `Facets` that have a row per facet; the others describe the whole surface.
+#: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
 FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
@@ -27,8 +27,8 @@ class Halo:
     """The facets of one side on this rank, to which facets of other ranks can be added.
 
     At first the halo consists of the facets that this rank owns and of all facets at nodes that
-    this rank owns. Requests are sent only to ranks whose bounding boxes show that they may have the
-    facets.
+    this rank owns. Further facets are requested only from ranks that may have such facets, judged
+    by the bounding box of the facets that each rank owns.
 
     Attributes:
         comm: the communicator.
@@ -76,15 +76,16 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius [length] of all pieces, on several ranks. Not collective."""
+        """Return the largest radius [length] of all ranks' pieces; not defined on one rank."""
         return float(self._boxes[:, -2].max())
 
     def add_near_lines(self, lines: Array) -> None:
         """Add the facets of all ranks that are close to lines. Collective.
 
         Args:
-            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), a radius,
-                and the length in both directions [length]; see `Balls.on_normals`.
+            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), the distance
+                within which facets are close, and the length of the line in both directions from
+                the point [length]; see `Balls.on_normals`.
         """
         queries = []
         for rank, box, reach in self._other_ranks():
@@ -104,9 +105,7 @@ class Halo:
         self._send_facets(self._owned, *np.concatenate(pairs).T)
 
     def add_near_points(self, balls: Array) -> None:
-        """Add the facets of all ranks that are close to points. Collective.
-
-        Facets within the radius of a point are added, and maybe others near them.
+        """Add the facets of all ranks that meet balls, and maybe some facets near them. Collective.
 
         Args:
             balls: (n, 4) balls as rows: the centre (3) and the radius [length].
@@ -145,7 +144,7 @@ class Halo:
         return np.searchsorted(self._ends, nodes, side="right")
 
     def _other_ranks(self) -> list[tuple[int, Box, float]]:
-        """Return the other ranks that have facets, with their boxes and largest radii."""
+        """Return the other ranks that own facets, with box and largest radius of their pieces."""
         return [
             (rank, Box.from_row(row[:-2]), row[-2])
             for rank, row in enumerate(self._boxes)
@@ -153,9 +152,11 @@ class Halo:
         ]
 
     def _send_queries(self, rows: Array, queries: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
-        """Send rows (n, k) to ranks, each with a mask (n,); return received rows and their ranks.
+        """Send some rows to each rank; return the received rows and their senders. Collective.
 
-        Collective.
+        Args:
+            rows: (n, k) the rows.
+            queries: pairs of a rank and the mask (n,) of the rows to send to it.
         """
         chosen = [np.flatnonzero(mask) for _, mask in queries]
         ranks = np.repeat([rank for rank, _ in queries], [len(some) for some in chosen])
@@ -203,9 +204,9 @@ class _NumberedFacets:
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     """Add all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides that lie along the normals; the primary facets near facets
-    that penetrate the primary side; and the facets that share a corner with paired facets, since
-    the normals at the corners depend on them.
+    These are the facets of both sides that lie along the normals of the rank's facets; primary
+    facets near facets of the rank that penetrate the primary side; and the facets that share a
+    corner with paired facets, since the normals at the corners depend on them.
 
     Args:
         secondary: halo of the secondary side.

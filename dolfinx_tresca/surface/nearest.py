@@ -53,7 +53,7 @@ def nearest_layer_weights(
     inner = places.reshape(-1, count, places.shape[1])[crowded]
     point, b = _candidate_pairs(piece[pair[crowded]], simplices[crowded], inner)
     a, b, place = crowded[point // count], crowded[b], inner.reshape(-1, inner.shape[2])[point]
-    # a point of simplex a is dropped if it lies in a simplex b of another pair that is nearer
+    # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
     distance = np.abs(gap).reshape(-1, count).mean(axis=1)
     nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
     point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
@@ -70,13 +70,13 @@ def _candidate_pairs(owner: Indices, simplices: Array, points: Array) -> tuple[I
     number of simplices, unless many large simplices cover each other.
 
     Args:
-        owner: (n,) the owner of each simplex, ascending.
+        owner: (n,) the owner of each simplex, a secondary piece, ascending.
         simplices: (n, d + 1, d) corners of the simplices.
         points: (n, count, d) points in each simplex.
 
     Returns:
-        The indices (m,) of the points, of which each simplex has `count` consecutive ones, and the
-        indices (m,) of the simplices.
+        The indices (m,) of the points, numbered from 0 to n count - 1 simplex by simplex, and the
+        indices (m,) of the simplices that may contain them.
     """
     dim = simplices.shape[2]
     low, high = simplices.min(axis=1), simplices.max(axis=1)

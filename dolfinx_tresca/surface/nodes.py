@@ -31,16 +31,16 @@ REFERENCE_CORNERS = {
     "quadrilateral": np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]),
 }
 
-#: The corners before and after each corner, walking round the facet.
+#: The corners before and after each corner, in the order round the facet.
 NEIGHBOURS = {
     "interval": ((1, 0), (1, 0)),
     "triangle": ((1, 2, 0), (2, 0, 1)),
     "quadrilateral": ((1, 3, 0, 2), (2, 0, 3, 1)),
 }
 
-#: Least length of the part of a unit normal in the free directions with which this part, as a unit
-#: vector, replaces the normal. The mesh error tilts a normal out of a symmetry plane by a few
-#: degrees, not by 84.
+#: If a unit normal has a projection onto the free directions that is longer than this, the
+#: projection, scaled to length 1, replaces the normal. (The mesh error tilts a normal out of a
+#: symmetry plane by a few degrees, not by 84.)
 FREE_PART = 0.1
 
 

@@ -99,7 +99,7 @@ def labels_of(
     """Return the labels (n,) of nodes of any rank. Collective.
 
     Args:
-        V: a space.
+        V: the space whose nodes have labels.
         label: (owned nodes of V,) the label of each node.
         numbers: (n,) ascending global numbers of nodes.
     """

@@ -18,7 +18,7 @@ from dolfinx_tresca.surface.facets import Facets, cross_products, lagrange_point
 from dolfinx_tresca.surface.tagged import tagged_facets
 
 #: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
-#: spans 30 degrees of a cylinder is 0.4 % too small, as much as the clearance of close fits.
+#: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
 OFFSET_DEGREE = 4
 
 #: Distance of a corner from its surface, relative to the size of the facet, beyond which the

@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca.surface.facets import Facets
 
-# corners of the pieces in walking order, as nodes of the facet in basix' order
+# corners of each piece, in the order round it, as indices of the facet's nodes in basix' order
 _WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
 _QUARTERS = {
     "interval": [[0, 2], [2, 1]],
@@ -22,12 +22,13 @@ _QUARTERS = {
 class Pieces:
     """Segments, triangles or quadrilaterals that approximate facets.
 
-    Curved facets of degree 2 are cut into two (in 2D) or four pieces, other facets are one piece.
+    If any facet of the surface is curved (`Facets.bent`), each facet is cut into two (in 2D) or
+    four pieces; else each facet is one piece.
 
     Attributes:
         facet: (n,) the facet of each piece, ascending.
         nodes: (n, corners) global numbers of the displacement's nodes at the corners.
-        points: (n, corners, 3) corners in walking order [length].
+        points: (n, corners, 3) corners in the order round the piece [length].
         centres: (n, 3) means of the corners [length].
         radii: (n,) largest distance of a corner from the centre [length].
         normals: (n, 3) outward unit normals of the (mean) planes.
@@ -65,7 +66,7 @@ class Pieces:
         )
 
     def frames(self) -> Array:
-        """Return orthonormal axes (n, dim + 1, 3): tangential to the pieces, and last normal."""
+        """Return orthonormal axes (n, dim + 1, 3) of the pieces: tangents, and the normal last."""
         side = self.points[:, 1] - self.points[:, 0]
         first = side - np.einsum("ni,ni->n", side, self.normals)[:, None] * self.normals
         first /= np.linalg.norm(first, axis=1)[:, None]

@@ -7,7 +7,8 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.surface.facets import Facets, tabulate
 
-#: Most Newton steps, and the length of a step, in reference coordinates, that counts as rounding.
+#: Largest number of Newton steps; the length of a step, in reference coordinates, that counts as
+#: rounding.
 NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
 
 

@@ -121,8 +121,8 @@ class _SimilarBalls:
         """Find pairs of a line and a ball whose centre is near the line.
 
         The pairs, as indices (m,) of lines and (m,) of balls, include every ball whose centre is
-        within `reach` (n,) of a line, and may include others. Lines (n,) end at a distance of
-        `limit` from their origins.
+        within `reach` (n,) of a line, and may include others. Lines (n,) extend to a distance of
+        `limit` from their origins, in both directions.
         """
         start, end = self.box.line_intervals(origins, directions, reach)
         start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)

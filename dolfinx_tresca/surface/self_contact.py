@@ -1,10 +1,10 @@
 """Contact of a surface with itself: which facets may meet, and which of two is secondary.
 
 The facets of the surface may belong to many bodies, and parts of one body may touch each other.
-Each facet sees the others along its normal, as in a pair of two surfaces. A point where two facets
-meet is seen from both facets, but must be constrained only once. So an order of the facets decides
-which of two is the secondary one. This order depends on the undeformed mesh only: the roles are the
-same in all configurations of finite sliding, and on any number of ranks.
+Each facet sees other facets along its normal, as in a pair of two surfaces. A point where two
+facets meet is seen from both facets, but must be constrained only once. So an order of the facets
+decides which of two facets is secondary. This order depends on the undeformed mesh only: the roles
+are the same in all configurations of finite sliding, and on any number of ranks.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
 #: sizes of differently cut bricks would decide, and rounding if the bricks are equal.
 FINER = 2.0**-0.5
 
-#: Number of directions from which the one that orders the facets of a body is chosen.
+#: Number of candidates for the direction that orders the facets of a body.
 DIRECTIONS = 12
 
-#: Least sine and cosine of the angle between a facet's normal and the direction of its body with
-#: which the facet counts as well ordered. On a slit parallel to the direction rounding would decide
-#: facet by facet, and most nodes of the slit would lose their multipliers.
+#: A direction suits a facet of its body fully if the sine and the cosine of the angle between the
+#: direction and the facet's normal are at least this. On a slit parallel to the direction rounding
+#: would decide the roles facet by facet, and most nodes of the slit would lose their multipliers.
 LEAST_COMPONENT = 0.3
 
-#: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
-#: from which they count as the two faces of one wall, whose material is between them. (Walls are
-#: not compressed to half of their thickness.)
+#: Two facets of one body that are behind each other count as the two faces of one wall, whose
+#: material is between them, if their distance is at least this part of their distance in the
+#: undeformed mesh. (Walls are not compressed to half of their thickness.)
 WALL_PART = 0.5
 
 
@@ -87,17 +87,17 @@ class SelfContact:
         )
 
     def in_one_body(self, first: Indices, second: Indices) -> Mask:
-        """Return whether two facets (m,), (m,) belong to the same body."""
+        """Return, for pairs of facets (m,), whether both belong to the same body, (m,)."""
         result: Mask = self.body[first] == self.body[second]
         return result
 
     def may_meet(self, first: Indices, second: Indices) -> Mask:
-        """Return whether two facets (m,), (m,) may come into contact, (m,).
+        """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of one body may not meet if they share a corner, or if they are the two faces of a
-        wall. They count as such faces if each is behind the other, now and in the undeformed mesh,
-        by more than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`), and now by
-        more than `WALL_PART` of the undeformed depth.
+        wall. Two facets are the faces of a wall if each is behind the other, both in the undeformed
+        mesh and now, by more than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`),
+        and now by more than `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
@@ -111,13 +111,13 @@ class SelfContact:
         return result
 
     def is_secondary(self, first: Indices, second: Indices) -> Mask:
-        """Return whether the first of two facets (m,), (m,) is the secondary one, (m,).
+        """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
-        first body in the order of `label_bodies`. In one body, of two facets that face each other
-        in the undeformed mesh, as in a slit or a ring, the facet whose normal is along the body's
-        direction is secondary; otherwise, as on a folded sheet, the facet that comes first in this
-        direction.
+        body that comes first in `label_bodies` is secondary. In one body, of two facets that face
+        each other in the undeformed mesh, as in a slit or a ring, the facet whose normal is along
+        the body's direction is secondary; of two other facets, as on a folded sheet, the facet that
+        comes first in this direction is secondary.
         """
         f, g = first, second
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
@@ -133,7 +133,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return the smaller depth (m,) of two facets, each behind the plane of the other."""
+    """Return the smaller depth (m,) of two facets' centres, each behind the other facet's plane."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])

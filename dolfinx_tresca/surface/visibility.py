@@ -66,10 +66,10 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
-        """Keep the pieces of both sides, and find the primary pieces that may be occluders.
+        """Keep the pieces of both sides, and find the primary pieces that may hide points.
 
-        These are the pieces that may be turned away from a secondary piece. All secondary pieces
-        may be occluders.
+        Only primary pieces that are turned away from a secondary piece may hide points from it
+        (occluders). All secondary pieces may be occluders.
 
         Args:
             pieces: pieces of the secondary side.
@@ -80,7 +80,7 @@ class Visibility:
         self._pieces, self._others, self._body = pieces, others, body
         self._frames = pieces.frames()
         # The least cosine bounds the angles between the secondary side's normals and their mean.
-        # Only these primary pieces can be at less than a right angle to any of these normals.
+        # Only these primary pieces can have a normal at less than a right angle to one of them.
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
@@ -107,7 +107,7 @@ class Visibility:
         end: Array,
         other: Indices | None = None,
     ) -> Mask:
-        """Return whether points of the primary side are hidden, (n,).
+        """Return whether primary points are hidden from the secondary points opposite, (n,).
 
         Args:
             piece: (n,) the secondary piece of each point, ascending.
@@ -115,7 +115,7 @@ class Visibility:
                 of the piece [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
-            other: (n,) the primary piece of each point, on a surface that touches itself.
+            other: (n,) the primary piece of each point; needed on a surface that touches itself.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         in_one_body = np.zeros(len(piece), dtype=np.bool_)
@@ -176,7 +176,7 @@ class Visibility:
         return result
 
     def _occluders(self, own: bool, targets: Indices, reach: Array) -> _Occluders:
-        """Return the facets of one side that may hide points of secondary pieces.
+        """Return the facets of one side that may hide primary points from secondary pieces.
 
         Args:
             own: whether the occluders are on the secondary side.
@@ -205,7 +205,7 @@ class Visibility:
             keep &= (self._body[occluder] == self._body[piece]) == own
         target, occluder = target[keep], occluder[keep]
         piece, cosine = piece[keep], cosine[keep]
-        if own:  # facets at a common node are crossed at the point itself only
+        if own:  # a facet with a common node and a similar normal is crossed at the point itself
             common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
             target, occluder, piece = target[keep], occluder[keep], piece[keep]
@@ -219,7 +219,7 @@ class Visibility:
 
 @dataclass(frozen=True)
 class _Occluders:
-    """Facets that may hide points of a piece, in the frame of the piece.
+    """Facets that may hide primary points from a secondary piece, in the frame of this piece.
 
     Attributes:
         target: (n,) index of the piece in `targets` of `Visibility._occluders`, ascending.
@@ -239,7 +239,7 @@ class _Occluders:
     def overlapping(
         cls, target: Indices, corners: Array, normals: Array, piece_corners: Array
     ) -> _Occluders:
-        """Return the facets whose projection may overlap the piece, by their bounding boxes.
+        """Return the facets whose bounding box in the plane of the piece overlaps the piece's box.
 
         Args:
             target: (n,) see the attribute.

@@ -21,8 +21,8 @@ class WholeSurface:
         smallest_facet: diameter of the smallest facet [length].
         largest_coordinate: largest absolute value of a corner's coordinates [length]; rounding
             errors of positions are relative to it.
-        reference_points: (2, 3) points that are not nodes, and that are moved, rotated, scaled and
-            mirrored with the surface [length].
+        reference_points: (2, 3) points towards which tangents are turned; they are not nodes, and
+            are moved, rotated, scaled and mirrored with the surface [length].
     """
 
     smallest_facet: float
@@ -51,8 +51,8 @@ def _reference_points(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Ar
     """
     first, last = (row_of_least(comm, sign * order, points) for sign in (1, -1))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    # the second point must be off the line through `first` and `last`, which has the first point:
-    # nodes on this line would see both points in the same direction
+    # The first reference point is on the line through `first` and `last`. The second one must be
+    # off this line: nodes on the line would see both points in the same direction.
     along = (last - first) / (np.linalg.norm(last - first) or 1.0)
     offset = points - first
     off = np.linalg.norm(offset - np.outer(offset @ along, along), axis=1)

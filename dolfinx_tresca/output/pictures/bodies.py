@@ -1,4 +1,4 @@
-"""The deformed bodies."""
+"""Drawing of the deformed bodies."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def draw_bodies(
 
     Args:
         plotter: a plotter of pyvista.
-        aspect: width over height of the view.
-        volume: the displacement.
-        contacts: the pairs.
+        aspect: width of the view divided by its height.
+        volume: the mesh with the displacement.
+        contacts: the contact surfaces of all pairs.
         curves: the contact curves of 2D, drawn on the deformed edges.
         scale: magnification; None chooses one.
         unit: unit of length, or "".
@@ -77,7 +77,7 @@ def draw_bodies(
         diffuse=0.7,
         **colours.mesh_options,
     )
-    if volume.degree > 1:  # the pieces have other edges than the mesh
+    if volume.degree > 1:  # edges of cells, not of the pieces into which `skin` cuts their faces
         plotter.add_mesh(_outer_edges(deformed).translate(lift), **white)
     # no creases in 2D: orientations of triangles may differ
     outline = skin(bodies).clean()
@@ -128,7 +128,7 @@ def _outer_edges(grid: Any) -> Any:
     outer[skin(numbered).point_data["node"]] = True
     cell = grid.get_cell(0)
     place = {node: i for i, node in enumerate(cell.point_ids)}
-    # the middle is the last in the cell, though not in the edges of all kinds of cells
+    # the middle of an edge comes after its ends in the cell's order, but not always in the edge's
     ends_middle = [sorted(place[node] for node in edge.point_ids) for edge in cell.edges]
     edges = grid.cells.reshape(grid.n_cells, -1)[:, 1:][:, ends_middle].reshape(-1, 3)
     middle, first = np.unique(edges[:, 2], return_index=True)
@@ -140,7 +140,7 @@ def _outer_edges(grid: Any) -> Any:
 def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
     """Draw a contact curve through (n, 3) points: thick and red where it is pressed.
 
-    A dot marks the start of the curve.
+    A dot marks the start of the curve, unless its label does (`_start`).
     """
     import pyvista
 
@@ -166,7 +166,7 @@ def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
 
 
 def _start(curve: Curve, points: Array) -> tuple[Array, str, dict[str, Any]]:
-    """Return the start of a curve, and its label."""
+    """Return an entry of `Drawn.notes`: the start of a curve, its label, and options of text."""
     box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
     options = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center"}
     label = curve.contact.label

@@ -13,7 +13,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output.pictures.labels import Range, locator, quantity, scaled
 
 OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: direction from which bodies are seen
-UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in this view; direction from which 2D is seen
+UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in the oblique view; direction from which 2D is seen
 
 #: Names and directions of the coordinates.
 COORDINATES = tuple(zip("xyz", np.eye(3), strict=True))
@@ -65,7 +65,7 @@ class Camera:
         centre: (3,) the point in the middle [length].
         axes: (3, 3) unit vectors to the right, up, and to the viewer.
         half: half the height of the view [length].
-        aspect: width over height.
+        aspect: width divided by height.
     """
 
     centre: Array
@@ -75,7 +75,7 @@ class Camera:
 
     @classmethod
     def at(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return a view of points against `normal`, as large as fits."""
+        """Return the largest view of all points, seen from the direction `normal`."""
         right = np.cross(up, normal)
         axes = np.array([right / np.linalg.norm(right), up, normal / np.linalg.norm(normal)])
         axes[1] = np.cross(axes[2], axes[0])
@@ -85,7 +85,7 @@ class Camera:
 
     @classmethod
     def turned(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return the view of `at`, or with `up` to the right if this is much larger."""
+        """Return the view of `at`, or a much larger view with `up` to the right if there is one."""
         upright = cls.at(points, normal, up, aspect)
         flat = cls.at(points, normal, -upright.axes[0], aspect)
         return flat if flat.half < TURN * upright.half else upright
@@ -113,7 +113,7 @@ class Camera:
 
 
 def _half(spans: Array, aspect: float) -> float:
-    """Return half the height of a view that contains a width and a height."""
+    """Return half the height of a view that shows a width and a height, with a margin."""
     return 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 / aspect)
 
 
@@ -142,15 +142,16 @@ class Colours:
 
 @dataclass(frozen=True)
 class Drawn:
-    """The extent of a view, for labels beside it.
+    """The camera of a drawing, and the texts that are to be written in and beside the view.
 
     Attributes:
         title: text above the view.
         legend: handles of matplotlib with labels.
         camera: camera of the view.
-        colours: colour bar; None: there is none.
-        notes: places [length], texts there, and their options.
-        directions: names and (3,) vectors that are shown as arrows.
+        colours: field that the colour bar explains; None: there is no colour bar.
+        notes: texts in the view: for each its place (3,) [length], the text, and matplotlib's
+            options of the text.
+        directions: names and (3,) vectors of the directions that are shown as arrows.
     """
 
     title: str
@@ -167,7 +168,8 @@ def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
     Args:
         figure: a figure of matplotlib.
         box: box of the whole picture.
-        draw: function that draws with a plotter of pyvista, for a width over height.
+        draw: function that is given a plotter of pyvista and the width of the view divided by its
+            height, and draws.
     """
     import pyvista
 
@@ -259,7 +261,7 @@ def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
 
 
 def skin(grid: Any) -> Any:
-    """Return the outer faces; faces of cells of degree 2 in pieces with half their edges.
+    """Return the outer faces of a grid; faces of degree 2 are cut into pieces of half the length.
 
     Newer versions of pyvista require the argument `algorithm`, older ones have none.
     """

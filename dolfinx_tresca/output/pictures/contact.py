@@ -24,14 +24,15 @@ class Contact:
     """A contact surface and its nodes.
 
     Attributes:
-        grid: the fields, of degree 1, with the slip of this step, zero at sticking nodes.
-        touching: (n,) pressed nodes of the grid.
-        sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
+        grid: the fields of the surface, in degree 1. Its "slip" is the slip of this step, and zero
+            at sticking nodes.
+        touching: (n,) whether a node of the grid is pressed or bonded.
+        sticking: (n,) whether a node of the grid sticks, pressed or open, or is bonded.
         nodes: (k,) nodes of the grid that carry multipliers.
         normals: (k, 3) outward unit normals at `nodes`.
         initial_gap: (k,) distances at `nodes` before the bodies moved [length].
         obstacle: the other side, if it is rigid; else None.
-        label: number of the pair, to be written beside its curve; "" of a single pair.
+        label: number of the pair, to be written beside its curve; "" for a single pair.
         name: name of the pair for titles; "" for a single pair.
         slip_of: "slip", or in a process "slip of step".
     """
@@ -59,14 +60,14 @@ class Contact:
 
     @property
     def pressed(self) -> Mask:
-        """Nodes of the grid that are in contact; others are open or carry no multiplier."""
+        """(n,) whether a node is in contact; other nodes are open or carry no multiplier."""
         mask: Mask = self.grid.values["state"] >= ContactState.PRESSED
         return mask
 
     def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
-        """Return the sticking nodes to mark, the pressed (True) and the open ones (False).
+        """Return the sticking nodes to mark: (True, pressed nodes) and (False, open nodes).
 
-        Empty if all nodes stick.
+        The list is empty if all nodes are pressed and stick, since this is said in the legend.
         """
         if not self.has_friction or self.all_stick:
             return []
@@ -113,6 +114,6 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     )
     if contact.has_friction:
         slip = grid.values.pop("slip_increment", grid.values["slip"])
-        slip[contact.sticking] = 0.0  # without the error of the iteration
+        slip[contact.sticking] = 0.0  # the error of the iteration is removed
         grid.values["slip"] = slip
     return contact

@@ -17,9 +17,9 @@ from dolfinx_tresca.units import Units
 
 CURVE_COLOUR = "#c8102e"  #: colour of the curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
-DOTS = 60  #: most nodes of a curve whose nodes are drawn as dots
+DOTS = 60  #: largest number of nodes of a curve with which the nodes are drawn as dots
 OPEN_BACKGROUND = "#ebebeb"  #: background of open parts of the curve
-BREAK = 0.04  #: distance between unconnected pieces, over the length
+BREAK = 0.04  #: distance between unconnected pieces in a chart, divided by the curve's length
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Curve:
 
     Attributes:
         contact: the surface.
-        pieces: node numbers along each piece; a closed one runs counterclockwise and ends with its
-            first node.
+        pieces: node numbers along each piece; a closed piece runs counterclockwise and ends with
+            its first node.
         arcs: arc length [length] at the nodes of each piece, increasing from piece to piece.
     """
 
@@ -74,8 +74,8 @@ class Curve:
 def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
     """Return the node numbers along each piece of a curve.
 
-    An open piece begins at its end with the least coordinates, a closed one at its node with the
-    least. Pieces are sorted by their least coordinates.
+    An open piece begins at its end with the least coordinates, a closed piece at its node with the
+    least coordinates. Pieces are sorted by their least coordinates.
     """
     neighbours: dict[int, list[int]] = {}
     for ends in lines:
@@ -83,7 +83,7 @@ def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.
         neighbours.setdefault(first, []).append(second)
         neighbours.setdefault(second, []).append(first)
     order = sorted(neighbours, key=lambda node: tuple(np.round(points[node], 12)))
-    order = sorted(order, key=lambda node: len(neighbours[node]) != 1)  # ends first, stable
+    order = sorted(order, key=lambda node: len(neighbours[node]) != 1)  # ends of pieces first
     chains, seen = [], set[int]()
     for start in order:
         if start in seen:
@@ -103,7 +103,7 @@ def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.
 
 
 def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
-    """Draw pressure, traction and slip over arc length. Not collective.
+    """Draw pressure, traction and slip against arc length. Not collective.
 
     Args:
         figure: a figure of matplotlib.
@@ -150,7 +150,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
 
 
 def _label_axis(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
-    """Label an axis for fields; return the divisor of their values."""
+    """Label the axis of the fields `names`; return the divisor by which their values are shown."""
     pieces = range(len(curve.pieces))
     values = [curve.along(name, piece) for name in names for piece in pieces]
     how = scaled(label, unit, float(np.abs(np.concatenate(values)).max(initial=0.0)))
@@ -160,7 +160,7 @@ def _label_axis(curve: Curve, axes: Any, names: tuple[str, ...], label: str, uni
 
 
 def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
-    """Label the axis of arc length; return its divisor."""
+    """Label the axis of arc length; return the divisor by which arc lengths are shown."""
     how = scaled("arc length", unit, float(curve.arcs[-1][-1]))
     axes.set_xlabel(how.label)
     axes.xaxis.set_major_locator(locator())
@@ -168,7 +168,7 @@ def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
 
 
 def _plain(axes: Any) -> None:
-    """Give a chart plain axes."""
+    """Draw the line of zero in a chart, and remove its upper and right border."""
     axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
     axes.margins(x=0.02)
     axes.spines[["top", "right"]].set_visible(False)
@@ -177,7 +177,7 @@ def _plain(axes: Any) -> None:
 def _draw_line(
     curve: Curve, axes: Any, name: str, color: str, over: tuple[float, float], fill: bool = False
 ) -> None:
-    """Draw a field over arc length, each divided by a power of ten."""
+    """Draw a field against arc length; `over` are the divisors of arc length and field."""
     count = sum(map(len, curve.pieces))
     for i, arc in enumerate(curve.arcs):
         s, values = arc / over[0], curve.along(name, i) / over[1]
@@ -206,7 +206,7 @@ def _draw_open(curve: Curve, charts: Any, over: float) -> list[Any]:
 
 
 def _draw_marks(curve: Curve, axes: Any, over: tuple[float, float]) -> None:
-    """Mark nodes that stick on the line of the traction."""
+    """Mark sticking nodes by discs (pressed) and rings (open) on the line of the traction."""
     for i, (piece, arc) in enumerate(zip(curve.pieces, curve.arcs, strict=True)):
         traction = curve.along("traction", i)
         for pressed, nodes in curve.contact.marks():

@@ -10,11 +10,13 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 
-ROUND_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  #: ticks are these times powers of ten
-ENDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  #: ends of clipped ranges, likewise
+#: Steps between ticks are one of these numbers times a power of ten.
+ROUND_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+#: Ends of clipped ranges are one of these numbers times a power of ten.
+ENDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
-#: A range is clipped if its largest value is more than `PEAK` times the percentile of its values:
-#: otherwise most values would have one colour.
+#: A range is clipped if its largest value is more than `PEAK` times the value at the percentile
+#: `PEAK_PERCENTILE`: otherwise most values would have one colour.
 PEAK = 2.5
 PEAK_PERCENTILE = 85.0
 
@@ -35,9 +37,10 @@ class Scaled:
 
 
 def scaled(name: str, unit: str, largest: float) -> Scaled:
-    """Return the number format for values up to `largest`: plain from 0.02 to 9999, else scaled.
+    """Return the number format for values up to `largest`.
 
-    Powers are multiples of three: ..., -6, -3, 3, 6, ...
+    Values are divided by a power of ten unless `largest` is from 0.02 to 9999. Exponents are
+    multiples of three: ..., -6, -3, 3, 6, ...
 
     Args:
         name: name of the quantity.

@@ -16,24 +16,24 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output.grid import Grid
 from dolfinx_tresca.output.pictures.contact import Contact
 
-VISIBLE = 0.1  #: largest displacement in the picture, over the length of the model
-INVISIBLE = 0.004  #: distance that is hardly visible, over the length of the model
+VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
+INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
 
 
 @dataclass(frozen=True)
 class Magnification:
     """Positions of nodes in the picture: x + shift undeformed, x + shift + scale u deformed.
 
-    Two surfaces that touch have [u].n = d, their initial gap. Drawn at x + scale u they would be
-    (scale - 1) d apart, or overlap. So
+    Where two surfaces touch, the jump [u].n of the displacement is their initial gap d. Drawn at
+    x + scale u they would overlap by (scale - 1) d, or be apart if d is negative. So
 
     * an initial overlap (a press fit) is magnified as much as the displacement: the primary body is
-      drawn larger, shifted by (scale - 1) d n at its surface, and inside by the nearest polynomial
-      of degree 2 at most;
-    * the remaining difference limits the scale, unless the user chooses it: neither a gap between
-      pressed surfaces nor any overlap may be visible (`INVISIBLE`). A displacement that would be
-      invisible with this limit is drawn without magnification. Rigid obstacles are not shifted, so
-      for them this rule is the only one.
+      drawn larger. Its surface is shifted by (scale - 1) d n, and its inside by the polynomial of
+      degree 2 at most that is nearest to these shifts;
+    * the remaining difference limits the scale, unless the user chooses the scale: neither a gap
+      between pressed surfaces nor any overlap may be visible (`INVISIBLE`). A displacement that
+      would be invisible with this limit is drawn without magnification. Rigid obstacles are not
+      shifted, so only this second rule applies to them.
 
     Attributes:
         scale: magnification of the displacement, 1 or more unless the user wants less.
@@ -51,11 +51,11 @@ class Magnification:
 
 
 def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> Magnification:
-    """Return the magnification.
+    """Choose the scale of the displacement unless the user does, and find the shifts.
 
     Args:
-        volume: the displacement.
-        contacts: the pairs.
+        volume: the mesh with the displacement.
+        contacts: the contact surfaces of all pairs.
         scale: magnification that the user wants; None chooses one.
     """
     length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
@@ -114,11 +114,11 @@ class _OverlapShifts:
                 self.shift[body == other] = field.at(volume.points[body == other])
 
     def allowed(self, invisible: float) -> float:
-        """Return the largest scale, minus 1, without visible gaps in contact and overlaps.
+        """Return the largest scale, minus 1, at which no gap in contact and no overlap is visible.
 
         The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is the
-        distance that the displacement closes beyond the shifts. It must not be negative, and be
-        zero at pressed nodes, up to `invisible` [length].
+        distance that the displacement closes beyond the shifts. Up to `invisible` [length], the
+        drawn distance must not be negative, and must be zero at pressed nodes.
         """
         allowed = math.inf
         for contact, own, other in self._sides:
@@ -147,7 +147,10 @@ def _bodies(volume: Grid) -> npt.NDArray[np.int32]:
 
 
 def _primary(volume: Grid, body: npt.NDArray[np.int32], own: int, contact: Contact) -> int | None:
-    """Return the number of the body on the other side, None if it is the same."""
+    """Return the number of the other body that a surface of body `own` is nearest to, or None.
+
+    The result is None if there is no other body.
+    """
     others = np.flatnonzero(body != own)
     if not len(others):
         return None
@@ -159,7 +162,7 @@ def _primary(volume: Grid, body: npt.NDArray[np.int32], own: int, contact: Conta
 class _Polynomial:
     """A vector field of degree 2 that is fitted to values at points.
 
-    Terms of degree 2 are fitted to the residual of a linear field, so that linear fields stay so.
+    Terms of degree 2 are fitted to the residual of a linear fit, so that linear fields stay linear.
     """
 
     def __init__(self, points: Array, values: Array) -> None:

@@ -15,8 +15,8 @@ _LOGGER = logging.getLogger("dolfinx_tresca")
 
 COLOUR = "#a9b8c6"
 EDGE = "#5b6670"
-MARGIN = 0.12  #: margin around the bodies in which obstacles are drawn, over their length
-BAND = 0.05  #: thickness of obstacles in 2D, over the length of the bodies
+MARGIN = 0.12  #: margin around bodies in which obstacles are drawn, divided by the bodies' length
+BAND = 0.05  #: thickness of obstacles in 2D, divided by the length of the bodies
 SAMPLES = {2: 400, 3: 80}  #: samples along the longest side
 
 

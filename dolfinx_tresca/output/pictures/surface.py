@@ -27,7 +27,9 @@ from dolfinx_tresca.units import Units
 OPEN_COLOUR = "gainsboro"
 FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: view of a plane: towards the viewer, and up
 ARROWS = 350  #: approximate number of slip arrows on a surface
-FACING = 0.15  #: least cosine between normals of a facet and of contact; lateral facets have less
+#: Least cosine between the normal of a facet and the contact normal; lateral facets have smaller
+#: cosines.
+FACING = 0.15
 COARSE = 150  #: arrows and marks on a surface with fewer nodes are as small as with this number
 
 
@@ -39,7 +41,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
 
     Args:
         plotter: a plotter of pyvista.
-        aspect: width over height of the view.
+        aspect: width of the view divided by its height.
         contact: the contact surface.
         units: units of length and stress.
     """
@@ -70,7 +72,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     framed = Camera.at if normal is OBLIQUE else Camera.turned
     seen = np.concatenate([surface.points, tips, *(place[None] for place, _, _ in notes)])
     camera = framed(seen, normal, up, aspect)
-    for _, _, options in notes:  # along the sides
+    for _, _, options in notes:  # these texts run along the sides
         options["rotation"] = 90.0 if camera.axes[1] @ up > 0.5 else 0.0
     legend += contact.legend_of_marks()
     bar = colours if contact.pressed.any() else None
@@ -85,10 +87,10 @@ def _with_normals(surface: Any) -> Any:
 
 
 def _taking_part(surface: Any, contact: Contact) -> Any:
-    """Return the facets with a multiplier at a node, whose normal is about the contact normal.
+    """Return the facets with a node that has a multiplier, except lateral facets (`FACING`).
 
-    Others, such as the sides and the top of a block whose whole boundary has the tag, would hide
-    them.
+    Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
+    hide the facets that may touch.
     """
     normals = np.zeros((len(contact.grid.points), 3))
     normals[contact.nodes] = contact.normals
@@ -153,7 +155,7 @@ def _draw_slip(
     largest = float(length[counts if counts.any() else slice(None)].max())
     if largest == 0.0:
         return np.empty((0, 3)), []
-    # open parts may have moved by far more
+    # shorter arrows on open parts, which may have moved by far more
     slip = slip * np.minimum(1.0, largest / np.where(length > 0.0, length, largest))[:, None]
     shown = _thinned(surface.points, surface.length)
     shown = shown[length[shown] > 0.02 * largest]
@@ -171,7 +173,7 @@ def _draw_slip(
 
 
 def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> None:
-    """Mark nodes that stick."""
+    """Mark sticking nodes by discs (pressed) and rings (open)."""
     import pyvista
 
     spacing = math.sqrt(surface.area / max(surface.n_points, COARSE))
@@ -189,7 +191,10 @@ def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> No
 
 
 def view(surface: Any) -> tuple[Array, Array]:
-    """Return the best direction to see a surface from, its mean normal, and the one upwards."""
+    """Return the direction towards the viewer, a surface's mean normal, and the upward direction.
+
+    A closed surface has no mean normal, and is seen obliquely.
+    """
     sized = surface.compute_normals(
         cell_normals=True, point_normals=False, consistent_normals=True
     ).compute_cell_sizes(length=False, volume=False)

@@ -11,12 +11,20 @@ import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array
 
-BENT = 0.05  #: least variance of normals along one direction of surfaces that are unrolled
-NOT_STRAIGHT = 0.02  #: variance along the axis over the middle one: with more it is no cylinder
-PLANES = 2e-3  #: middle variance over the largest: with less it is two planes with an edge
-NOT_ROUND = 0.15  #: largest difference of radii from a circular cone's, over these
-SEAM = 0.35  #: angle [rad] without nodes that makes a surface open
-NEAR = 12  #: largest angle [degrees] of an end from a coordinate after which it is named
+# Whether a surface is unrolled depends on the variances of its normals along three directions. The
+# direction of the least variance is the axis.
+#: Least value of the largest variance: below this value the surface is nearly flat.
+BENT = 0.05
+#: Largest ratio of the least to the middle variance: above it the surface is no cylinder or cone.
+NOT_STRAIGHT = 0.02
+#: Least ratio of the middle to the largest variance: below it the surface is two planes.
+PLANES = 2e-3
+#: Largest difference of radii from the radii of a circular cone, relative to the cone's radii.
+NOT_ROUND = 0.15
+#: A surface is open if a part of it with this angle [rad] has no nodes.
+SEAM = 0.35
+#: Largest angle [degrees] between an end and the coordinate direction after which it is named.
+NEAR = 12
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class Unrolled:
 
 
 def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
-    """Return a surface unrolled, seen from outside, if it is nearly a cylinder or a cone.
+    """Unroll a surface, seen from outside; return None unless it is nearly a cylinder or a cone.
 
     Args:
         surface: a surface of pyvista with cell normals.
@@ -105,7 +113,7 @@ class _Cone:
         first /= np.linalg.norm(first)
         frame = np.array([first, np.cross(axis, first)])
         flat, height = points @ frame.T, points @ axis
-        # circles round one axis: the square of their radius is of degree 2 in the height
+        # points x across the axis satisfy |x|^2 = 2 centre.x + p(height), where p has degree 2
         scale = float(np.abs(points).max()) or 1.0
         powers = np.vander(height / scale, 3)
         terms = np.column_stack([2.0 * flat / scale, powers])
@@ -114,7 +122,7 @@ class _Cone:
         distance = np.linalg.norm(flat - centre, axis=1)
         slope = np.linalg.lstsq(np.vander(height, 2), distance, rcond=None)[0]
         cone = cls(axis, frame, centre, slope)
-        # in the middles of cells as well: all corners of a box are on a circle
+        # checked in the middles of cells as well, since all corners of a box are on a circle
         points = np.concatenate([points, np.asarray(surface.cell_centers().points)])
         off = np.linalg.norm(points @ frame.T - centre, axis=1) - cone.radius(points)
         return cone if (np.abs(off) <= NOT_ROUND * cone.radius(points)).all() else None
@@ -129,16 +137,16 @@ class _Cone:
         return np.asarray(np.arctan2(y, x))
 
     def around(self, points: Array) -> Array:
-        """Return (n, 3) unit vectors in which angles grow."""
+        """Return (n, 3) unit vectors along which angles grow."""
         angle = self.angle(points)
         return np.asarray(np.stack([-np.sin(angle), np.cos(angle)], axis=1) @ self.frame)
 
 
 def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
-    """Separate cells (m, 1 + k) that cross the seam from those on its other side.
+    """Cut a surface along the seam: cells (m, 1 + k) that cross the seam get nodes of their own.
 
     Returns:
-        cells with new nodes, and the nodes of which these are copies.
+        the cells, with the numbers of new nodes, and the nodes of which the new nodes are copies.
     """
     corners = angle[cells[:, 1:]]
     across = np.ptp(corners, axis=1, keepdims=True) > math.pi
@@ -155,7 +163,7 @@ def _side(angle: float, index: int, oblique: bool) -> str:
     """Return the text of a direction around an axis: "y side", "−x side", or degrees.
 
     Args:
-        angle: angle from the coordinate direction that follows the axis, cyclically [rad].
+        angle: angle from the coordinate direction after the axis, in cyclic order [rad].
         index: number of the coordinate direction of the axis.
         oblique: whether the axis is not along a coordinate direction.
     """
