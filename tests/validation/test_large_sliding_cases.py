@@ -43,6 +43,7 @@ def test_shallow_ironing_to_the_end(comm):
     assert (fine[2.0] < fine[1.5]).all()
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize(
     ("n", "length"), [(40, 0.6), pytest.param(60, 5.0, marks=pytest.mark.long)]
 )
@@ -57,6 +58,7 @@ def test_closed_path(comm, n, length):
 
 
 @pytest.mark.long
+@pytest.mark.parallel
 def test_closed_path_in_space(comm):
     body = hemisphere(comm, 6, Frictionless())
     corners = [(0.0, 0.0, -0.2), (1.6, 0.0, -0.2), (1.6, 0.0, -0.3), (0.0, 0.0, -0.3)]
@@ -66,6 +68,7 @@ def test_closed_path_in_space(comm):
     assert changes["energy"] < 10.0 * GEOMETRY
 
 
+@pytest.mark.parallel
 def test_hertz_far_away(comm, caplog):
     """A cylinder that comes from 50 radii away has the pressure of one that is meshed there.
 
@@ -78,6 +81,7 @@ def test_hertz_far_away(comm, caplog):
     assert here.difference < 0.1  # the error of five cells on half of the contact
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize(
     ("n", "depths", "error"),
     [

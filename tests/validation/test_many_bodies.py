@@ -128,7 +128,8 @@ def test_loose_stones_that_nothing_holds_are_named(comm, loose):
 
 
 @pytest.mark.parametrize(
-    ("blocks", "width", "tips"), [(1, 0.25, False), (4, 0.08, True), (3, 0.25, False)]
+    ("blocks", "width", "tips"),
+    [(1, 0.25, False), (4, 0.08, True), (3, 0.25, False), (40, 0.08, True), (40, 0.25, False)],
 )
 def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
     """What is above a joint is pushed off it by F W, and tipped by W b / (2 h) at a height h."""
