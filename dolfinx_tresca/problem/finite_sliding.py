@@ -28,8 +28,8 @@ ANDERSON_DEPTH = 3
 #: Least eigenvalue, relative to the largest one, of the Gram matrix of the differences of residuals
 #: u - w, each divided by its length. Eigenvectors with smaller eigenvalues are ignored: they are
 #: nearly dependent combinations of differences, and these are noise, since early contact problems
-#: are solved inaccurately. The half ring of benchmarks/finite_sliding.py takes 187 Newton steps with
-#: 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
+#: are solved inaccurately. The half ring of benchmarks/finite_sliding.py takes 187 Newton steps
+#: with 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
 
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem

@@ -129,9 +129,9 @@ class ContactProblem(ContactProcess):
                 in 3D or in 2D (plane strain; a meridian with `axisymmetric`), or in a mixed space
                 with such a component: then K is a saddle point, and Dirichlet conditions must hold
                 the bodies (see the guide on embedding). If V is given, `a` may also be a compiled
-                form, or a `PETSc.Mat` that was assembled without conditions. For a mixed space, a compiled
-                form or a matrix the discretisation error is unknown: solve with a number as
-                `accuracy`, or with `rtol`.
+                form, or a `PETSc.Mat` that was assembled without conditions. For a mixed space, a
+                compiled form or a matrix the discretisation error is unknown: solve with a number
+                as `accuracy`, or with `rtol`.
             L: linear form of the loads, in UFL or compiled; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.

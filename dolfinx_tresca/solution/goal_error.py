@@ -31,12 +31,13 @@ from dolfinx_tresca.scene.goal import (
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
-#: Degree of the elements -> relative error with which squared energy errors of cells are assumed to
-#: be known. By the parallelogram identity it is also the uncertainty of the sum of a(e, e') over the
-#: cells, with the errors e of the displacement and e' of the adjoint, relative to the sum of the
-#: products of their energy norms (Prudhomme and Oden, On goal-oriented error estimation for elliptic
-#: problems, 1999). If it is doubled, the estimate is above 5 times the error on twice as many meshes,
-#: and below 0.7 times the error on a third fewer; see "Meshes for a number" in benchmarks/README.md.
+#: Degree of the elements -> relative error with which squared energy errors of cells are assumed
+#: to be known. By the parallelogram identity it is also the uncertainty of the sum of a(e, e') over
+#: the cells, with the errors e of the displacement and e' of the adjoint, relative to the sum of
+#: the products of their energy norms (Prudhomme and Oden, On goal-oriented error estimation for
+#: elliptic problems, 1999). If it is doubled, the estimate is above 5 times the error on twice as
+#: many meshes, and below 0.7 times the error on a third fewer; see "Meshes for a number" in
+#: benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
 
 #: Fraction of `state_changes` that is added to the estimate. It is less than 1, since

@@ -1,5 +1,4 @@
-"""Derivatives of a solution in directions of loads, materials, friction, gaps, prescribed values.
-"""
+"""Derivatives of a solution in a direction of loads, materials, friction, gaps or displacements."""
 
 from __future__ import annotations
 
