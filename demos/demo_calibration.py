@@ -207,7 +207,7 @@ minimize(
 # parameters is $(D^T D)^{-1}$, and 95 % of measurements give parameters within 1.96 standard
 # deviations of the true ones. For three parameters central differences give $D$ with six runs of
 # the process; the adjoint would go back through the tape once for each of the forces. The
-# differences also check the tape: $D^T e / n$ is the gradient once more.
+# differences also check the tape, by the derivatives of the last tangential force.
 
 # %%
 step = 1e-3

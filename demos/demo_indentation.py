@@ -143,9 +143,9 @@ class Step(NamedTuple):
     """A state of the process.
 
     Attributes:
-        depth: of the ball [mm].
-        force: on the ball [N].
-        contact_radius: of the contact [mm]; NaN if there is none.
+        depth: depth of the ball [mm].
+        force: force on the ball [N].
+        contact_radius: radius of the contact [mm]; NaN if there is none.
         stress: the largest von Mises stress of an elastic step [MPa].
     """
 

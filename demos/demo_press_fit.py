@@ -256,9 +256,9 @@ if comm.rank == 0:
 # slide, the force is constant, and so all of this work is dissipated.
 #
 # When the push is removed the bodies spring back first, then friction changes its direction: when
-# its top is back in the old position, the pin is in tension. According to a single solve, with the
-# slip from the undeformed bodies, everything is as after the assembly; the last lines show this,
-# for comparison.
+# the top of the pin is back in its old position, the pin is in tension. According to a single
+# solve, with the slip from the undeformed bodies, everything is as after the assembly; the last
+# lines show this, for comparison.
 
 # %%
 forces, limits = np.array(forces), np.array(limits)

@@ -218,7 +218,7 @@ class _Content:
 
     Attributes:
         step: the solution with its problem.
-        end: the state from which the next solve begins if this one is accepted.
+        end: the state from which the next solve begins if this solution is accepted.
     """
 
     step: SolvedStep

@@ -64,7 +64,7 @@ class TangentProblem:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
         The reference tangent is the tangent of the undeformed bodies; if the material has a
-        history, the tangent at the displacement from which the present solve starts.
+        history, it is the tangent at the displacement from which the present solve starts.
 
         Args:
             F: residual form, internal minus external forces.
@@ -152,13 +152,13 @@ class TangentProblem:
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
-        """Check that forces are those of the last solve. Collective.
+        """Check that the last solution still balances the forces. Collective.
 
         Args:
-            change: change of the forces [force] at owned degrees of freedom.
+            change: change of the forces since the solve [force] at owned degrees of freedom.
 
         Raises:
-            ContactError: the displacement would change by more than `UNCHANGED`.
+            ContactError: a Newton step would change the displacement by more than `UNCHANGED`.
         """
         moved, size = self._norm_of_correction(change), self.energy_norm(self.u.x.array)
         if self.comm.bcast(not moved <= UNCHANGED * size):
@@ -234,7 +234,8 @@ class TangentProblem:
         return springs
 
     def _nodal_stiffness(self) -> Array:
-        """Return the stiffness (size,) of single nodes of the reference tangent. Collective."""
+        """Return for each row of B the stiffness of its node in the reference tangent. Collective.
+        """
         jump = self.contact.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with self._at(self._reference):

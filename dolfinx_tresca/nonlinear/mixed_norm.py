@@ -30,7 +30,7 @@ class MixedNorm(PetscOwner):
     """
 
     def __init__(self, tangent: TangentSystem, component: Component) -> None:
-        """Assemble A and S at the present u; K is without conditions afterwards. Collective.
+        """Assemble A and S at the present u; K is left without Dirichlet conditions. Collective.
 
         Args:
             tangent: the system with K.

@@ -124,7 +124,10 @@ class Newton:
                 return
 
     def _diagnosis(self) -> str:
-        """Return what the last steps tell about the failure. Collective."""
+        """Return where the displacement changed most, and whether the bodies are unstable.
+
+        The text is part of the message after a failure. Collective.
+        """
         if self.stopped or self._last_change is None:
             return ""
         place = self.problem.place_of_largest(self._last_change)
@@ -275,7 +278,7 @@ class Newton:
         return at_end <= 1.0
 
     def _count(self, solution: ContactSolution) -> None:
-        """Add the cost of a step. Not collective."""
+        """Add the Krylov iterations and the seconds of a step to the sums. Not collective."""
         self.krylov_iterations += solution.krylov_iterations
         for name, seconds in solution.timings.items():
             self.timings[name] = self.timings.get(name, 0.0) + seconds
@@ -283,12 +286,12 @@ class Newton:
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with stiffness of `ADDED` if needed. Collective.
 
-        The first stiffness tried is that of the last step, or the next smaller one where the last
-        one makes Newton's method slow.
+        The first entry tried is the entry of the last step; if this entry makes Newton's method
+        slow, it is the entry before.
 
         Raises:
-            StiffnessError: no entry of `ADDED` makes the tangent definite; in a new configuration
-                of the surfaces only the first entry in question is tried.
+            StiffnessError: none of the entries makes the tangent definite; in a new configuration
+                of the surfaces only the first one is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1

@@ -103,7 +103,7 @@ class TangentSystem(LinearSystem):
         super().destroy()
 
     def update_material(self) -> None:
-        """Compute the coefficients of the forms that follow from u, once for each u. Collective.
+        """Compute the material's coefficients by `before_assembly`, once for each u. Collective.
 
         Raises:
             StiffnessError: the user's function leaves values that are NaN or infinite.
@@ -153,7 +153,7 @@ class TangentSystem(LinearSystem):
         return shown(wrong[0]) if wrong else ""
 
     def forget_material(self) -> None:
-        """Let the next assembly call `update_material` at any u. Not collective."""
+        """Let the next assembly compute the material anew, even at the same u. Not collective."""
         self._updated_at = None
 
     @property

@@ -256,7 +256,7 @@ class ContactSystem(PetscOwner):
 
     @property
     def nodal_values(self) -> NodalValues:
-        """The evaluation of users' fields at the nodes of the displacement."""
+        """The object that evaluates users' fields at the nodes of the displacement."""
         return self._slip_bounds.values
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
@@ -391,7 +391,7 @@ class ContactSystem(PetscOwner):
             self._accepted_configuration = self.sliding.origin.copy()
 
     def begin_solve(self) -> None:
-        """Let the next solve start at the last accepted step, if its result may depend on that.
+        """Let the next solve start at the last accepted step if its result may depend on the start.
 
         Pairs whose obstacle has moved since they were paired are paired anew. Collective.
 
@@ -493,7 +493,7 @@ class ContactSystem(PetscOwner):
         Collective.
 
         With finite sliding only the final solution is checked, since in the first configurations
-        surfaces that come from afar meet bodies in wrong places.
+        surfaces that come from afar may lie deep inside other bodies.
 
         Args:
             u: displacement of a solution [length].

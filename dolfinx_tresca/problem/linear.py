@@ -56,10 +56,10 @@ class ContactProblem(ContactProcess):
     Forms and slip bounds may contain `fem.Constant` and `fem.Function`: change these in place, and
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
     coefficients of the form `a` call `update_stiffness()`; until then solves use the K that was
-    factored last, and the log warns. Each solve starts from the multipliers of the last
-    solve (in a process with Coulomb friction, from those of the last accepted step), and uses the
-    products with A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed,
-    but their values may change.
+    factored last, and the log warns. Each solve starts from the multipliers of the last solve (in a
+    process with Coulomb friction, from those of the last accepted step), and uses the products with
+    A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed, but their
+    values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
     static load. For a process call `accept()` after each `solve()`. Friction then resists the slip
@@ -212,11 +212,11 @@ class ContactProblem(ContactProcess):
         call normals and partners are those in the configuration displaced by u, the gap at a later
         displacement v is d - N (v - u) with the distance d of the displaced surfaces, and stresses
         are forces divided by displaced areas. With `sliding="finite"` each solve pairs the surfaces
-        in the configuration of its solution automatically. For an iteration of your
-        own repeat `solve` and `update_geometry` within a load step until the forces do not change
-        any more, and then accept the step; with one call per step the normals lag one step behind.
-        Slip, accepted steps, multipliers and the far field of products with A are kept, and K is
-        not factored again. Bonded pairs do not change.
+        in the configuration of its solution automatically. For an iteration of your own repeat
+        `solve` and `update_geometry` within a load step until the forces do not change any more,
+        and then accept the step; with one call per step the normals lag one step behind. Slip,
+        accepted steps, multipliers and the far field of products with A are kept, and K is not
+        factored again. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space, usually the `u` of a solution.

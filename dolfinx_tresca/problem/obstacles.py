@@ -148,8 +148,9 @@ class Obstacles:
     ) -> float:
         """Return the step of a Constant that changes distances by one unit of length. Collective.
 
-        Difference quotients with steps in proportion to it do not depend on the units. A change of
-        a normal is multiplied by the extent of the mesh, to count as a distance.
+        If the step of a difference quotient is a multiple of this step, the quotient does not
+        depend on the units. A change of a normal counts as a distance: the change times the extent
+        of the mesh.
 
         Args:
             constant: a Constant on which obstacles depend.
@@ -180,9 +181,10 @@ class Obstacles:
         return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 
     def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
-        """Return how far the obstacle's material points that are at the nodes now have moved.
+        """Return how far an obstacle has moved at each node, since a former position.
 
-        Not collective.
+        This is the displacement of the material point of the obstacle that is at the node now. Not
+        collective.
 
         Args:
             before: (3, 4) former motion of the obstacle, as in `RigidMotion.matrix`.

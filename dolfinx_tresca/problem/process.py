@@ -329,7 +329,8 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
+        """Pair the surfaces in the configuration displaced by u, if they are not yet. Collective.
+        """
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
@@ -457,7 +458,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
 
     def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
-        """Return a goal with the displacement of the problem replaced by u. Not collective."""
+        """Return a goal in which u replaces the `u` of a nonlinear problem. Not collective."""
         present = self._contact.steps.u
         if isinstance(goal, ufl.Form) and present is not None:
             return ufl.replace(goal, {present: u})

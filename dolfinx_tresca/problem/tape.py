@@ -381,7 +381,9 @@ class ProcessTape:
         return result
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles have not moved since, and that controls may move them. Collective.
+        """Check that obstacles have not moved, and that derivatives by their positions are known.
+
+        Collective.
 
         Raises:
             ContactError: an obstacle is not where it was in the recorded steps.

@@ -73,9 +73,8 @@ class SurfaceFields:
             secondary body its opposite. None without friction.
         slip: tangential jump T u [length], a vector; secondary minus primary. In a process the sum
             of the slip vectors of all steps. None without friction.
-        slip_increment: slip since the last accepted step, T u - s [length], a vector
-            along the traction; before the first accepted step it is `slip` itself. None without
-            friction.
+        slip_increment: slip since the last accepted step, T u - s [length], a vector along the
+            traction; before the first accepted step it is `slip` itself. None without friction.
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
             over all steps in which it was pressed or had a positive slip bound. None without
             friction.
@@ -361,7 +360,7 @@ class Surface:
 
 
 def _to_owners(function: fem.Function) -> None:
-    """Send values, of which each is on one rank and zero elsewhere, to all ranks. Collective."""
+    """Give owners and ghosts the values, each of which is non-zero on one rank only. Collective."""
     function.x.scatter_reverse(dolfinx.la.InsertMode.add)
     function.x.scatter_forward()
 

@@ -74,7 +74,8 @@ class SolvedStep:
         multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
-        edge: state to assume of nodes that are about to change theirs; see `LinearisedContact.of`.
+        edge: state to assume for nodes that are about to change their state; see
+            `LinearisedContact.of`.
     """
 
     dual: DualProgram
@@ -179,11 +180,10 @@ class Differentiation:
 
     with the derivative `explicit` of J for fixed u and multipliers, the gap d, the prescribed
     values u_D, the slip bound g of a node, the direction t of its traction, and the derivatives q_u
-    and q_x of J with respect to u and to the multipliers. The
-    derivative with respect to the slip origin s is y, like the derivative with respect to the gap.
-    In a process a node that stuck in the previous step keeps the s of that step; for any other node
-    s is its tangential jump T u in that step. So y carries the derivatives of a step's goals back
-    to the previous step.
+    and q_x of J with respect to u and to the multipliers. The derivative with respect to the slip
+    origin s is y, like the derivative with respect to the gap. In a process a node that stuck in
+    the previous step keeps the s of that step; for any other node s is its tangential jump T u in
+    that step. So y carries the derivatives of a step's goals back to the previous step.
     """
 
     def __init__(
@@ -308,7 +308,7 @@ class Differentiation:
     ) -> Array | None:
         """Return the part of the derivative that is due to moved obstacles. Collective.
 
-        None if no obstacle depends on the control.
+        The result is None if no obstacle depends on the control.
         """
         assert self._find_differences is not None
         result = np.zeros(np.size(control.value))

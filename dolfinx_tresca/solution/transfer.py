@@ -22,7 +22,7 @@ SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
-    """Return multipliers (size,) [stress] from the tractions on another mesh. Collective.
+    """Return multipliers (size,) [stress] from tractions on another mesh, to start from. Collective.
 
     Args:
         surfaces: fields of the solution on the other mesh, one for each pair.
@@ -85,7 +85,7 @@ def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
 def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
     """Return values (n, k) interpolated on the facets nearest to points. Collective.
 
-    Fields that are linear on each facet are reproduced exactly, for instance at the midpoints of
+    At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
     edges, where refined meshes have nodes. Values are zero at points whose distance from the
     surface exceeds its longest edge.
 
