@@ -125,7 +125,7 @@ assert forces[np.cos(angles) < -1e-6].max() < 1e-6 * load
 # %% [markdown]
 # Plane contact is nearly linear, with a logarithm in place of the power 10/9. So the computed force
 # is between the two formulas. The rollers at 90 degrees carry a small force, since the facets of
-# the mesh are no exact circles; it vanishes on finer meshes. Loose rollers have no force at all.
+# the mesh are not exact circles; it vanishes on finer meshes. Loose rollers have no force at all.
 #
 # ## Draw
 # The block `forces_between_bodies` of the files has a point for each contact of two bodies, and the

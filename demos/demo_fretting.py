@@ -279,9 +279,9 @@ if comm.rank == 0:
 # ring of cells: the root mean square of this error is some h/a of the traction.
 #
 # Masing's rule needs no theory of half-spaces: the way back is the first loading, twice as large.
-# Its error is as small as the change of pressures, and as the deviation of the slip from one
-# direction. And the area of the loop is the energy that friction has dissipated, except for the
-# corners that straight lines between the steps cut off.
+# Its error is of the size of the changes of pressures and of directions of slip. And the area of
+# the loop is the energy that friction has dissipated, except for the corners that straight lines
+# between the steps cut off.
 
 # %%
 for _, _, p, t, _ in snapshots:

@@ -14,7 +14,7 @@
 #
 # The cross-section is in plane strain, since the ring is long compared with its thickness. A
 # quarter of it is enough: x = 0 is a plane of symmetry, and so is the middle between lid and
-# groove. Here the groove rests, and the middle moves down by half the way of the lid. With 32 cells
+# groove. Here the groove rests, and the middle moves down by half as much as the lid. With 32 cells
 # along the arc it takes 1,687 nodes and 15 seconds; a number after the name of this script is
 # another size.
 #
@@ -110,7 +110,7 @@ everywhere, once = (ufl.dx(metadata={"quadrature_degree": degree}) for degree in
 residual = ufl.derivative(shape * everywhere + volume * once, u, v)
 
 # %% [markdown]
-# The middle moves down by half the way of the lid.
+# The middle moves down by half as much as the lid.
 
 # %%
 down = fem.Constant(mesh, 0.0)

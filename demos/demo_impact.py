@@ -63,7 +63,7 @@
 # stress.
 #
 # **Theory of the block.** Friction decelerates it by $F g$: it stops after the time $v_0 / (F g)$
-# and the way $v_0^2 / (2 F g)$, and stays at rest.
+# and the distance $v_0^2 / (2 F g)$, and stays at rest.
 
 # %%
 import math
@@ -235,7 +235,7 @@ assert energy[-1] > (1 - 0.1 / N) * energy[0]
 # First it lies on the floor under its weight: a static problem, in which a corner is held against
 # sliding. Slip counts from this state (`set_slip_origin`). Then the block gets its velocity, and
 # each step is accepted. Steps are much longer than the block's vibrations; theta = 0.6 damps these,
-# and shortens the way of the block only by $(\theta - 1/2)\, \tau v_0$.
+# and shortens the path of the block only by $(\theta - 1/2)\, \tau v_0$.
 
 # %%
 theta = 0.6

@@ -162,9 +162,9 @@ for surface in ("stem_joint", "stem_contact", "bone_contact", "bone_fixed"):
 
 # %% [markdown]
 # ## Solve
-# The head moves in steps. K is factored once, and each solve starts from the previous one. In step
-# 0 the head is at rest; since the stem is tapered, the press fit alone pushes it out of the hole,
-# and it takes 226 N to keep it there.
+# The head moves in steps. K is factored once, and each solve starts from the previous solution. In
+# step 0 the head is at rest; since the stem is tapered, the press fit alone pushes it out of the
+# hole, and it takes 226 N to keep it there.
 #
 # In each step the law of contact holds at each node: no tension, friction within the bound at this
 # node, slip only where the bound is reached, and along the traction. And the forces balance: the

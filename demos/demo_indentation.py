@@ -236,8 +236,8 @@ solution.plot("results/indentation_contact.png")
 #
 # The stress of an elastic step is proportional to its pressure, so the last elastic step shows at
 # which pressure the largest von Mises stress equals the yield stress. (The log warns that nodes
-# slide farther than a cell, out along the ball: it is so flat that its height changes by $s^2 / (2
-# R)$ with the slip $s$, which is about 0.1 % of the depth.)
+# slide farther than a cell, out along the ball: the ball is so flat that with the slip $s$ its
+# height changes by $s^2 / (2 R)$, about 0.1 % of the depth.)
 
 
 # %%

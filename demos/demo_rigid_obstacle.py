@@ -17,9 +17,8 @@
 #
 # In the second part the block is rubbed on a plate whose grooves lead it aside; in the third part a
 # ring takes the place of the ball, given by a function that the user writes: the distance of points
-# from the ring.
-# With 32 cells along the block, 9,801 nodes, all of it takes half a minute and 700 MB; a number
-# after the name of this script is another size.
+# from the ring. With 32 cells along the block, 9,801 nodes, all three parts take half a minute and
+# 700 MB; a number after the name of this script is another size.
 #
 # **Strong form.** In the block
 #

@@ -21,8 +21,8 @@
 # block, a quarter of it by symmetry, which is held far away.
 #
 # **The optimum.** The peak is not a smooth function of the profile: its derivative jumps when the
-# peak moves from one point to another. The norm of the pressure in $L^8$ is smooth, and serves
-# instead:
+# peak moves from one point to another. The norm of the pressure in $L^8$ is smooth, and is
+# minimised instead:
 #
 # $$\min_z \; \Bigl( \int p^8 \Bigr)^{1/8} \quad\text{for}\quad \int p = Q.$$
 #

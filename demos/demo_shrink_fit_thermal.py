@@ -16,9 +16,8 @@
 #          10    20   40 mm
 #
 # A quarter of the cross-section is modelled, in plane strain: the shaft is long and held at its
-# ends. With 32
-# cells round the quarter of the ring and 24 round that of the shaft it takes 795 nodes and 4
-# seconds; a number after the name of this script is another size.
+# ends. With 32 cells round the quarter of the ring and 24 round the quarter of the shaft it takes
+# 795 nodes and 4 seconds; a number after the name of this script is another size.
 #
 # **Strong form.** In each body, with the temperature $T$, conductivity $k$, expansion $\alpha$,
 #

@@ -130,8 +130,7 @@ if comm.rank == 0:
 # %% [markdown]
 # ## Check
 # Checked are convergence, the law of contact at each node, and that the error of the iteration is
-# well below the error of the mesh. (The fields are of degree 1: their values are those at the
-# nodes.)
+# well below the error of the mesh. (The fields are of degree 1: their values are nodal values.)
 
 # %%
 solution.raise_if_failed()

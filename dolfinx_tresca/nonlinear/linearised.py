@@ -234,8 +234,7 @@ class TangentProblem:
         return springs
 
     def _nodal_stiffness(self) -> Array:
-        """Return for each row of B the stiffness of its node in the reference tangent. Collective.
-        """
+        """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.contact.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with self._at(self._reference):

@@ -329,8 +329,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, if they are not yet. Collective.
-        """
+        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
