@@ -151,7 +151,7 @@ class Newton:
             self._sliding = FiniteSliding(problem.contact)
             self.level = 0  # springs hold the partners of another configuration
             try:
-                with suppress(StiffnessError):  # steps add stiffness
+                with suppress(StiffnessError):  # the steps will add stiffness
                     problem.factor()
                     self._sliding.pair_first_configuration()
             except PairingError as error:
@@ -208,7 +208,7 @@ class Newton:
             except PairingError as error:
                 return f"{where}: {str(error).rstrip('.')}"
             was_slow, slow = slow, self.level >= FIRST_SLOW
-            other = self._sliding is not None  # configuration: residuals cannot be compared
+            other = self._sliding is not None  # in other configurations residuals do not compare
             if number > 2 and residual > GROWTH * last and not (slow or was_slow or other):
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
             errors.append(residual / self.options.accuracy)

@@ -177,9 +177,9 @@ class FiniteSliding:
         self.configurations += 1
 
     def _next(self) -> Array:
-        """Return the next displacement w, ghosts included. Collective."""
+        """Return the next displacement w by Anderson's acceleration, with ghosts. Collective."""
         u, w = self._solved[-1], self._displaced[-1]
-        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first is no approximation of u
+        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first u(w) is too far away
         if depth < 1:
             return u
         owned = len(self._contact.linear.prescribed_displacements)

@@ -104,7 +104,7 @@ def evaluate(
     *,
     estimate: bool,
 ) -> tuple[Evaluation, SlipHistory]:
-    """Evaluate a solution of the dual problem, with one solve with K. Collective.
+    """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
     Args:
         dual: the dual problem.
@@ -125,8 +125,8 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # found.c belongs to the gradient of the model: combined with the gradient of u, it would
-        # give larger gaps and penetrations than the stopping criterion has seen
+        # found.c, the multipliers of the constraints, belongs to the model's gradient: with the
+        # gradient of u, it would give larger gaps and penetrations than the stopping criterion saw
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)

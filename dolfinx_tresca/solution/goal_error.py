@@ -52,11 +52,11 @@ class GoalError:
     Attributes:
         goal: the goal.
         value: value of the goal in the solution [unit of the goal].
-        error: estimate of the discretisation error of the value [same unit]: the absolute value of
-            `signed_error` plus its uncertainty, which is `DOUBT` times the sum of the squares of
-            `cell_errors` plus `CHANGING` times `state_changes`. The estimate is not a bound. It is
-            zero if the goal does not depend on the displacement to first order, as for the mean
-            pressure on a patch that nothing touches.
+        error: estimate of the discretisation error of the value [same unit], the sum of three
+            terms: the absolute value of `signed_error`; and, as its uncertainty, `DOUBT` times the
+            sum of the squares of `cell_errors`, and `CHANGING` times `state_changes`. The estimate
+            is not a bound. It is zero if the goal does not depend on the displacement to first
+            order, as for the mean pressure on a patch that nothing touches.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
             cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
         iteration_error: estimate, to first order, of the error of the value that the iteration's

@@ -66,7 +66,7 @@ class ObstacleDifferences(PetscOwner):
     def have_rows_of(self, jump: JumpOperator) -> bool:
         """Return whether both operators have the nodes, areas and rows of B on this rank.
 
-        Not collective.
+        Otherwise differences of their values have no meaning. Not collective.
         """
         return all(
             np.array_equal(one.nodes, pair.nodes)

@@ -67,7 +67,7 @@ def moments(arm: Array, force: Array) -> Array:
 def resultants_on(
     comm: Any, parts: Sequence[tuple[Array, Array, Indices]], number: int
 ) -> tuple[Resultant, ...]:
-    """Return resultants about the centre of the bounding box of all forces. Collective.
+    """Return resultants about the centre of the bounding box of all points with forces. Collective.
 
     Args:
         comm: communicator of the mesh.

@@ -36,7 +36,7 @@ class Sliding:
         self._warned = False
 
     def begin(self, u: fem.Function) -> None:
-        """Measure slip from a displacement on. Not collective."""
+        """Note the displacement at which surfaces are paired anew. Not collective."""
         self.origin.x.array[:] = u.x.array
         self._warned = True  # surfaces are paired anew on purpose, and will be again
 
