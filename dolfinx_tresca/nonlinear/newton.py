@@ -260,7 +260,7 @@ class Newton:
         """Return whether Newton's method may take another step. Not collective.
 
         Beyond `max_iterations` steps it may if the error, at its mean rate in the second half of
-        the steps so far, falls to the requested error before step number `MAX_ITERATIONS_FACTOR`
+        the steps so far, falls to the requested error by step number `MAX_ITERATIONS_FACTOR`
         times `max_iterations`. Rates of single steps tell little, since Anderson's acceleration
         makes errors of the configuration jump up and down.
 

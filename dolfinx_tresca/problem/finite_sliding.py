@@ -179,7 +179,7 @@ class FiniteSliding:
     def _next(self) -> Array:
         """Return the next displacement w by Anderson's acceleration, with ghosts. Collective."""
         u, w = self._solved[-1], self._displaced[-1]
-        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first u(w) is too far away
+        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first u(w) is no approximation
         if depth < 1:
             return u
         owned = len(self._contact.linear.prescribed_displacements)

@@ -48,7 +48,7 @@ from dolfinx_tresca.solution.gradient import (
 )
 from dolfinx_tresca.solution.prescribed import replaced, values_of
 
-#: The number of one step to differentiate: a goal, or a sum of goals as pairs (factor, goal).
+#: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"
 
 

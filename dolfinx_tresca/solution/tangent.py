@@ -1,4 +1,4 @@
-"""Derivatives of a solution in a direction of loads, materials, friction, gaps or displacements."""
+"""The derivative of a solution in a direction of controls, such as loads, moduli or gaps."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
-    """Return multipliers (size,) [stress] to start from, by tractions on another mesh. Collective.
+    """Return multipliers (size,) [stress] for a start, from tractions on another mesh. Collective.
 
     Args:
         surfaces: fields of the solution on the other mesh, one for each pair.
