@@ -5,7 +5,7 @@
 # where the bricks are held and where they touch, and a uniform mesh is a poor one: the error in the
 # energy norm falls with the number $n$ of unknowns about as $n^{-1/5}$ only. Here the mesh begins
 # coarse, and is refined where an estimate of the error is large, until the error of the
-# displacement is 10 % in the energy norm, whose square is 1 % in energy.
+# displacement is 10 % in the energy norm, or 1 % of the energy.
 #
 #             1 MPa
 #       | | | | | | | | |
@@ -18,10 +18,11 @@
 #     //
 #       x = 0         x = 2
 #
-# **Loop.** Solve; estimate the error of each cell from how much strains jump to its neighbours;
-# take the fewest cells that have half of the squared error (Doerfler's marking); bisect their
-# longest edges, and again by the errors that are expected then, until there are twice as many
-# cells. Each mesh starts from the tractions on the one before, so that it needs few products.
+# **Loop.** Solve; estimate the error of each cell from the jumps of the strain to its neighbours;
+# mark the fewest cells that together have half of the squared error (Doerfler's marking); bisect
+# their longest edges. Marking and bisecting are repeated with the errors that are then expected,
+# until there are twice as many cells. The solve on each mesh starts from the tractions on the
+# previous mesh, so that it needs few products.
 #
 # It takes ten seconds and 600 MB. A number after the name of this script is another
 # accuracy, in percent.
@@ -63,8 +64,8 @@ slip_bound = 0.09  # MPa
 
 # %% [markdown]
 # ## The problem on a mesh
-# What an ordinary script does once is a function here, since it is done on each mesh. It must find
-# all it needs by the names of tags, which refined meshes have too.
+# The lines that an ordinary script runs once are a function here, which is called for each mesh. It
+# must find all boundaries by the names of their tags, which refined meshes have too.
 
 
 # %%
@@ -102,8 +103,8 @@ def build(bricks):
 
 # %% [markdown]
 # ## Solve
-# From four cells along each brick. The log has a line for each mesh, `print(result)` a table of
-# them, and `result.solution` is an ordinary solution, that on the last mesh.
+# The first mesh has four cells along each brick. The log has a line for each mesh, `print(result)`
+# shows a table of all meshes, and `result.solution` is an ordinary solution, on the last mesh.
 
 # %%
 coarse = read_gmsh(MESHES / "two_bricks.geo", comm, N=4)
@@ -124,8 +125,8 @@ uniform = solve_adaptively(
 
 # %% [markdown]
 # ## Check
-# The accuracy was reached, with far fewer unknowns than uniform meshes need; volumes and areas of
-# what has a name are what they were.
+# The accuracy was reached, with far fewer unknowns than uniform meshes need. Refinement has not
+# changed the volumes and areas of the parts that have names.
 
 # %%
 result.raise_if_failed()
@@ -144,8 +145,8 @@ for kind, tags, name, size in (
 
 # %% [markdown]
 # ## Write and draw
-# Above the bricks with the mesh: small cells along the edges that are held and where they touch.
-# Below the error over the number of unknowns.
+# Above: the bricks with the mesh, whose cells are small along the held edges and at the edges of
+# the contact. Below: the error against the number of unknowns.
 
 # %%
 solution.write("results/adaptive.pvd")

@@ -54,8 +54,8 @@ comm = MPI.COMM_WORLD
 # %% [markdown]
 # ## Data
 # Lengths in m, stresses in MPa; forces are in MN for a width of the arch of 1 m. A coefficient of
-# friction of 0.7 excludes sliding: at the springings, where most of it is needed, the resultant is
-# inclined by 0.395.
+# friction of 0.7 excludes sliding: at the springings, where most friction is needed, the resultant
+# has the slope 0.395 against the normal of the joint.
 
 # %%
 N = int(sys.argv[-1]) if sys.argv[-1].isdigit() else 4  # cells across the arch
@@ -80,7 +80,7 @@ joints = np.linspace(-np.pi / 2, np.pi / 2, stones + 1)  # angles from the crown
 
 # %%
 def inner_clearance(thickness, angles):
-    """Return the least distance of the line of thrust from the inner side, over the radius."""
+    """Return the least distance of the line of thrust from the inner side, relative to R."""
     inner, outer = 1 - thickness / 2, 1 + thickness / 2
     w, m = (outer**2 - inner**2) / 2, (outer**3 - inner**3) / 3
     first = angles[0]
@@ -104,7 +104,8 @@ assert abs(least[1001] / 0.1075 - 1) < 1e-3
 
 # %% [markdown]
 # ## The problem
-# The mesh file has a stone as a body of its own, and a tag for all sides that may touch others.
+# In the mesh file each stone is a body of its own, and all sides that may touch others have one
+# tag.
 
 
 # %%
@@ -134,8 +135,8 @@ with arch(0.15 * R) as problem:
 
 # %% [markdown]
 # ## The least thickness, from both sides
-# Where the arch stands a solution is found. Where it cannot, `solve` raises a `MechanismError`
-# before it iterates. It names the body that moves most, and has the motion of all bodies as a
+# If the arch can stand, a solution is found. If it cannot, `solve` raises a `MechanismError` before
+# it iterates. The error names the body that moves most, and has the motion of all bodies as a
 # Function.
 
 # %%
@@ -193,10 +194,11 @@ assert np.array_equal(np.sign(eccentricity[hinges]), [1, -1, 1, 1, -1, 1])
 
 # %% [markdown]
 # ## Draw
-# Left the line of thrust, then the displacement, magnified: at a hinge the joint opens on the other
-# side. The keystone, in the middle, touches its neighbours at its two upper corners. It can turn
-# about either of them without resistance, so one of these joints opens, or both do. Right the
-# mechanism of the arch that is too thin: the crown falls, and the haunches move outwards.
+# Left: the line of thrust. Middle: the displacement, magnified; at a hinge the joint opens on the
+# opposite side. The keystone, in the middle of the arch, touches its neighbours at its two upper
+# corners. It can turn about either corner without resistance, so one of these joints opens, or both
+# do. Right: the mechanism of the arch that is too thin; the crown falls, and the haunches move
+# outwards.
 
 # %%
 solution.write("results/arch.pvd")

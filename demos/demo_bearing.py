@@ -23,7 +23,7 @@
 # $$F = Q \sum_\psi \cos^{n+1}\psi
 #     \approx \frac{Z Q}{2\pi} \int_{-\pi/2}^{\pi/2} \cos^{n+1}\psi \,d\psi.$$
 #
-# For $n = 1$ this is $Q = 4 F / Z$, as Stribeck had it for rollers (1901), and for $n = 10/9$
+# For $n = 1$ this is $Q = 4 F / Z$, Stribeck's formula for rollers (1901), and for $n = 10/9$
 # Sjövall's integral (1933), $Q = 4.08 F / Z$; both are in T. A. Harris and M. N. Kotzalas, Rolling
 # Bearing Analysis, 5th edition, chapter 7.
 #
@@ -47,8 +47,8 @@ comm = MPI.COMM_WORLD
 
 # %% [markdown]
 # ## Data
-# Lengths in mm, stresses in MPa, forces in N for each mm of the length of the rollers. Of the
-# friction nothing depends but that rollers stay where they are.
+# Lengths in mm, stresses in MPa, forces in N for each mm of the length of the rollers. Friction is
+# needed only to keep the rollers where they are; the forces hardly depend on it.
 
 # %%
 N = int(sys.argv[-1]) if sys.argv[-1].isdigit() else 4  # cells in 0.4 mm
@@ -58,8 +58,9 @@ delta = 0.04
 
 # %% [markdown]
 # ## The problem
-# The housing is rigid, and so is the shaft. One pair has all rollers and both raceways. Points
-# that are far apart are not paired: a raceway sees the other one between the rollers.
+# The housing is rigid, and so is the shaft. One pair contains all rollers and both raceways. A
+# `search_distance` keeps points that are far apart from being paired, since the two raceways face
+# each other between the rollers.
 
 # %%
 bearing = read_gmsh(MESHES / "bearing.geo", comm, N=N, M=rollers)
@@ -91,7 +92,7 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Forces of the rollers
-# Bodies have the names of the mesh file.
+# Bodies have the names that the mesh file gives them.
 
 # %%
 angles = 2 * np.pi / rollers * np.arange(rollers)  # from the load
@@ -101,7 +102,7 @@ load = -sum(one.force[1] for one in on_outer)
 
 
 def of_theory(exponent):
-    """Return the forces of all rollers over the load F."""
+    """Return the forces of all rollers, divided by the load F."""
     shares = np.maximum(np.cos(angles), 0.0) ** exponent
     return shares / (shares @ np.cos(angles))
 
@@ -123,8 +124,8 @@ assert forces[np.cos(angles) < -1e-6].max() < 1e-6 * load
 
 # %% [markdown]
 # Plane contact is nearly linear, with a logarithm in place of the power 10/9. So the computed force
-# is between both. The rollers at 90 degrees carry what the edges of the mesh make of their fit; it
-# vanishes on finer meshes. Loose rollers have no force at all.
+# is between the two formulas. The rollers at 90 degrees carry a small force, since the facets of
+# the mesh are not exact circles; it vanishes on finer meshes. Loose rollers have no force at all.
 #
 # ## Draw
 # The block `forces_between_bodies` of the files has a point for each contact of two bodies, and the

@@ -20,18 +20,18 @@
 #
 # $$p \ge 0, \qquad -u_y \le d, \qquad p\,(u_y + d) = 0, \qquad |t| \le F p,$$
 #
-# and where $|t| = F p$ the slip of a load step goes against $t$: forces depend on the way to the
-# present load, through all steps before.
+# and where $|t| = F p$ the slip of a load step goes against $t$: forces depend on the path to the
+# present load, through all previous steps.
 #
 # **Least squares.** With $m = (F, E, \alpha)$ and the standard deviation $s$ of the noise minimise
 #
 # $$J(m) = \frac{1}{2 n} \sum_{k=1}^{n} \left( \frac{f_k(m) - \bar f_k}{s} \right)^2.$$
 #
-# `problem.record()` remembers the load steps, and `tape.gradient` goes once backwards through them:
-# one adjoint solve a step gives the derivatives of the whole sum by all parameters.
+# `problem.record()` keeps the load steps, and `tape.gradient` goes backwards through them once: one
+# adjoint solve for each step gives the derivatives of the whole sum by all parameters.
 #
-# **Measured data** are not at hand: they are computed on a finer mesh than that of the fit, with
-# noise from a fixed seed, so the true parameters are known.
+# **Measured data** are not at hand: they are computed, on a finer mesh than the mesh of the fit,
+# with noise from a fixed seed, so the true parameters are known.
 #
 # With quadratic elements, 16 across the pad, it takes about a minute; a number after the name
 # of this script is another number of elements, and the number of load steps goes with it.
@@ -80,8 +80,8 @@ noise = 0.02  # standard deviation of each force over its largest value
 
 # %% [markdown]
 # ## The rig
-# A problem, its controls, and the process of all load steps. The modulus is part of K, so
-# `update_stiffness` comes before the process; the slip origin is that of the unloaded pad.
+# The class has a problem, its controls, and the process of all load steps. The modulus is part of
+# K, so `update_stiffness` comes before the process; the slip counts from the unloaded pad.
 
 # %%
 FORCES = [ContactForce(direction=(-1.0, 0.0)), NormalForce()]
@@ -142,7 +142,7 @@ measured = exact + spread * np.random.default_rng(1).standard_normal(exact.shape
 
 # %% [markdown]
 # ## Misfit and gradient
-# The derivative of J by the force of each step is that force's factor in a sum of goals.
+# The derivative of J by the force of a step is the factor of this force in a sum of goals.
 
 # %%
 rig = Rig(N)
@@ -155,7 +155,7 @@ def errors(values):
 
 
 def misfit(values):
-    """Return J and its derivatives by the controls: a process, and once back through it."""
+    """Return J and its derivatives by the controls, from a process and its tape."""
     error, tape = errors(values)
     weights = error / spread / n
     goals = {step: list(zip(row, FORCES, strict=True)) for step, row in enumerate(weights)}
@@ -203,10 +203,11 @@ minimize(
 
 # %% [markdown]
 # ## How sure?
-# With the Jacobian $D$ of the errors over their standard deviation the covariance of the parameters
-# is $(D^T D)^{-1}$, and 95 % of them are within 1.96 standard deviations. For three parameters
-# central differences of the process give D with six runs; the adjoint would take one way back for
-# each of the forces. They also check the tape: $D^T e / n$ is the gradient once more.
+# With the Jacobian $D$ of the errors, divided by their standard deviation, the covariance of the
+# parameters is $(D^T D)^{-1}$, and 95 % of measurements give parameters within 1.96 standard
+# deviations of the true ones. For three parameters central differences give $D$ with six runs of
+# the process; the adjoint would go back through the tape once for each of the forces. The
+# differences also check the tape, by the derivatives of the last tangential force.
 
 # %%
 step = 1e-3
@@ -236,10 +237,10 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Check
-# The true parameters are within the noise: by three standard deviations each, which 997 of 1000
-# measurements would be. The misfit is that of the noise: for n errors of variance 1 the mean of J
-# is 1/2, and its standard deviation 1/sqrt(2 n). And the derivatives are those of the differences,
-# up to nodes that change their state within a step of those.
+# Each true parameter is within three standard deviations of the parameter that was found, as in 997
+# of 1000 measurements. The misfit is as large as the noise makes it: for n errors of variance 1 the
+# mean of J is 1/2, and its standard deviation 1/sqrt(2 n). And the derivatives agree with the
+# central differences, except for the effect of nodes that change their state within a difference.
 
 # %%
 assert (np.abs(found.x - 1) < 3 * deviation).all()

@@ -43,16 +43,17 @@
 #
 # $$x = \frac{W x_W + P x_P}{Q}, \qquad y = \frac{z_H H}{Q}, \qquad Q = W + P.$$
 #
-# A pressure that is nowhere negative has its centre below the foot. If x or y is outside the crane
-# falls over, and no mesh can change that. The mesh only says which part of the foot presses.
+# A pressure that is nowhere negative has its centre below the foot. If the point (x, y) is not
+# below the foot, the crane falls over, on any mesh. The mesh only decides which part of the foot
+# presses.
 #
 # **Discrete form.** The crane's part of the stiffness matrix K is singular: six rigid motions. The
-# multipliers, which are pressures and tractions, balance the loads for each of them exactly, at
-# whatever accuracy the problem is solved, and the motions are found with them. The foot has 16
-# cells along its side of 2 m, the clay 36 along 4 m: the meshes do not match. The multipliers live
-# on the foot, which is 300 times stiffer. So the clay's cells are the smaller ones: on a stiff
-# surface with more nodes than the soft one below it many pressures would do the same to the clay,
-# and the iteration would be slow to choose among them.
+# multipliers, which are pressures and tractions, balance the loads for each of these motions
+# exactly, to whatever accuracy the problem is solved, and the motions are found with the
+# multipliers. The foot has 16 cells along its side of 2 m, the clay 36 along 4 m: the meshes do not
+# match. The multipliers live on the foot, which is 300 times stiffer. So the clay has the smaller
+# cells: if the stiff surface had more nodes than the soft one below it, many different pressures
+# would have the same effect on the clay, and the iteration would be slow to choose among them.
 
 # %%
 import sys
@@ -95,8 +96,9 @@ limit = cohesion * side**2  # kN, the pull at which the crane slides
 
 # %% [markdown]
 # ## Mesh and forms
-# Only the bottom of the clay is fixed. What acts beside the weight, a load on the arm and a pull at
-# half the height of the foot, are `fem.Constant`s: new values are seen by the next `solve()`.
+# Only the bottom of the clay is fixed. The two other loads, besides the weight, are a load on the
+# arm and a pull at half the height of the foot. They are `fem.Constant`s, whose new values the next
+# `solve()` uses.
 
 # %%
 crane = read_gmsh(
@@ -141,7 +143,7 @@ bcs = [fem.dirichletbc(np.zeros(3), fixed, V)]
 
 # %% [markdown]
 # ## Contact
-# K is factored once; each solve starts from the one before.
+# K is factored once; each solve starts from the previous solution.
 
 # %%
 adhesion = fem.Constant(mesh, default_scalar_type(cohesion))  # kPa
@@ -158,13 +160,14 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Forces against statics
-# By hand: the force on the foot, where the resultant of the pressure passes, and no twist about the
-# vertical through the middle of the foot. The weight is that of three boxes.
+# By hand: statics gives the force on the foot and the point through which the resultant of the
+# pressure passes; there is no twist about the vertical through the middle of the foot. The weight
+# is that of three boxes.
 #
-# Found: `solution.resultants`, sums over nodes of force and moment on the foot. (Integrals of the
-# fields in ParaView take the pressure as linear between the nodes, which moves the centre by some
-# centimetres here, since the pressure peaks at the edges.) They agree to rounding, whatever the
-# mesh and the accuracy of the solution.
+# Computed: `solution.resultants` has sums over nodes of force and moment on the foot. (Integrals of
+# the fields in ParaView take the pressure as linear between the nodes, which moves the centre by
+# some centimetres here, since the pressure peaks at the edges.) The two agree to rounding, whatever
+# the mesh and the accuracy of the solution.
 
 
 # %%
@@ -188,8 +191,8 @@ def resultants(solution):
 
 
 # %% [markdown]
-# The default accuracy: the error of the iteration is a tenth of that of the mesh; even so the loads
-# are balanced.
+# With the default accuracy the error of the iteration is a tenth of the error of the mesh; even so
+# the loads are balanced.
 
 # %%
 solution = problem.solve()
@@ -206,8 +209,8 @@ assert np.abs(found - by_hand).max() < rounding
 
 # %% [markdown]
 # ## A tractor pulls
-# The more it pulls the less of the foot sticks, and where all nodes slip in one direction the limit
-# is reached. Nodes are counted here, and have to be exact one by one.
+# The more it pulls, the smaller is the part of the foot that sticks; the limit is reached when all
+# nodes slip in one direction. Since nodes are counted here, each of them has to be exact.
 
 # %%
 if comm.rank == 0:
@@ -229,7 +232,7 @@ assert (np.diff(slips) > 0.0).all()
 
 # %% [markdown]
 # ## The load moves outwards
-# The farther out it is, the smaller the part of the foot that presses.
+# The farther out the load hangs, the smaller is the part of the foot that presses.
 
 # %%
 pull.value = 30.0

@@ -3,8 +3,8 @@
 #
 # A steel ball is pressed on a steel plate and then moved to and fro by less than a micrometre. It
 # does not slide, but it is not at rest either: the middle of the contact sticks, and round it there
-# is an annulus that slips with each stroke. There bearings, blade roots and wires of ropes wear and
-# crack. How wide is the annulus, and how much energy goes into it?
+# is an annulus that slips with each stroke. In such an annulus bearings, blade roots and wires of
+# ropes wear and crack. How wide is it, and how much energy goes into it?
 #
 #                 motion, to and fro
 #                     <------>
@@ -18,9 +18,9 @@
 #       +-------------------------------+  z = -R          |<- 2c ->|
 #       /////////////////////////////////                |<--- 2a --->|
 #
-# y = 0 is a plane of symmetry; half of it is modelled. (x = 0 is none: pressing is symmetric there,
-# rubbing antisymmetric.) With 12 cells along the radius of the contact it takes 11,946 nodes, 50
-# seconds and 500 MB; a number after the name of this script is another size.
+# y = 0 is a plane of symmetry, and half of the bodies is modelled. (x = 0 is not one: pressing is
+# symmetric about it, rubbing antisymmetric.) With 12 cells along the radius of the contact it takes
+# 11,946 nodes, 50 seconds and 500 MB; a number after the name of this script is another size.
 #
 # **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
 # outward normal $n$ of the plate, $[u] = u_{plate} - u_{ball}$, and the gap $d$,
@@ -29,13 +29,13 @@
 #
 # The tangential traction $t$ obeys Coulomb's law, $|t| \le F p$: where $|t| < F p$ nothing slides.
 #
-# **Load steps.** Friction dissipates, so the traction depends on the way that led to the present
-# load, not on the load alone. A single `solve` takes the slip from the undeformed state on: right
-# for one load that grows. After `problem.accept()` the slip of the next solve counts from the
-# accepted step: where $|t| = F p$ it is the slip *increment* that points along $t$.
+# **Load steps.** Friction dissipates, so the traction depends on the path that led to the present
+# load, not on the load alone. In a single `solve` the slip counts from the undeformed state: this
+# is right for one load that grows. After `problem.accept()` the slip of the next solve counts from
+# the accepted step: where $|t| = F p$ it is the slip *increment* that points along $t$.
 #
 # **Theory.** Hertz gives the pressure under the normal force $P$, $p = p_0 \sqrt{1 - r^2/a^2}$. If
-# a tangential force $Q$ grows after that, what sticks is a disc of radius $c$; with the shift
+# a tangential force $Q$ grows after that, a disc of radius $c$ sticks; with the shift
 # $\delta$ of the ball (C. Cattaneo 1938, R. D. Mindlin 1949)
 #
 # $$c = a \left( 1 - \frac{Q}{F P} \right)^{1/3}, \qquad
@@ -45,18 +45,20 @@
 # \left( 1 - \left( 1 - \frac{Q}{F P} \right)^{2/3} \right).$$
 #
 # When the force turns at $Q^*$, everything sticks at once, and a new annulus grows from the edge as
-# if the contact were fresh and $F$ twice as large: traction and shift go back by twice those of the
-# force $(Q^* - Q)/2$ (R. D. Mindlin and H. Deresiewicz 1953; Masing's rule). After a whole cycle
-# the loop closes; what it encloses is dissipated (K. L. Johnson, Contact Mechanics, section 7.4):
+# if the contact were fresh and $F$ twice as large: traction and shift go back by twice the values
+# for the force $(Q^* - Q)/2$ (R. D. Mindlin and H. Deresiewicz 1953; Masing's rule). After a whole
+# cycle the loop closes; its area is the dissipated energy (K. L. Johnson, Contact Mechanics,
+# section 7.4):
 #
 # $$W = \frac{9 F^2 P^2 (2 - \nu)}{5\, a G}
 # \left( 1 - s^5 - \frac{5 Q^*}{6 F P} (1 + s^2) \right), \qquad
 # s = \left( 1 - \frac{Q^*}{F P} \right)^{1/3}.$$
 #
-# **Why two equal bodies?** Theory takes it that shear does not change the pressure. That is so
-# where both bodies are of the same material, since what shear lifts in the one it lowers in the
-# other; on a rigid plane only for a Poisson's ratio of 0.5. Besides it takes bodies for
-# half-spaces, an error of order a/R, and all slip for parallel to Q, which is nearly so.
+# **Why two equal bodies?** The theory assumes that shear does not change the pressure. This holds
+# if both bodies are of the same material, since shear lifts the surface of one body where it lowers
+# the other; on a rigid plane it holds only for a Poisson's ratio of 0.5. The theory also takes the
+# bodies for half-spaces, an error of order a/R, and all slip as parallel to Q, which is nearly
+# true.
 
 # %%
 import math
@@ -143,7 +145,7 @@ problem = ContactProblem(
 
 
 def move(x, z):
-    """Move the ball, accept what results, and return it with both forces [N] of the whole ball."""
+    """Move the ball; accept and return the solution, with both forces [N] on the whole ball."""
     motion.value[:] = x, 0.0, z
     solution = problem.solve(rtol=RTOL)
     solution.raise_if_failed()
@@ -167,9 +169,9 @@ def gathered(solution):
 
 # %% [markdown]
 # ## Press
-# The normal load is the first step. Its motion is prescribed, and the force is an outcome: theory
-# is that of the computed force. There is a little friction in it already, where the meshes do not
-# match; equal bodies would slip nowhere.
+# Pressing is the first step. The motion is prescribed, the force is a result, and theory is
+# evaluated for the computed force. A little friction acts already, since the meshes do not match;
+# bodies with equal meshes would slip nowhere.
 
 # %%
 approach = about_a**2 / radius  # mm
@@ -212,9 +214,10 @@ def cycle_work(Q):
 
 # %% [markdown]
 # ## Energy of a cycle
-# Cycles of several amplitudes, each from the state after pressing: `set_slip_origin` goes back to
-# it. While slip goes one way, friction does the same work in one step as in many: after the first
-# step to one side two more make a cycle, to the other side and back.
+# Cycles of several amplitudes follow, each from the state after pressing, to which
+# `set_slip_origin` returns. While slip keeps its direction, friction does the same work in one step
+# as in many: after the first step to one side, two more steps make a cycle, to the other side and
+# back.
 
 # %%
 if comm.rank == 0:
@@ -244,9 +247,9 @@ for part in (0.4, 0.55, 0.7, 0.8, 0.9):
 
 # %% [markdown]
 # ## One cycle in steps
-# Loading, the way to the other side, and back. ParaView shows the series as a film; its time is the
-# number of the step. The film that the last cell makes beside it has the loop as well; it is an mp4
-# where matplotlib finds ffmpeg, else a gif.
+# The steps are loading, the way to the other side, and the way back. ParaView shows the series as a
+# film, whose time is the number of the step. The last cell makes another film, which has the loop
+# as well: an mp4 if matplotlib finds ffmpeg, else a gif.
 
 # %%
 problem.set_slip_origin(pressed.u)
@@ -271,13 +274,14 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Check
-# The law of contact at each node, in each step; the normal force, which must not feel the shear;
-# and theory. A mesh smears the pressure at its steep edge over one ring of cells: as root mean
-# square that makes some h/a of the traction.
+# Checked are the law of contact at each node, in each step; the normal force, which the shear must
+# not change; and the agreement with theory. A mesh smears the pressure at its steep edge over one
+# ring of cells: the root mean square of this error is some h/a of the traction.
 #
 # Masing's rule needs no theory of half-spaces: the way back is the first loading, twice as large.
-# It holds as well as pressures are constant and slip is parallel. And what the loop encloses is
-# what friction has dissipated, but for the corners that straight lines between steps cut off.
+# Its error is of the size of the changes of pressures and of directions of slip. And the area of
+# the loop is the energy that friction has dissipated, except for the corners that straight lines
+# between the steps cut off.
 
 # %%
 for _, _, p, t, _ in snapshots:
@@ -314,9 +318,9 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Draw
-# The loop; the plate from above at the end of the first loading; its traction there and on the way
-# back, where the middle still remembers the first loading while the edge is dragged the other way;
-# and the energies. Lines are theory.
+# The pictures are the loop; the plate from above at the end of the first loading; the traction then
+# and on the way back, when the middle still has the traction of the first loading while the edge is
+# dragged the other way; and the energies. Lines are theory.
 
 
 # %%

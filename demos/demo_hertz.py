@@ -2,10 +2,10 @@
 # # Hertz contact: a ball on a plane, two balls, a cylinder on a plane
 #
 # A soft ball is pressed on a rigid plane, without friction. Heinrich Hertz found the pressure in
-# 1881: half an ellipsoid over a disc whose radius a grows with the cube root of the force. It is
-# the touchstone of contact software, because the size of the contact is not known beforehand. The
-# same law holds for two balls, which count as one ball of another radius and modulus, and a similar
-# law for a cylinder that lies on a plane.
+# 1881: half an ellipsoid over a disc whose radius a grows with the cube root of the force. This
+# case is the touchstone of contact software, because the size of the contact is not known
+# beforehand. The same law holds for two balls, which count as one ball of another radius and
+# modulus, and a similar law for a cylinder that lies on a plane.
 #
 #       | | | approach                                    p
 #       v v v                                       peak -|-._
@@ -25,7 +25,7 @@
 # $$-\operatorname{div} \sigma(u) = 0, \qquad
 # \sigma = 2 \mu \varepsilon + \lambda \operatorname{tr}(\varepsilon) I.$$
 #
-# The cut through the middle of the upper body is moved down by the approach; that of the lower
+# The cut through the middle of the upper body is moved down by the approach; the cut of the lower
 # body, if there is one, is held. On the contact surface, with the pressure $p$ and the gap $d_u$
 # that is left,
 #
@@ -87,12 +87,13 @@ two_radii = 1 / (1 / radius + 1 / lower_radius)  # mm, R of both balls
 # Each is an octant, or a quarter, of the bodies with cells of the size h at the contact; elsewhere
 # they grow. `held` are the surfaces where a component of the displacement is prescribed. The meshes
 # of the two balls do not match, so the package takes mortar elements; the rigid plane needs no
-# mesh. `share` is how many of the parts that are meshed make the whole contact.
+# mesh. `share` is the number of meshed parts that make up the whole contact.
 #
-# How far the middle of a ball moves does not follow from what happens near the contact alone: the
-# ball is held by an equal force from the other side, which drives the contact back, by `far` per
-# force. That is small, some 5 percent of the approach here; the displacement of a half-space at the
-# depth 2 R under a point load is a good guess of it (Y. Tatara, J. Eng. Mater. Technol. 113, 1991).
+# The motion of the middle of a ball does not follow from the deformation near the contact alone:
+# the ball is held by an equal force from the other side, which pushes the contact back. `far` is
+# this displacement divided by the force. It is small, some 5 percent of the approach here; the
+# displacement of a half-space at the depth 2 R under a point load is a good estimate of it (Y.
+# Tatara, J. Eng. Mater. Technol. 113, 1991).
 
 # %%
 far = ((1 + poisson) / 4 + (1 - poisson**2) / 2) / (math.pi * young * radius)
@@ -151,15 +152,17 @@ cylinder_on_plane = SimpleNamespace(
 
 # %% [markdown]
 # ## Solve and compare
-# The displacement is prescribed, the force is an outcome: the integral of the pressure. Hertz's
-# radius and pressure for this force are what the computed ones must be. The radius is that of a
-# disc, or a strip, as large as the area of the nodes that are pressed; pressures are compared node
-# by node. For cylinders the approach has a formula of its own (Johnson, equation 5.57).
+# The displacement is prescribed, and the force, the integral of the pressure, is a result. Radius
+# and pressure are compared with Hertz's for this force. The computed radius is that of a disc (for
+# the cylinder, the half width of a strip) with the area of the pressed nodes; pressures are
+# compared node by node. For cylinders the approach has a formula of its own (Johnson, equation
+# 5.57).
 #
-# What may differ, and why. Hertz neglects a/R squared. On the mesh the edge of the contact lies
+# What may differ, and why? Hertz neglects a/R squared. On the mesh the edge of the contact lies
 # between two nodes, so the radius is uncertain by a cell. At the edge the pressure falls steeply,
-# like a square root, which the mesh smears over one ring of cells: as root mean square that makes
-# some h/a of the pressure. In the middle the pressure is smooth, and a part of that is enough.
+# like a square root, which the mesh smears over one ring of cells: the root mean square of this
+# error is some h/a of the pressure. In the middle the pressure is smooth, and a part of h/a is
+# allowed.
 
 # %%
 panels = {}  # for the picture: name of the scene, degree -> distances and pressures of the nodes
@@ -230,7 +233,7 @@ for scene in (ball_on_plane, two_balls, cylinder_on_plane):
                 print(f"{name:<22}{found:<10.4g}Hertz {wanted:<10.4g}{found / wanted - 1:+.1%}")
             print(f"{'pressures differ by':<22}{difference:.1%}, root mean square")
 
-        # the law of contact; the residual of 1e-6 is that of mean squares
+        # the law of contact; the residual of 1e-6 is a mean over the nodes
         assert p.min() >= 0.0
         assert solution.gap.x.array.min(initial=0.0) >= -1e-4 * scene.approach
         # the contact ends within the surface that was given to the package
@@ -249,10 +252,10 @@ for scene in (ball_on_plane, two_balls, cylinder_on_plane):
 
 # %% [markdown]
 # ## Draw
-# The pressure of each node over its distance from the middle, and Hertz's curve. Quadratic
-# displacements on cells twice as large are closer to it than linear ones. The latter show a row of
-# nodes a little below the others: those on a plane of symmetry, where the regular grid of
-# tetrahedra meets its mirror image.
+# The pressure of each node against its distance from the middle, and Hertz's curve. Quadratic
+# displacements on cells twice as large are closer to the curve than linear ones. Linear ones show a
+# row of nodes a little below the others: the nodes on a plane of symmetry, where the regular grid
+# of tetrahedra meets its mirror image.
 
 
 # %%

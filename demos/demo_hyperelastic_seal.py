@@ -12,9 +12,9 @@
 #        |      \           /      |
 #        |________`-------'________|  y = 0
 #
-# The cross-section in plane strain: the ring is long against its thickness. A quarter of it is
-# enough: x = 0 is a plane of symmetry, and so is the middle between lid and groove, which stays
-# where it is while both come nearer; here the groove rests and the middle comes down. With 32 cells
+# The cross-section is in plane strain, since the ring is long compared with its thickness. A
+# quarter of it is enough: x = 0 is a plane of symmetry, and so is the middle between lid and
+# groove. Here the groove rests, and the middle moves down by half as much as the lid. With 32 cells
 # along the arc it takes 1,687 nodes and 15 seconds; a number after the name of this script is
 # another size.
 #
@@ -27,28 +27,28 @@
 #
 # the neo-Hookean law for rubber (in plane strain $\operatorname{tr}(F^\top F)$ has a 1 from the
 # third direction). In the contact $p \ge 0$, $d \ge 0$, $p \, d = 0$, with the present gap $d$: the
-# distance from a plane is an affine function of the displacement, however large that is. Pressures
-# are forces over undeformed areas.
+# distance from a plane is an affine function of the displacement, however large the displacement
+# is. Pressures are forces divided by undeformed areas.
 #
 # **Rubber hardly changes its volume**: $\kappa = 50 \mu$ here, as if Poisson's ratio were 0.49.
 # Displacements of degree 1 lock: they cannot keep the volume of each cell and still bend. Here they
 # have degree 2 on triangles, and the energy of the volume is taken at one point of each cell only
-# (selectively reduced integration), so that it asks for one thing per cell: about as good as a
-# pressure that is constant on cells, which is a stable pair with degree 2. At the end the same with
-# a pressure as a further unknown (Taylor and Hood), which also does for rubber that keeps its
-# volume exactly.
+# (selectively reduced integration), so that it is one condition for each cell: about as good as a
+# pressure that is constant on cells, which is a stable pair with degree 2. The end of this page
+# solves the same scene with a pressure as a further unknown (Taylor and Hood), which is also
+# possible for rubber that keeps its volume exactly.
 #
 # **Newton's method.** Each step is a contact problem for the whole displacement, with the tangent
-# at the last one; `NonlinearContactProblem` has the arguments of DOLFINx's `NonlinearProblem`, and
-# the pairs. Contact is exact in every step, so the error falls like its own square.
+# at the previous displacement; `NonlinearContactProblem` has the arguments of DOLFINx's
+# `NonlinearProblem`, and the pairs. Contact is exact in every step, so convergence is quadratic.
 #
 # **Comparison.** A cylinder between two plates takes the force $P$ for each unit of its length,
 #
 # $$2 R e = \frac{2 P}{\pi E^*} \Bigl(2 \ln\frac{4 R}{a} - 1\Bigr), \quad
 # a^2 = \frac{4 P R}{\pi E^*}, \quad E^* = \frac{E}{1 - \nu^2},$$
 #
-# $a$ being half the width of the contact (Johnson, Contact Mechanics, 1985, 5.6). That is linear
-# elasticity for small $a / R$, and should be off by some $(a / R)^2$.
+# where $a$ is half the width of the contact (Johnson, Contact Mechanics, 1985, 5.6). This is linear
+# elasticity for small $a / R$, with an error of some $(a / R)^2$.
 
 # %%
 import sys
@@ -110,7 +110,7 @@ everywhere, once = (ufl.dx(metadata={"quadrature_degree": degree}) for degree in
 residual = ufl.derivative(shape * everywhere + volume * once, u, v)
 
 # %% [markdown]
-# The middle comes down by half of what the lid comes nearer.
+# The middle moves down by half as much as the lid.
 
 # %%
 down = fem.Constant(mesh, 0.0)
@@ -130,8 +130,8 @@ bcs = conditions(V)
 
 # %% [markdown]
 # ## Contact and load steps
-# The same arc may touch the bottom of the groove and its wall. Each load step starts where the last
-# one ended.
+# The same arc may touch the bottom of the groove and its wall. Each load step starts from the
+# previous solution.
 
 # %%
 bottom = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
@@ -155,10 +155,10 @@ for name, obstacles in (("between plates", [bottom]), ("in the groove", [bottom,
 
 # %% [markdown]
 # ## Check
-# Newton's method: each residual is far below the one before, until the end. The volume: on the
-# whole it is what it was but for the pressure over kappa. The law of contact, with the present gap.
-# The force: that of theory, within $(a / R)^2$ and what a mesh with some nodes in contact can tell;
-# from where the ring meets the wall on the groove needs more.
+# Newton's method: each residual is far below the previous one, until the end. The volume as a whole
+# changes only by the pressure divided by kappa. The law of contact holds, with the present gap. The
+# force agrees with theory within $(a / R)^2$ and the error of a mesh with few nodes in contact;
+# after the ring has met the wall, the groove needs more force than theory.
 
 # %%
 last = [step for step in solution.newton.steps if step.fraction == 1.0]
@@ -180,12 +180,12 @@ stiffness = young / (1 - (3 * kappa - 2 * mu) ** 2 / (6 * kappa + 2 * mu) ** 2)
 
 
 def width(force):
-    """Half of that of the contact [mm], under a force [N/mm]."""
+    """Return half the width of the contact [mm] under a force [N/mm]."""
     return np.sqrt(4 * force * radius / (np.pi * stiffness))
 
 
 def line_contact(squeeze):
-    """The force [N/mm] of theory."""
+    """Return the force [N/mm] of theory for a squeeze, relative to the thickness."""
 
     def missing(force):
         approach = force / (np.pi * stiffness) * (2 * np.log(4 * radius / width(force)) - 1)
@@ -209,10 +209,10 @@ assert confined[-1] > 1.15 * between[-1]
 # %% [markdown]
 # ## A pressure as a further unknown
 # With $p\, (J - 1) - p^2 / (2 \kappa)$ in the energy the pressure $p$ is $\kappa (J - 1)$, but in a
-# space of its own, of degree 1. A part of $\kappa$, five shear moduli,
-# stays with the displacement, since these elements wrinkle without it. All other lines are those
-# above: conditions and contact are those of the displacement. The force agrees within 1 % (on
-# coarse meshes within 4 %), and each residual is about the square of the one before.
+# space of its own, of degree 1. A part of $\kappa$, five shear moduli, stays with the displacement,
+# since these elements wrinkle without it. All other lines are as above: conditions and contact act
+# on the displacement. The force agrees within 1 % (on coarse meshes within 4 %), and each residual
+# is about the square of the previous one.
 
 # %%
 pressures = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
@@ -238,7 +238,7 @@ assert residuals[-1] < 10 * residuals[-2] ** 2
 
 # %% [markdown]
 # ## Draw
-# The ring in the groove as it is, and the force over the squeeze.
+# The ring in the groove, deformed to scale, and the force against the squeeze.
 
 # %%
 solution.plot("results/seal.png", scale=1)

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Impact: a bar hits a wall, and a block slides until friction has stopped it
 #
-# Dynamics needs nothing that a static problem has not: each time step is one contact problem, with
-# mass in `a` and the state at its begin in `L`. Here that is tried where theory knows the answer.
+# Dynamics needs nothing beyond static problems: each time step is one contact problem, with
+# the mass in `a` and the state at its beginning in `L`. Here are two scenes whose answer is known.
 #
 #        wall                                       <- v0
 #         |    +--------------------------------------+         y
@@ -16,8 +16,8 @@
 #              |<---------- v0^2 / (2 F g) --------->|
 #
 # With 100 cells along the bar and 40 along the block it takes 404 and 861 nodes, 20 seconds and 250
-# MB; a number after the name of this script is another size of the first, and 2/5 of it that of the
-# second.
+# MB; a number after the name of this script is another number of cells along the bar, and 2/5 of it
+# the number along the block.
 #
 # **Strong form.** With the density $\rho$
 #
@@ -44,25 +44,26 @@
 # $$E_1 - E_0 = -(\theta - \tfrac12) \left( |v_1 - v_0|_m^2 + |u_1 - u_0|_k^2 \right)
 # - p \cdot [u_1 - u_0]_n - t \cdot [u_1 - u_0]_t.$$
 #
-# For $\theta \ge 1/2$ no term is positive: where there is pressure at the end the gap is closed,
-# and before it was not negative; the last term is the work of friction. So the energy cannot grow,
-# whatever the length of the steps. (C. Kane, E. A. Repetto, M. Ortiz and J. E. Marsden 1999 found
-# it for Newmark's method, which is $\theta = 1/2$.) Newmark's and the HHT method with contact
-# forces at their usual time have no such bound. $\theta = 1$ is the backward Euler method, which
-# damps waves; a little more than 1/2 damps those that the mesh cannot carry.
+# For $\theta \ge 1/2$ no term is positive: where there is pressure at the end of the step, the gap
+# is closed then, and was not negative at the beginning; the last term is the work of friction. So
+# the energy cannot grow, whatever the length of the steps. (C. Kane, E. A. Repetto, M. Ortiz and J.
+# E. Marsden 1999 found this for Newmark's method, which is $\theta = 1/2$.) Newmark's method and
+# the HHT method with contact forces at their usual time have no such bound. $\theta = 1$ is the
+# backward Euler method, which damps waves; a little more than 1/2 damps the waves that the mesh
+# cannot carry.
 #
 # **A surface without mass.** A node of mass $m$ that meets the wall loses $m v_0^2 / 2$ at once, an
-# error of the mesh; then its force jumps from step to step, here between 0.45 and 1.55 of what
-# theory has. So the nodes of the contact get no mass (H. B. Khenous, P. Laborde and Y. Renard
-# 2008); the next ones have it instead. What is in contact then is in static equilibrium with its
+# error of the mesh; then its force jumps from step to step, here between 0.45 and 1.55 times the
+# value of theory. So the nodes of the contact get no mass (H. B. Khenous, P. Laborde and Y. Renard
+# 2008); the next nodes have it instead. The contact nodes are then in static equilibrium with their
 # neighbours, and the force is that of the wave.
 #
 # **Theory of the bar.** A wave of pressure $\rho c v_0$, $c = \sqrt{E / \rho}$, runs to the free
-# end and back: in contact for $2 l / c$, then the bar flies off with $v_0$, with no stress left in
-# it.
+# end and back. The bar is in contact for $2 l / c$, and then flies off with $v_0$ and without
+# stress.
 #
-# **Theory of the block.** $F g$ brakes: it stops after $v_0 / (F g)$ and $v_0^2 / (2 F g)$, and
-# stays.
+# **Theory of the block.** Friction decelerates it by $F g$: it stops after the time $v_0 / (F g)$
+# and the distance $v_0^2 / (2 F g)$, and stays at rest.
 
 # %%
 import math
@@ -154,21 +155,21 @@ def step_forms(mass, stiffness, u, v, tau, theta):
 
 
 def move(u, v, new, tau, theta):
-    """Make displacement and velocity those at the end of a step."""
+    """Advance displacement and velocity to the end of a step."""
     v.x.array[:] += ((new.x.array - u.x.array) / tau - v.x.array) / theta
     u.x.array[:] = new.x.array
 
 
 def total(form):
-    """Return what a form is worth on all ranks."""
+    """Return the value of a form, summed over all ranks."""
     return comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
 
 # %% [markdown]
 # ## The bar
 # Waves run through half a cell in a step. K is factored once, when the problem is made; each step
-# begins with the pressure of the last one, and with its products with A. With theta = 1/2 nothing
-# but the impact itself may take energy.
+# begins with the pressure and the known products with A of the previous step. With theta = 1/2 only
+# the impact itself may take energy.
 
 # %%
 RTOL = 1e-8
@@ -206,9 +207,9 @@ if comm.rank == 0:
     print(f"{steps} steps, {products.mean():.1f} products with A a step, at most {products.max()}")
 
 # %% [markdown]
-# Check: the pressure of the wave (the middle half of the contact, where ripples have gone), the
-# time of contact, and what flies off. Ripples behind a front that the mesh cannot carry are
-# $h^{2/3}$ long after a while, and what they hold the rebound lacks.
+# Check: the pressure of the wave (in the middle half of the time of contact, when ripples have
+# gone), the time of contact, and the velocity and energy of the bar that flies off. Behind a front
+# that the mesh cannot carry ripples of length $h^{2/3}$ remain, and the rebound lacks their energy.
 
 # %%
 energy = energies.sum(axis=1)
@@ -231,11 +232,10 @@ assert energy[-1] > (1 - 0.1 / N) * energy[0]
 
 # %% [markdown]
 # ## The block
-# It lies on the floor under its weight: a static problem, where a corner is held against sliding.
-# From this state on slip counts: `set_slip_origin`. Then it gets its velocity, and each step is
-# made one of the process by `accept`. Steps are much longer than the block's vibrations; theta =
-# 0.6 damps these, and no more of the rigid motion than an error of the distance of
-# $(\theta - 1/2)\, \tau v_0$.
+# First it lies on the floor under its weight: a static problem, in which a corner is held against
+# sliding. Slip counts from this state (`set_slip_origin`). Then the block gets its velocity, and
+# each step is accepted. Steps are much longer than the block's vibrations; theta = 0.6 damps these,
+# and shortens the path of the block only by $(\theta - 1/2)\, \tau v_0$.
 
 # %%
 theta = 0.6
@@ -293,9 +293,10 @@ if comm.rank == 0:
     print(f"{steps} steps, {products.mean():.1f} products with A a step, at most {products.max()}")
 
 # %% [markdown]
-# Check: where and when it stops, that it stays there, sticks everywhere in the end, and nothing has
-# slid back but by a part of the block's shear $\rho F g h^2 / G$, which it gives back when it
-# stops. Energy does not grow, and friction has taken all but the little that theta took.
+# Check: where and when the block stops; that it stays there and sticks everywhere in the end; and
+# that no node has slid back by more than a part of the block's shear $\rho F g h^2 / G$, which is
+# released when the block stops. Energy does not grow, and friction has dissipated all of it but the
+# little that theta took.
 
 # %%
 shear_modulus = block["young"] / (2 * (1 + block["poisson"]))

@@ -3,8 +3,8 @@
 #
 # After the replacement of a hip a titanium stem sits in the thigh bone without cement: it is driven
 # into a hole that is a little too narrow. The joint presses on its neck, downwards and sideways.
-# How much of it slips? The upper part of the stem has a rough coating, the tip is smooth. Bone
-# grows into the coating only where it moves by less than some 0.04 mm.
+# How much of the stem slips? Its upper part has a rough coating, the tip is smooth. Bone
+# grows into the coating only where the slip is less than some 0.04 mm.
 #
 #                         head: moved by the joint
 #                            ____
@@ -27,8 +27,8 @@
 #
 # $$p \ge 0, \qquad [u] \cdot n \le d, \qquad p\,([u] \cdot n - d) = 0.$$
 #
-# The gap $d$ is negative, a press fit: -0.04 mm at the top of the hole, less and less below, and
-# none at the tip. The tangential traction $t$ obeys $|t| \le g(x)$; where $|t| < g$ nothing slides,
+# The gap $d$ is negative, a press fit: -0.04 mm at the top of the hole, rising to zero at the
+# tip. The tangential traction $t$ obeys $|t| \le g(x)$; where $|t| < g$ nothing slides,
 # where $|t| = g$ the slip $[u]_t$ points along $t$.
 #
 # **What holds the stem?** Contact alone could (`demo_floating_block.py`), with the joint force as a
@@ -36,13 +36,14 @@
 # joint force is the reaction.
 #
 # **The slip bound** comes from the press fit: its mean pressure, 3 MPa, times the coefficient of
-# friction, 0.8 where the stem is rough and 0.1 where it is smooth. It does not follow the pressure
-# of the joint force. The first solution, with the head at rest, must give that pressure back.
+# friction, 0.8 where the stem is rough and 0.1 where it is smooth. It does not depend on the
+# pressure that the joint force causes. The first solution, with the head at rest, must have this
+# mean pressure.
 #
 # **The mesh.** Stem and bone are cut from one another with Gmsh's OpenCASCADE kernel and share no
 # nodes; hole and stem have 20 and 16 cells round the half, so their meshes do not match. The facets
-# of the stem are 0.03 mm below its surface, nearly as much as the two overlap by: `geometry=` tells
-# the pair where the surfaces are.
+# of the stem are up to 0.03 mm below its surface, nearly as much as the overlap: `geometry=` tells
+# the pair where the curved surfaces are.
 
 # %%
 import sys
@@ -71,7 +72,7 @@ comm = MPI.COMM_WORLD
 # %% [markdown]
 # ## Data
 # Lengths in mm, stresses in MPa, so forces come in N and energies in N mm. Forces are those of the
-# half model: the largest is 0.82 kN; twice that, on the whole stem, is what walking takes.
+# half model: the largest is 0.82 kN; twice this force, on the whole stem, acts in walking.
 
 # %%
 N = int(sys.argv[-1]) if sys.argv[-1].isdigit() else 20  # cells round the half hole
@@ -145,8 +146,8 @@ problem = ContactProblem(a, L, [pair], bcs=bcs, units=Units("mm", "MPa", force="
 # %% [markdown]
 # ## What is measured
 # The force on the nodes of a surface is the work of the stress on a unit displacement of these
-# nodes alone. It comes from the displacement, not from the multipliers, and so it checks them: a
-# form for each surface and each of the axes x and z.
+# nodes alone. It comes from the displacement, not from the multipliers, and so it checks the
+# multipliers. There is a form for each surface and each of the axes x and z.
 
 # %%
 uh = fem.Function(V)  # the displacement of each step
@@ -161,12 +162,12 @@ for surface in ("stem_joint", "stem_contact", "bone_contact", "bone_fixed"):
 
 # %% [markdown]
 # ## Solve
-# The head moves in steps. K is factored once, and each step starts from the one before. In step 0
-# the head is at rest; since the stem is tapered, the press fit alone pushes it out of the hole, and
-# it takes 226 N to keep it there.
+# The head moves in steps. K is factored once, and each solve starts from the previous solution. In
+# step 0 the head is at rest; since the stem is tapered, the press fit alone pushes it out of the
+# hole, and it takes 226 N to keep it there.
 #
-# In each step the law of contact holds at each node: no tension, friction within the bound at that
-# place, slip only where the bound is reached, and along the traction. And the forces balance: the
+# In each step the law of contact holds at each node: no tension, friction within the bound at this
+# node, slip only where the bound is reached, and along the traction. And the forces balance: the
 # stem presses the bone as the bone presses the stem, the bone carries the whole joint force, and so
 # does its base.
 
@@ -215,9 +216,9 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Check
-# What the figures must show. With the head at rest the pressure is that of the slip bound. The
-# joint force points to the side and down; the more it is, the more of the stem slips, but nowhere
-# by as much as keeps bone from growing in.
+# With the head at rest the mean pressure is the one that the slip bound assumes. The joint force
+# points to the side and down; the larger it is, the larger is the part of the stem that slips, but
+# nowhere is the slip so large that it keeps bone from growing in.
 
 # %%
 assert abs(pressures[0] / press_fit - 1) < 0.1

@@ -132,9 +132,10 @@ bcs = [held("axis", 0), held("bottom", 1)]
 
 # %% [markdown]
 # ## Down and up
-# The ball moves: `move_to` says where it is, from where it was created. Each step has a force and a
-# radius of the contact, where the gap vanishes: outside of a smooth contact the gap grows with the
-# power 3/2 of the distance from the edge, so its power 2/3 is drawn on as a straight line.
+# The ball moves: `move_to` gives its translation from the position in which it was created. Each
+# step has a force and a radius of the contact, where the gap vanishes: outside of a smooth contact
+# the gap grows with the power 3/2 of the distance from the edge, so its power 2/3 is extrapolated
+# to zero as a straight line.
 
 
 # %%
@@ -142,9 +143,9 @@ class Step(NamedTuple):
     """A state of the process.
 
     Attributes:
-        depth: of the ball [mm].
-        force: on the ball [N].
-        contact_radius: of the contact [mm]; NaN if there is none.
+        depth: depth of the ball [mm].
+        force: force on the ball [N].
+        contact_radius: radius of the contact [mm]; NaN if there is none.
         stress: the largest von Mises stress of an elastic step [MPa].
     """
 
@@ -155,7 +156,7 @@ class Step(NamedTuple):
 
     @property
     def mean_pressure(self):
-        """Return the force over the area of the contact [MPa]."""
+        """Return the mean pressure, the force divided by the area of the contact [MPa]."""
         return self.force / (np.pi * self.contact_radius**2)
 
     @property
@@ -227,16 +228,16 @@ solution.plot("results/indentation_contact.png")
 
 # %% [markdown]
 # ## Against theory
-# Hertz's theory holds until the steel yields, at a mean pressure of 1.07 $Y$, where the pressure in
-# the middle is 1.61 $Y$; friction lowers the first one a little. Then the mean pressure grows, and
+# Hertz's theory holds until the steel yields, at a mean pressure of 1.07 $Y$ and a pressure in the
+# middle of 1.61 $Y$; friction lowers these values a little. Then the mean pressure grows, and
 # reaches some 3 $Y$ where $E^* a / (Y R)$ is about 40 (Johnson 1985, Contact mechanics, 6.3). When
-# the ball begins to go up the body is elastic, with the slope of a flat punch of the same radius as
-# the contact, $2 E^* a$ (Oliver and Pharr 1992).
+# the ball begins to rise, the body is elastic, and the force falls with the slope of a flat punch
+# of the same radius as the contact, $2 E^* a$ (Oliver and Pharr 1992).
 #
-# The stress of an elastic step goes with its pressure, so the last one of them says at which
-# pressure its largest von Mises stress is the yield stress. (The log warns that nodes slide farther
-# than a cell, out along the ball: it is so flat that its height changes by $s^2 / (2 R)$ with the
-# slip $s$, which is about 0.1 % of the depth.)
+# The stress of an elastic step is proportional to its pressure, so the last elastic step shows at
+# which pressure the largest von Mises stress equals the yield stress. (The log warns that nodes
+# slide farther than a cell, out along the ball: the ball is so flat that with the slip $s$ its
+# height changes by $s^2 / (2 R)$, about 0.1 % of the depth.)
 
 
 # %%

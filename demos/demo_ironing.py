@@ -142,7 +142,7 @@ assert 102 / 338 * 0.95 < ratio < 189 / 365  # the published range; coarse meshe
 assert 338 < vertical[-1] < 421
 
 # %% [markdown]
-# ## Forces over the published ones
+# ## Forces, beside the published ones
 
 # %%
 if comm.rank == 0:

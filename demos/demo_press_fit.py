@@ -3,8 +3,8 @@
 #
 # A steel pin is pressed into the hole of an aluminium plate. Its radius is 0.1 percent larger than
 # that of the hole, so the plate holds it by pressure and friction alone. First question: what is
-# the pressure? Second: what force pushes the pin out? Third: what is left when the push is taken
-# back?
+# the pressure? Second: what force pushes the pin out? Third: what remains when the push is
+# removed?
 #
 #                  push, prescribed displacement
 #                        | | | |
@@ -30,13 +30,13 @@
 # with the gap $d = -0.01$ mm: the bodies overlap before they are deformed. The tangential traction
 # $t$ obeys Coulomb's law, $|t| \le F p$: where $|t| < F p$ nothing slides.
 #
-# **Total and incremental slip.** Where $|t| = F p$ the slip points along $t$. Which slip? A `solve`
-# by itself takes $[u]_t$, the total slip from the undeformed bodies on: friction then is like a
-# spring that gives way, and when the push is taken back the pin goes back by itself, as if it had
-# never slipped. That is right for a load that only grows. Real friction resists the slip since a
-# moment ago: with the slip $[u]_t - s$, where $s$ is the slip at the end of the last load step.
-# That is what `problem.accept()` after a `solve` does. While the pin is pushed out both are nearly
-# the same, since all slip goes one way; on the way back nothing is.
+# **Total and incremental slip.** Where $|t| = F p$ the slip points along $t$. Which slip? In a
+# single `solve` it is $[u]_t$, the total slip from the undeformed bodies: friction then is like a
+# spring that gives way, and when the push is removed the pin goes back by itself, as if it had
+# never slipped. This is right for a load that only grows. Real friction resists the present motion:
+# the slip in the law is $[u]_t - s$, where $s$ is the slip at the end of the last load step. This
+# is the effect of `problem.accept()` after a `solve`. While the pin is pushed out the two laws give
+# nearly the same result, since all slip has one direction; on the way back they differ entirely.
 #
 # **The formula.** A handbook takes Lame's pressure of a thick ring (o) on a shaft (i) with the
 # interference $\delta$,
@@ -44,8 +44,8 @@
 # $$p = \frac{\delta}{\dfrac{R}{E_o} \left( \dfrac{R_o^2 + R^2}{R_o^2 - R^2} + \nu_o \right)
 # + \dfrac{R}{E_i} (1 - \nu_i)},$$
 #
-# and the push-out force $F p$ times the area. It knows nothing of what makes the pressure higher:
-# the pin that sticks out on both sides, its growing thicker where it is pushed.
+# and the push-out force $F p$ times the area. The formula neglects two effects that make the
+# pressure higher: the pin sticks out on both sides, and it grows thicker where it is pushed.
 #
 # **Discrete form.** The hole has 16 cells round the quarter, the pin 12: the meshes do not match,
 # and each is a polygon. Between their nodes the polygons are up to 0.02 mm off the circles, twice
@@ -149,7 +149,7 @@ for surface, axis, value in (
 # %% [markdown]
 # ## Contact
 # One problem serves all steps: only the prescribed displacement changes, K is factored once, and
-# each step starts from the one before.
+# each solve starts from the previous solution.
 
 # %%
 pair = ContactPair(
@@ -165,11 +165,12 @@ problem = ContactProblem(
 
 # %% [markdown]
 # ## What is measured
-# The reaction at the pushed end is the work of the stress on a unit displacement of that end alone:
-# it comes from the displacement, not from the multipliers, so the two can be compared.
+# The reaction at the pushed end is the work of the stress on a unit displacement of this end alone:
+# it comes from the displacement, not from the multipliers, so it can be compared with the contact
+# force.
 #
-# The stress is not known to the package, only to the form; the von Mises stress in the middle of
-# each cell goes into the file as a field of our own.
+# The package does not know the stress, which only the form contains; the von Mises stress in the
+# middle of each cell goes into the file as a field of our own.
 
 # %%
 uh = fem.Function(V)  # the displacement of each step
@@ -188,11 +189,12 @@ expression = fem.Expression(ufl.sqrt(1.5 * ufl.inner(ufl.dev(stress), ufl.dev(st
 # slipped to. In step 0 the force is not zero: the pin is squeezed and so grows longer, and its top
 # is held.
 #
-# Each step is written as soon as it is there: ParaView shows a film, and its time is the number of
-# the step. In each the law of contact holds at all nodes.
+# Each step is written as soon as it is solved: ParaView shows a film, whose time is the number of
+# the step. In each step the law of contact holds at all nodes.
 #
-# Forces are those of the quarter model; F times the normal force is what friction could carry. The
-# pressure is the mean over nodes in the middle half of the thickness, and at its edges.
+# Forces are those of the quarter model; F times the normal force is the largest force that friction
+# could carry. Two pressures are printed: the mean over nodes in the middle half of the thickness,
+# and the mean at its edges.
 
 # %%
 if comm.rank == 0:
@@ -243,19 +245,20 @@ if comm.rank == 0:
 # %% [markdown]
 # ## Check
 # Lame's formula holds for a ring and a shaft of the same length, without friction. Here the pin is
-# longer, and what sticks out hinders the squeezing: the pressure peaks at the edges of the hole. In
-# the middle it is near the formula, within 1 percent at N = 16; 4 percent are allowed.
+# longer, and its ends beyond the hole hinder the squeezing: the pressure peaks at the edges of the
+# hole. In the middle it is near the formula, within 1 percent at N = 16; 4 percent are allowed.
 #
-# The force on the pin is the integral of the tangential traction. It cannot pass F times the normal
-# force, and it is that force once all nodes slip along the axis. The formula is some percent less,
-# as its pressure is.
+# The force on the pin is the integral of the tangential traction. It cannot exceed F times the
+# normal force, and equals it once all nodes slip along the axis. The formula gives some percent
+# less, since its pressure is lower.
 #
-# What is pushed in is stored in the bodies or dissipated. Between the steps where all nodes slide
-# on, the force is constant, and so what is pushed in is dissipated.
+# The work of the push is stored in the bodies or dissipated. Between steps in which all nodes
+# slide, the force is constant, and so all of this work is dissipated.
 #
-# When the push is taken back the bodies spring back first, then friction turns round: at the old
-# place the pin is in tension. A single solve, with the slip from the undeformed bodies on, says
-# that everything is as after the assembly; the last lines do it, for comparison.
+# When the push is removed the bodies spring back first, then friction changes its direction: when
+# the top of the pin is back in its old position, the pin is in tension. According to a single
+# solve, with the slip from the undeformed bodies, everything is as after the assembly; the last
+# lines show this, for comparison.
 
 # %%
 forces, limits = np.array(forces), np.array(limits)

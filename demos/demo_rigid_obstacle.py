@@ -15,10 +15,10 @@
 #            |   +   |     rigid ball, its top at z = 0
 #             \ ___ /
 #
-# In the second part it is rubbed on a plate whose grooves lead it aside; in the third the ball
-# gives way to a ring, described by a function that the user writes: the distance of points from it.
-# With 32 cells along the block, 9,801 nodes, all of it takes half a minute and 700 MB; a number
-# after the name of this script is another size.
+# In the second part the block is rubbed on a plate whose grooves lead it aside; in the third part a
+# ring takes the place of the ball, given by a function that the user writes: the distance of points
+# from the ring. With 32 cells along the block, 9,801 nodes, all three parts take half a minute and
+# 700 MB; a number after the name of this script is another size.
 #
 # **Strong form.** In the block
 #
@@ -36,8 +36,8 @@
 # **Friction.** Tresca's bound $g$ does not depend on the pressure, and where it is positive it
 # drags open nodes as well. So it should be zero where no contact is expected. Here it is a
 # coefficient of friction times the pressure that Hertz found for a ball on a half-space: a guess
-# that costs nothing, good as long as the contact is small against the block. Here it is a fifth too
-# low.
+# that costs nothing, good as long as the contact is small compared with the block. Here it is a
+# fifth too low.
 
 # %%
 import math
@@ -103,8 +103,8 @@ bcs = [fem.dirichletbc(motion, fem.locate_dofs_topological(V, 2, top), V)]
 
 # %% [markdown]
 # ## The ball
-# The bottom of the block is the secondary side. The obstacle stands where a mesh would have the tag
-# of the primary side. The bound is a function of points, an array of shape (3, n).
+# The bottom of the block is the secondary side. The obstacle takes the place of the tag of the
+# primary side. The bound is a function of points, an array of shape (3, n).
 
 # %%
 ball = RigidSphere(center=(0.0, 0.0, -ball_radius), radius=ball_radius)
@@ -126,7 +126,8 @@ if comm.rank == 0:
 # %% [markdown]
 # ## Check the law of contact
 # Pressure and gap at each node: no tension, no penetration, and where there is pressure there is no
-# gap. The residual of 1e-6 is that of mean squares: a node may be some hundred times off.
+# gap. The residual of 1e-6 is a mean over the nodes: the error of a single node may be some hundred
+# times as large.
 
 # %%
 solution.raise_if_failed()
@@ -142,9 +143,9 @@ assert (traction <= bound.x.array * (1 + 1e-9) + 1e-12).all()
 
 # %% [markdown]
 # ## Check the balance of forces
-# What the ball does to the block by pressure and friction is what the clamp at the top must hold
-# against. The former is an integral over the contact; the traction is what the ball feels. The
-# latter is the work of the stresses on a unit displacement of the top.
+# The force of the ball on the block, by pressure and friction, and the force of the clamp at the
+# top must balance. The former is an integral over the contact, in which the traction is the one
+# that acts on the ball. The latter is the work of the stresses on a unit displacement of the top.
 
 # %%
 vectors = fem.functionspace(solution.surface.mesh, ("Lagrange", 1, (3,)))
@@ -224,7 +225,7 @@ solution.plot("results/milled_plate.png")
 # %% [markdown]
 # ## The ring
 # A user's own obstacle is a function of points. It returns their distance from the obstacle,
-# positive outside, and the direction in which that grows, the normal.
+# positive outside, and the direction in which this distance grows, the normal.
 
 
 # %%
@@ -246,8 +247,9 @@ if comm.rank == 0:
     print(solution)
 
 # %% [markdown]
-# The law of contact again, and where it touches: on a band around the ring's top, narrower than
-# what the ring would cut out of the block. In the picture the pressed part is that band.
+# The law of contact is checked again, and where the block touches: on a band around the top of the
+# ring, narrower than the part of the block that the ring overlaps. In the picture the pressed part
+# is this band.
 
 # %%
 solution.raise_if_failed()

@@ -20,8 +20,9 @@
 # surface and a rigid plane: $x^2/2R + z(y)$, with the unknown profile $z$. The half-space is a
 # block, a quarter of it by symmetry, which is held far away.
 #
-# **The optimum.** A peak is no smooth function of the profile, so its derivative jumps where the
-# peak changes its place. The norm of the pressure in $L^8$ is smooth, and little above the peak:
+# **The optimum.** The peak is not a smooth function of the profile: its derivative jumps when the
+# peak moves from one point to another. The norm of the pressure in $L^8$ is smooth, and is
+# minimised instead:
 #
 # $$\min_z \; \Bigl( \int p^8 \Bigr)^{1/8} \quad\text{for}\quad \int p = Q.$$
 #
@@ -30,12 +31,12 @@
 #
 # $$z(y) = \frac{Q}{\pi L E^*} \ln \frac{1}{1 - (2y/L)^2}$$
 #
-# gives it (G. Lundberg, Elastische Berührung zweier Halbräume, Forsch. Ing.-Wes. 10, 1939), and
-# across the roller the pressure is that of Hertz, with the half width $a = \sqrt{4QR/\pi L E^*}$
-# and the peak $p_0 = 2Q/\pi L a$. *An even line load is not an even pressure*: at its ends the
-# half-space beyond helps to carry, the strip of contact becomes narrower, and an even pressure has
-# a smaller line load there. So the profile that is found must be a little higher than Lundberg's,
-# and without its infinite end.
+# gives this load (G. Lundberg, Elastische Berührung zweier Halbräume, Forsch. Ing.-Wes. 10, 1939),
+# and across the roller the pressure is that of Hertz, with the half width $a = \sqrt{4QR/\pi L
+# E^*}$ and the peak $p_0 = 2Q/\pi L a$. *An even line load is not an even pressure*: at its ends
+# the half-space beyond helps to carry, the strip of contact becomes narrower, and an even pressure
+# has a smaller line load there. So the profile that is found must be a little higher than
+# Lundberg's, and without its infinite end.
 #
 # With 5 cells over the half width of the contact it takes 9,600 nodes and 40 seconds; a number
 # after the name of this script is another number of cells.
@@ -83,13 +84,13 @@ unit = line_load / (math.pi * common_modulus)  # mm, of Lundberg's profile
 
 # %% [markdown]
 # ## Mesh and forms
-# Bricks: small where the roller presses, finer towards its end, and growing from there on. The
-# stations are the planes of nodes along the roller.
+# The cells are bricks: small where the roller presses, finer towards its end, and growing beyond
+# it. The stations are the planes of nodes along the roller.
 
 
 # %%
 def growing(places, end, growth=1.5):
-    """Return the places, and more up to the end at distances that grow."""
+    """Return the coordinates, followed by further ones up to the end, at growing distances."""
     places = list(places)
     while places[-1] < end:
         places.append(places[-1] + growth * (places[-1] - places[-2]))
@@ -135,7 +136,7 @@ for k in (0, 1):  # planes of symmetry
 # %% [markdown]
 # ## Contact
 # The control is one vector: the heights of the gap at the stations, linear in between, from which
-# the approach is already taken off. UFL knows how the gap depends on it.
+# the approach is already subtracted. UFL knows how the gap depends on this vector.
 
 # %%
 heights = fem.Constant(mesh, np.zeros(number))  # mm
@@ -163,7 +164,7 @@ solution, solves, gradients = None, 0, 0
 
 
 def solve(values):
-    """Solve with these heights [mm], unless that was done last."""
+    """Solve with these heights [mm], unless the last solve had them."""
     global solution, solves
     if solution is None or not np.array_equal(heights.value, values):
         heights.value[:] = values
@@ -186,9 +187,9 @@ def slope(goal, values):
 
 # %% [markdown]
 # ## A straight roller, and Lundberg's
-# The force depends on the approach. With its derivative, the sum of those by all heights, Newton's
-# method finds the approach for the load. Lundberg's profile is infinite at the end: there
-# it is taken in the middle between the last two stations.
+# The force depends on the approach. With its derivative, the sum of the derivatives by all heights,
+# Newton's method finds the approach for the load. Lundberg's profile is infinite at the end: its
+# value there is taken in the middle between the last two stations.
 
 
 # %%
@@ -224,8 +225,8 @@ pressures["Lundberg"], line_loads["Lundberg"] = along()
 
 # %% [markdown]
 # ## Optimise
-# SLSQP takes the norm of the pressure over that of the straight roller, the force as a constraint,
-# and both derivatives. Heights are in Lundberg's unit, so that all numbers are about 1.
+# SLSQP gets the norm of the pressure, divided by the norm for the straight roller, the force as a
+# constraint, and both derivatives. Heights are in Lundberg's unit, so that all numbers are about 1.
 
 # %%
 solves, gradients = 0, 0
@@ -264,10 +265,10 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Check
-# The pressure is even, as far as $L^8$ tells an even one from a peak: five percent more on a tenth
-# of the area are half a percent of the norm. The peak is below that of Lundberg's profile, and the
-# profile a little above it, up to a half width before the end. The straight roller's edge is sharp:
-# there is no limit for its peak as cells become smaller.
+# The pressure is even, as far as $L^8$ distinguishes an even pressure from a peak: five percent
+# more on a tenth of the area are half a percent of the norm. The peak is below the peak of
+# Lundberg's profile, and the profile a little above Lundberg's, up to a half width before the end.
+# The straight roller has a sharp edge: its peak grows without limit as cells become smaller.
 
 # %%
 even = pressures["optimal"] / pressures["optimal"][:-1].mean()

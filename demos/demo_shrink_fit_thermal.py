@@ -15,9 +15,9 @@
 #           |----|----|---- x
 #          10    20   40 mm
 #
-# A quarter of the cross-section in plane strain: the shaft is long and held at its ends. With 32
-# cells round the quarter of the ring and 24 round that of the shaft it takes 795 nodes and 4
-# seconds; a number after the name of this script is another size.
+# A quarter of the cross-section is modelled, in plane strain: the shaft is long and held at its
+# ends. With 32 cells round the quarter of the ring and 24 round the quarter of the shaft it takes
+# 795 nodes and 4 seconds; a number after the name of this script is another size.
 #
 # **Strong form.** In each body, with the temperature $T$, conductivity $k$, expansion $\alpha$,
 #
@@ -32,17 +32,18 @@
 # rough surfaces touch at some peaks only, and these grow with the pressure (Cooper, Mikic and
 # Yovanovich, Int. J. Heat Mass Transfer 12, 1969).
 #
-# **Discrete form.** $(K + C(p))\, T = 0$ for the nodes whose temperature is free. $C$ is
-# `conductance_matrix`: where the temperatures of both sides are compared, and how the heat is
-# handed over, are the mortar projection and its transpose. Its rows sum to zero, so what leaves the
-# shaft enters the ring to rounding, although the meshes do not match.
+# **Discrete form.** $(K + C(p))\, T = 0$ for the nodes whose temperature is free. $C$ is the
+# `conductance_matrix`: the mortar projection compares the temperatures of both sides, and its
+# transpose distributes the heat. The rows of $C$ sum to zero, so the heat that leaves the shaft
+# enters the ring to rounding, although the meshes do not match.
 #
-# **Staggered.** Temperature for the pressure of the last round, contact for this temperature, until
-# neither changes. K of the elasticity is factored once, and each contact solve starts from the last
-# one: a round takes one product with A, or none.
+# **Staggered.** Each round computes the temperature for the pressure of the previous round, and
+# then the contact for this temperature, until neither changes. K of the elasticity is factored
+# once, and each contact solve starts from the previous one: a round takes one product with A, or
+# none.
 #
-# **Comparison.** All depends on the radius alone. With heat $Q$ per radian, interference $\delta$
-# and the radii $a < R < b$,
+# **Comparison.** All fields depend on the radius alone. With the heat $Q$ per radian, the
+# interference $\delta$ and the radii $a < R < b$,
 #
 # $$T_{bore} - T_{rim} = Q \left( \frac{\ln(R/a)}{k_s} + \frac{1}{h(p) R} + \frac{\ln(b/R)}{k_r}
 # \right),$$
@@ -104,7 +105,7 @@ def conductance(p):
 
 # %% [markdown]
 # ## Mesh and forms
-# The temperature is of degree 1, as the displacement is.
+# Temperature and displacement are of degree 1.
 
 # %%
 fit = read_gmsh(
@@ -154,8 +155,9 @@ problem = ContactProblem(a, L, [pair], bcs=bcs, units=Units("mm", "MPa"))
 
 # %% [markdown]
 # ## Heat
-# The form knows nothing of the contact: without C the two bodies are apart. The conditions do not
-# reach the contact, so DOLFINx's own way to put them into K and the load is right for K + C too.
+# The form does not contain the contact: without C the two bodies are separate. No temperature is
+# prescribed at the contact, so the conditions may be put into K and the load by DOLFINx's functions
+# before C is added.
 
 # %%
 test, trial = ufl.TestFunction(Q), ufl.TrialFunction(Q)
@@ -199,8 +201,8 @@ def solve_heat(h):
 
 
 # %% [markdown]
-# What enters through the bore and through the rim: the work of the flux on a temperature that is 1
-# in its nodes and 0 in all others.
+# The heat that enters through the bore, or through the rim, is the work of the flux on a
+# temperature that is 1 at the nodes of this surface and 0 at all others.
 
 # %%
 one_at = [fem.Function(Q), fem.Function(Q)]
@@ -218,24 +220,24 @@ ring, shaft = materials["ring"], materials["shaft"]
 
 
 def compliance(body, free):
-    """Return how far R moves per pressure there [mm/MPa]; the other surface is free."""
+    """Return how far R moves for each unit of pressure at R [mm/MPa]; `free` has no pressure."""
     ratio = ((1 - 2 * body["nu"]) * radius**2 + free**2) / abs(radius**2 - free**2)
     return radius * (1 + body["nu"]) / body["E"] * ratio
 
 
 def heat_per_radian(p, at_bore):
-    """Return Q [mW/mm]."""
+    """Return the heat Q per radian [mW/mm] at a pressure [MPa]."""
     bodies = np.log(radius / bore) / shaft["k"] + np.log(rim / radius) / ring["k"]
     return (at_bore - T0) / (bodies + 1 / (conductance(p) * radius))
 
 
 def profile(r, heat, at_bore):
-    """Return the temperature in the shaft, and that in the ring."""
+    """Return the temperatures at radii r in the shaft, and in the ring."""
     return at_bore - heat * np.log(r / bore) / shaft["k"], T0 + heat * np.log(rim / r) / ring["k"]
 
 
 def growth(body, r, temperature):
-    """Return how far R moves by a temperature in points of Gauss's rule over a body [mm]."""
+    """Return how far R moves [mm] by temperatures of a body at r, the points of Gauss's rule."""
     mean = gauss @ (r * (temperature - T0)) / (gauss @ r)
     return (1 + body["nu"]) * body["alpha"] * radius * mean
 
@@ -246,7 +248,7 @@ in_ring = radius + (rim - radius) * (points + 1) / 2
 
 
 def overlap_left(p, at_bore):
-    """Return the overlap [mm] that a pressure leaves; zero at the right one."""
+    """Return the overlap [mm] that a pressure leaves; it is zero for the right pressure."""
     heat = heat_per_radian(p, at_bore)
     grown = growth(shaft, in_shaft, profile(in_shaft, heat, at_bore)[0])
     grown -= growth(ring, in_ring, profile(in_ring, heat, at_bore)[1])
@@ -261,10 +263,11 @@ def formula(at_bore):
 
 # %% [markdown]
 # ## Both together
-# A contact solve must be better than the tolerance of the loop, else its changes are noise. The
-# pressure comes as a Function on the mesh; forms and conductances may have it. Pressures are means
-# over the contact: nodal ones wave about it, by 0.3 percent here and 4 percent for N = 8, since the
-# facets of a polygon press on those of another one.
+# A contact solve must be more accurate than the tolerance of the loop; otherwise changes from round
+# to round are noise. The pressure is a Function on the mesh, for forms and conductances. The
+# pressures below are means over the contact: nodal pressures differ from the mean by 0.3 percent
+# here and by 4 percent for N = 8, since the facets of one polygon press on the facets of another
+# one.
 
 # %%
 writer = SolutionWriter("results/shrink_fit.pvd")
@@ -310,13 +313,15 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Check
-# Heat: the contact gives to the ring what it takes from the shaft; that is what entered by the
-# bore; and what left by the rim. The first is exact but for rounding, the others as good as the
-# solution of the linear system. Without a difference of temperature nothing flows.
+# Heat: the contact gives to the ring the heat that it takes from the shaft; this heat enters
+# through the bore, and leaves through the rim. The first balance is exact to rounding, the others
+# are as exact as the solution of the linear system. Without a difference of temperature no heat
+# flows.
 #
-# Pressure and heat: displacement and temperature are of degree 1, so both converge with h^2, h the
-# size of cells over the radius. The formula takes R for the radius of ring and shaft alike, though
-# they differ by the interference: it is right to about interference / R, here 0.001.
+# Pressure and heat: displacement and temperature are of degree 1, so both converge with h^2, where
+# h is the size of the cells divided by the radius. The formula takes R as the radius of both ring
+# and shaft, though they differ by the interference: it is right to about interference / R, here
+# 0.001.
 
 # %%
 assert np.abs(lost).max() < 1e-10 * max(heats)
@@ -331,7 +336,7 @@ assert max(pressure_error, heat_error) < 0.5 * h_squared + interference / radius
 
 # %% [markdown]
 # ## Draw
-# The hottest state; temperatures over the radius, with the jump in the contact; the pressure.
+# The hottest state; temperatures against the radius, with the jump at the contact; the pressure.
 
 # %%
 solution.plot("results/shrink_fit.png")

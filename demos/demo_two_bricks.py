@@ -40,8 +40,9 @@
 # the elastic energy less the work of the loads plus the work of friction. The user writes $a$ and
 # $L$ in UFL; the package adds the rest.
 #
-# **Discrete form.** Multipliers for pressure and traction in the nodes of the upper contact face;
-# the dual problem in these multipliers is solved, each step with one solve of the elastic problem.
+# **Discrete form.** The unknowns are multipliers, pressures and tractions at the nodes of the upper
+# contact face. The package solves the dual problem in these multipliers; each step takes one solve
+# of the elastic problem.
 
 # %%
 import logging
@@ -112,7 +113,7 @@ for end in ("upper_fixed", "lower_fixed"):
 
 # %% [markdown]
 # ## Contact
-# Two surfaces by their tags, and what holds between them.
+# A pair has two surfaces, given by their tags, and the law of friction between them.
 
 # %%
 pair = ContactPair(
@@ -128,8 +129,8 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Check
-# What must hold: convergence, the law of contact at each node, and an error of the iteration well
-# below that of the mesh. (The fields are of degree 1: their values are those at the nodes.)
+# Checked are convergence, the law of contact at each node, and that the error of the iteration is
+# well below the error of the mesh. (The fields are of degree 1: their values are nodal values.)
 
 # %%
 solution.raise_if_failed()

@@ -29,24 +29,25 @@ class SolverOptions:
             when the bound is at most `mesh_part` times the estimated error of the mesh
             (`ContactSolution.discretisation_error`) and `local_accuracy` is met.
         mesh_part: ratio of the iteration's error to the error of the mesh if `accuracy` is
-            "balanced", in (0, 1). Orthogonal errors in the ratio 0.1 add up to 1.005.
+            "balanced", in (0, 1). Two orthogonal errors of 1 and 0.1 have the sum 1.005.
         local_accuracy: largest change of a node's multiplier in one projected gradient step of that
             node alone, relative to the largest traction, if `accuracy` is "balanced"; in (0, 1).
             With the default, peak pressure, greatest slip and forces are within 1 % of the discrete
             solution (benchmarks/README.md); the number of nodes in a state may differ by
             `ContactSolution.counts.undecided`.
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
-            surface and relative to its value at lambda = 0; in (0, 1). The solve then stops when
-            the criteria of "balanced" are met, too. Nodal pressures and tractions that are exact to
-            several digits need a small value, such as 1e-6. None: `accuracy` alone decides.
+            surface and relative to its value at lambda = 0; in (0, 1). If a value is given, the
+            solve stops when this criterion and the criteria of "balanced" are met. Nodal pressures
+            and tractions that are exact to several digits need a small value, such as 1e-6. None:
+            `accuracy` alone decides.
         max_iterations: largest number of outer (Newton) iterations.
         rho_sigma: step length rho of the projection times the estimated largest eigenvalue of A.
             GIMSSN and projected Newton converge for values in (0, 2); the other methods take any
             positive value. None: 1 for projected Newton, 1.9 for GIMSSN, 3 for the others.
-        r_tol: ratio of the tolerance of an inner iteration to the outer residual (Step 3.1), in
-            (0, 1).
-        c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1), in (0, 1);
-            projected Newton does not use it.
+        r_tol: ratio of the tolerance of an inner iteration to the outer residual (Step 3.1 of the
+            paper), in (0, 1).
+        c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1 of the paper), in
+            (0, 1); projected Newton does not use it.
         geometry_accuracy: with finite sliding, the largest error that may result from pairing the
             surfaces in another configuration than the solution's: the relative error of contact
             forces, and the error of gaps relative to the displacement of the load step; in (0, 1).

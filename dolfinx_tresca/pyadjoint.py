@@ -2,7 +2,7 @@
 
 `ContactProblem` takes the place of `dolfinx_tresca.ContactProblem`, as the `LinearProblem` of
 dolfinx-adjoint takes the place of DOLFINx's. `pyadjoint.ReducedFunctional`, `pyadjoint.minimize`
-and `pyadjoint.taylor_test` then pass through contact. It needs dolfinx-adjoint 0.4.
+and `pyadjoint.taylor_test` then work through contact. This module needs dolfinx-adjoint 0.4.
 """
 
 from __future__ import annotations
@@ -147,7 +147,10 @@ class ContactProblem(_ContactProblem):
         )
 
     def start_of_solve(self) -> StepStart:
-        """Return the state from which the next solve begins, after an update of K. Collective."""
+        """Update K and the rows of B, and return the state from which the next solve begins.
+
+        Collective.
+        """
         contact = self._contact
         contact.check_not_destroyed()
         if contact.linear.outdated:
@@ -165,7 +168,7 @@ class ContactProblem(_ContactProblem):
         return _Content(step, contact.steps.end)
 
     def solve_again(self, start: StepStart, options: dict[str, Any]) -> _Content:
-        """Solve with the present values of all inputs from a given state. Collective.
+        """Solve from a given state with the present values of all inputs. Collective.
 
         Raises:
             ContactError: the pairing of the surfaces has changed.
@@ -204,7 +207,7 @@ class ContactProblem(_ContactProblem):
         )
 
     def has_present_stiffness(self, content: _Content) -> bool:
-        """Return whether a recorded solve used K as the present inputs define it. Collective."""
+        """Return whether a recorded solve used the K of the present inputs. Collective."""
         contact = self._contact
         return content.step.dual.compliance is contact.compliance and not contact.linear.outdated
 
@@ -215,7 +218,7 @@ class _Content:
 
     Attributes:
         step: the solution with its problem.
-        end: the state from which the next solve begins if this one is accepted.
+        end: the state from which the next solve begins if this solution is accepted.
     """
 
     step: SolvedStep
@@ -317,7 +320,7 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
 
     @contextmanager
     def _at_inputs(self) -> Iterator[None]:
-        """Give all inputs their values of this solve inside the block. Collective."""
+        """Give all inputs the values that they had in this solve, inside the block. Collective."""
         values = dict(zip(map(id, self._problem.inputs), self._values, strict=True))
         for dependency in self.get_dependencies():
             control = _control(dependency.output)

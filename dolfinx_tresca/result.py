@@ -57,9 +57,9 @@ class ContactSolution(Evaluation, Tabulated):
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
-        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration; -q is
-            `dual_energy` minus the dual energy without contact, -1/2 f'K^-1 f; or, with floating
-            bodies, minus the dual energy of the smallest lambda that balances the loads.
+        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. The last
+            -q is `dual_energy` minus the dual energy at lambda = 0, which is -1/2 f'K^-1 f; with
+            floating bodies, at the smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
             an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
             for the slip since the last accepted step.
@@ -78,9 +78,9 @@ class ContactSolution(Evaluation, Tabulated):
         local_error: largest change of the tractions of a node if they alone moved to the minimum of
             the dual energy, relative to the largest traction: approximately the relative error of
             nodal pressures.
-        bound_error: largest change of a slip bound after such a move of each node, relative to the
-            largest bound: the distance from the fixed point if bounds depend on the pressure, else
-            0. All other errors are for the present bounds.
+        bound_error: largest change of a slip bound after each node's tractions have moved in this
+            way, relative to the largest bound: the distance from the fixed point if bounds depend
+            on the pressure, else 0. All other errors are for the present bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
             [energy^(1/2)]; see `dual/estimate.py`. None if an `rtol`, or a number as `accuracy`,
             was requested, as mixed spaces and matrices require.

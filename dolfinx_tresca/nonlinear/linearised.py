@@ -24,15 +24,15 @@ from dolfinx_tresca.nonlinear.mixed_norm import MixedNorm
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem.contact_system import ContactSystem
 
-#: A node sticks if its traction is below this part of the slip bound. The margin covers bounds that
-#: depend on the pressure, which are known to the accuracy of their fixed point only.
+#: A node sticks if its traction is below this fraction of the slip bound. The margin is for bounds
+#: that depend on the pressure, and are known only to the accuracy of their fixed point.
 STICKING = 1.0 - 1e-3
 
-#: Largest gap of a node in geometric contact, relative to the largest jump.
+#: Nodes touch if their gap is at most this fraction of the largest component of the jumps B u.
 TOUCHING = 1e-6
 
-#: Largest relative change by a further Newton step, in the energy norm, with which u still counts
-#: as the solution.
+#: Largest relative change of u in a further Newton step, in the energy norm. A larger change shows
+#: that the inputs have changed since the solve, so that u is not their solution.
 UNCHANGED = 1e-3
 
 
@@ -64,7 +64,7 @@ class TangentProblem:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
         The reference tangent is the tangent of the undeformed bodies; if the material has a
-        history, the tangent at the displacement from which the present solve starts.
+        history, it is the tangent at the displacement from which the present solve starts.
 
         Args:
             F: residual form, internal minus external forces.
@@ -152,13 +152,13 @@ class TangentProblem:
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
-        """Check that forces are those of the last solve. Collective.
+        """Check that the last solution still balances the forces. Collective.
 
         Args:
-            change: change of the forces [force] at owned degrees of freedom.
+            change: change of the forces since the solve [force] at owned degrees of freedom.
 
         Raises:
-            ContactError: the displacement would change by more than `UNCHANGED`.
+            ContactError: a Newton step would change the displacement by more than `UNCHANGED`.
         """
         moved, size = self._norm_of_correction(change), self.energy_norm(self.u.x.array)
         if self.comm.bcast(not moved <= UNCHANGED * size):
@@ -218,7 +218,11 @@ class TangentProblem:
                 part.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
-        """Return B_a'C B_a for the rows a that contact closes, with stiffnesses C. Collective."""
+        """Return springs B_a'C B_a across the rows a of B that contact closes. Collective.
+
+        Args:
+            factor: stiffnesses C, relative to the stiffness of single nodes.
+        """
         B = self.contact.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
         rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
@@ -230,7 +234,7 @@ class TangentProblem:
         return springs
 
     def _nodal_stiffness(self) -> Array:
-        """Return the stiffness (size,) of single nodes of the reference tangent. Collective."""
+        """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.contact.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with self._at(self._reference):
@@ -242,7 +246,7 @@ class TangentProblem:
         """Return which rows (size,) of B are closed by contact at the present u_k. Collective.
 
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
-        are closed. If all multipliers are zero, all rows of nodes in geometric contact are closed.
+        are closed. If all multipliers are zero, all rows of nodes that touch are closed.
         """
         jump, multipliers = self.contact.jump, self.contact.steps.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
@@ -270,8 +274,8 @@ class TangentProblem:
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
         """Return the reference tangent times a factor. Collective.
 
-        Rows and columns of prescribed degrees of freedom, and of unknowns that are no
-        displacements, are zero: an added part for the latter would change the constraints.
+        Rows and columns of prescribed degrees of freedom are zero, and so are those of unknowns
+        other than displacements, in which added stiffness would change the constraints.
         """
         with self._at(self._reference):
             self.tangent.assemble_stiffness()
@@ -300,10 +304,10 @@ class TangentProblem:
         self.contact.steps.multipliers, self.contact.steps.last = multipliers, last
 
     def begin(self) -> None:
-        """Check u, return to the accepted state, align B with the present bounds. Collective.
+        """Prepare a solve: check u, return to the accepted state, align the rows of B. Collective.
 
-        Tangents are rotated only here and not in Newton steps, so that a `state` of this solve has
-        multipliers for the present rows of B.
+        Tangent vectors are rotated to the axes of the slip bounds only here, and not in Newton
+        steps: so the multipliers in a `state` of this solve belong to the present rows of B.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -359,7 +363,7 @@ class TangentProblem:
         self.contact.pair_where_changed(self.contact.sliding.origin.copy())
 
     def end_load(self) -> None:
-        """Return rigid obstacles to the places that the user gave. Not collective."""
+        """Return rigid obstacles to the positions that the user gave. Not collective."""
         self.contact.obstacles.motions = self._places[1]
 
     def residual_norm(self) -> float:

@@ -19,18 +19,18 @@ from dolfinx_tresca.stiffness.component import Component
 class MixedNorm(PetscOwner):
     """|(u, p)| = sqrt(u'A u + p'S p) with S = C + diag(B diag(A)^-1 B'), of K = (A, B'; B, -C).
 
-    K is the tangent of the undeformed bodies. The energy of a later tangent is not a norm: A of a
-    body under pressure is positive definite only for displacements that keep the volume, and a
-    Newton step changes the volume. A and S are the blocks of the usual preconditioner for K
-    (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but S has only its diagonal. Without
-    this simplification S is approximately C plus the mass matrix of the pressures divided by the
-    shear modulus.
+    A, B and C are here the blocks of K, the tangent of the undeformed bodies. The energy of a later
+    tangent is not a norm: the block A of a body under pressure is positive definite only for
+    displacements that keep the volume, and a Newton step changes the volume. A and S are the blocks
+    of the usual preconditioner for K (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but
+    S is reduced to its diagonal. Without this reduction S is approximately C plus the mass matrix
+    of the pressures divided by the shear modulus.
 
     Owns PETSc objects: call `destroy()`.
     """
 
     def __init__(self, tangent: TangentSystem, component: Component) -> None:
-        """Assemble A and S at the present u; K is without conditions afterwards. Collective.
+        """Assemble A and S at the present u; K is left without Dirichlet conditions. Collective.
 
         Args:
             tangent: the system with K.
@@ -43,7 +43,7 @@ class MixedNorm(PetscOwner):
         self._A = component.block(K)
         squares, diagonal = entrywise(K, np.square), K.getDiagonal()
         compliance, self._S = diagonal.duplicate(), diagonal.duplicate()
-        # nothing couples to a displacement without stiffness but what makes K singular
+        # a displacement without stiffness couples to no pressure, unless K is singular
         stiff = component.mask & (diagonal.array > 0.0)
         compliance.array = np.divide(1.0, diagonal.array, out=np.zeros(len(stiff)), where=stiff)
         squares.mult(compliance, self._S)

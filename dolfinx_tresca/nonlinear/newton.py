@@ -35,10 +35,10 @@ GROWTH = 1.0
 #: cost less than a smaller part of the load.
 MAX_ITERATIONS_FACTOR = 4
 
-#: Stiffness that is added to a tangent which is not positive definite, in the order of trial:
-#: springs in the contact, relative to the stiffness of a single node, and a factor of the
-#: undeformed bodies' stiffness. Blocks of rubber that are compressed by 40 % buckle with springs of
-#: 1; springs of 10,000 almost prevent nodes from sliding that should slide.
+#: Stiffness that is added to a tangent which is not positive definite, in the order of trial. Each
+#: entry has the stiffness of springs in the contact, relative to the stiffness of a single node,
+#: and a factor of the undeformed bodies' stiffness. Blocks of rubber that are compressed by 40 %
+#: buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding that should slide.
 ADDED = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (10.0, 0.1), (10.0, 1.0))
 
 #: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
@@ -124,7 +124,10 @@ class Newton:
                 return
 
     def _diagnosis(self) -> str:
-        """Return what the last steps tell about the failure. Collective."""
+        """Return where the displacement changed most, and whether the bodies are unstable.
+
+        The text is part of the message after a failure. Collective.
+        """
         if self.stopped or self._last_change is None:
             return ""
         place = self.problem.place_of_largest(self._last_change)
@@ -148,7 +151,7 @@ class Newton:
             self._sliding = FiniteSliding(problem.contact)
             self.level = 0  # springs hold the partners of another configuration
             try:
-                with suppress(StiffnessError):  # steps add stiffness
+                with suppress(StiffnessError):  # the steps will add stiffness
                     problem.factor()
                     self._sliding.pair_first_configuration()
             except PairingError as error:
@@ -205,7 +208,7 @@ class Newton:
             except PairingError as error:
                 return f"{where}: {str(error).rstrip('.')}"
             was_slow, slow = slow, self.level >= FIRST_SLOW
-            other = self._sliding is not None  # configuration: residuals cannot be compared
+            other = self._sliding is not None  # in other configurations residuals do not compare
             if number > 2 and residual > GROWTH * last and not (slow or was_slow or other):
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
             errors.append(residual / self.options.accuracy)
@@ -222,7 +225,9 @@ class Newton:
             last = residual
 
     def _settled(self, residual: float, start: float) -> bool:
-        """Return whether u is an equilibrium; if not, pair surfaces that slide far. Collective.
+        """Return whether u is an equilibrium; if not, pair surfaces with finite sliding anew.
+
+        Collective.
 
         Args:
             residual: relative residual of Newton's method.
@@ -241,7 +246,7 @@ class Newton:
         return False
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
-        """Return the progress of the steps. Not collective."""
+        """Return the progress of the steps, for observers. Not collective."""
         last = self.steps[-1].residual if self.steps else math.inf
         number, fraction = len(self.steps) + (not ended), self.problem.tangent.fraction
         return NewtonProgress(number, fraction, last, ended, self.fraction)
@@ -254,10 +259,10 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        Beyond `max_iterations` it may if the error, at its mean rate in the second half of the
-        steps, falls to the requested one within `MAX_ITERATIONS_FACTOR` times as many steps. Rates
-        of single steps tell little, since Anderson's acceleration makes errors of the configuration
-        jump up and down.
+        Beyond `max_iterations` steps it may if the error, at its mean rate in the second half of
+        the steps so far, falls to the requested error by step number `MAX_ITERATIONS_FACTOR`
+        times `max_iterations`. Rates of single steps tell little, since Anderson's acceleration
+        makes errors of the configuration jump up and down.
 
         Args:
             errors: largest ratio of an error to the requested one, for each step.
@@ -273,19 +278,19 @@ class Newton:
         return at_end <= 1.0
 
     def _count(self, solution: ContactSolution) -> None:
-        """Add the cost of a step. Not collective."""
+        """Add the Krylov iterations and the seconds of a step to the sums. Not collective."""
         self.krylov_iterations += solution.krylov_iterations
         for name, seconds in solution.timings.items():
             self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def _step(self) -> ContactSolution:
-        """Solve the contact problem of a step, with the stiffness of `ADDED` it needs. Collective.
+        """Solve the contact problem of a step, with stiffness of `ADDED` if needed. Collective.
 
-        The first stiffness tried is that of the last step, or the next smaller one where the last
-        one makes Newton's method slow.
+        The first entry tried is the entry of the last step; if this entry makes Newton's method
+        slow, it is the entry before.
 
         Raises:
-            StiffnessError: no further stiffness makes the tangent definite; in a new configuration
+            StiffnessError: none of the entries makes the tangent definite; in a new configuration
                 of the surfaces only the first one is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.

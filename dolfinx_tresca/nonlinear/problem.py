@@ -1,4 +1,4 @@
-"""Contact of nonlinear bodies: Newton's method whose every step is a contact problem."""
+"""Contact of nonlinear bodies: each step of Newton's method is a contact problem."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _check_options(options: Any, newton: Any) -> None:
 
 
 def _options_to_agree(problem: NonlinearContactProblem) -> dict[str, Any]:
-    """Return the options that a solve uses if it is given none. Not collective."""
+    """Return by name the problem's options, which must be equal on all ranks. Not collective."""
     return {"options of the problem": problem.options, "newton of the problem": problem.newton}
 
 
@@ -61,9 +61,10 @@ class NonlinearContactProblem(ContactProcess):
     Functions in forms and conditions in place, as for `ContactProblem`. Multipliers and the models
     of A are kept from step to step.
 
-    If Newton's method fails, the change of load is halved, whatever the load is: the residual at
-    the start of the solve is removed in parts. A tangent may be indefinite, since it does not
-    contain the contact; then springs in the contact are added, which do not change the solution.
+    If Newton's method fails, half of the change of load is tried first. This works for all kinds of
+    load, since it is the residual at the start of the solve that is removed in parts. A tangent may
+    be indefinite, since it does not contain the contact; then springs in the contact are added,
+    which do not change the solution.
 
     A solve starts at the present u. In a process with Coulomb friction, the solve after one that
     was not accepted starts at the u of the last accepted step, unless u was changed in between.
@@ -77,7 +78,7 @@ class NonlinearContactProblem(ContactProcess):
     `on_accept()` makes the state at u the history; only `accept()` calls it. So a failed part of a
     load, or a trial solve, leaves the history unchanged.
 
-    A problem owns PETSc objects: call `destroy()`, or use it as a context manager.
+    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager.
 
     Example:
         The cube of `ContactProblem`, made of rubber and compressed to 60 % of its height:
@@ -134,7 +135,7 @@ class NonlinearContactProblem(ContactProcess):
                 conditions must hold the bodies.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions of the whole displacement.
-            J: derivative of F, symmetric; None: by `ufl.derivative`.
+            J: derivative of F, symmetric; None: `ufl.derivative(F, u)`.
             before_assembly: function without arguments that computes further coefficients of F and
                 J from u; ghosts of u are up to date, and the function must update the ghosts of
                 other Functions. If F contains u only through these coefficients, give J.
@@ -142,20 +143,20 @@ class NonlinearContactProblem(ContactProcess):
                 history. An error that `before_assembly` or `on_accept` raises on one rank is raised
                 on all ranks; but neither may fail on one rank alone before it communicates with
                 other ranks (as it does when it makes a `fem.Function`).
-            symmetrize: whether to take the symmetric part of J: Newton's method then converges
-                linearly, for follower loads and non-associated plasticity.
+            symmetrize: whether to replace J by its symmetric part, as follower loads and
+                non-associated plasticity need; Newton's method then converges linearly.
             options: options of the contact algorithm; by default a relative residual of 1e-6. The
                 contact problem of a step is solved at least as accurately as `newton` requests.
             newton: options of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: options of the solver for the tangent.
-            petsc_options_prefix: prefix of PETSc options on the command line.
+            petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
             entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see
                 `ContactProblem`.
-            V: the displacement, such as W.sub(0), in a mixed space W with several vector
-                components.
+            V: the sub-space of the displacement, such as W.sub(0), in a mixed space W with several
+                vector components.
 
         Raises:
             InputError: an argument is wrong.
@@ -237,9 +238,10 @@ class NonlinearContactProblem(ContactProcess):
         self._linearised.update_geometry(u)
 
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
-        """Take a further Newton step, so that the tangent is taken at the solution. Collective.
+        """Return the last solve, repeated with the tangent at the solution. Collective.
 
-        The last assembled tangent belongs to the previous iterate.
+        Derivatives need this tangent, and the last assembled one belongs to the previous iterate:
+        so a further Newton step is made.
 
         Raises:
             ContactError: nothing was solved since the last accepted step, or inputs have changed

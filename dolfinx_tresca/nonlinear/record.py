@@ -20,7 +20,7 @@ class NewtonOptions:
             in `SolverOptions`.
         max_iterations: largest number of Newton steps for a part of the load. Up to four times as
             many are taken while the error (with finite sliding also the error of the
-            configuration) falls fast enough to reach the requested one by then.
+            configuration) falls fast enough to reach the requested error by then.
         max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 
@@ -61,14 +61,14 @@ class NewtonStep:
         fraction: part of the change of load for which the step solves.
         correction: |u_{k+1} - u_k|_K relative to the larger of |u_{k+1}|_K and |u_{k+1} - u_0|_K,
             where u_0 is the displacement at the start of the solve.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, relative to the same norm; NaN if it cannot be
-            computed.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, divided by the same norm as `correction`; NaN if
+            it cannot be computed.
         contact_residual: natural residual of the contact problem, relative to its value without
             contact.
         iterations: iterations of the contact solver.
         products: products with A in this step.
         pressed: number of nodes in contact, of all pairs and ranks.
-        added: stiffness that was added to the tangent; empty as a rule.
+        added: stiffness that was added to the tangent, in words; empty if there was none.
     """
 
     number: int

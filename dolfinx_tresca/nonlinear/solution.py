@@ -32,7 +32,7 @@ class NonlinearContactSolution(ContactSolution):
         """Check that the iterations reached the requested accuracy. Not collective.
 
         Raises:
-            ConvergenceError: an iteration did not reach it.
+            ConvergenceError: an iteration did not reach this accuracy.
         """
         if self.status is ContactStatus.NO_EQUILIBRIUM:
             raise ConvergenceError(self.newton.message)

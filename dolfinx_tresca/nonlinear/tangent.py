@@ -30,7 +30,7 @@ class TangentSystem(LinearSystem):
     start of the solve to the present ones, and h = (1 - t) r_0 contains the residual r_0 at the
     start. So t applies any change of the loads, whatever has changed in the forms.
 
-    In a mixed space u has other unknowns beside the displacement, and K is a saddle point.
+    In a mixed space u has other unknowns besides the displacement, and K is a saddle point.
 
     Attributes:
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
@@ -103,7 +103,7 @@ class TangentSystem(LinearSystem):
         super().destroy()
 
     def update_material(self) -> None:
-        """Compute the coefficients of the forms that follow from u, once for each u. Collective.
+        """Compute the material's coefficients by `before_assembly`, once for each u. Collective.
 
         Raises:
             StiffnessError: the user's function leaves values that are NaN or infinite.
@@ -153,7 +153,7 @@ class TangentSystem(LinearSystem):
         return shown(wrong[0]) if wrong else ""
 
     def forget_material(self) -> None:
-        """Let the next assembly call `update_material` at any u. Not collective."""
+        """Let the next assembly compute the material anew, even at the same u. Not collective."""
         self._updated_at = None
 
     @property

@@ -63,8 +63,8 @@ from dolfinx_tresca.units import Units
 class ContactSystem(PetscOwner):
     """A discretised contact problem: K, B, the laws of friction, and the accepted load steps.
 
-    A linear problem has one such system for all solves. Newton's method for nonlinear bodies has
-    one as well, whose K is the present tangent.
+    A linear problem uses one such system for all solves. Newton's method for nonlinear bodies also
+    uses one; its K is the present tangent.
 
     Attributes:
         linear: the system K u = f with its Dirichlet conditions.
@@ -73,16 +73,17 @@ class ContactSystem(PetscOwner):
         compliance: A = B K^-1 B', with K factored.
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         surfaces: the secondary side of each pair.
-        sliding: the slip since the surfaces were paired.
+        sliding: the displacement at which surfaces were last paired, and a check of the slip since.
         geometry: displacement at which pairs without finite sliding were paired.
-        obstacles: the rigid obstacles, and where they are.
+        obstacles: the rigid obstacles and their positions.
         summary: the sizes of the problem.
         slides_far: whether a pair has finite sliding.
         stiffness: the chosen solver for K, "cholesky" or "multigrid".
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
         options_of_solve: options of the last solve.
-        moved_in_solve: for each pair whether its obstacle moves in the load step of the last solve.
+        moved_in_solve: (pairs,) whether the pair's obstacle moves in the load step of the last
+            solve.
     """
 
     def __init__(
@@ -101,8 +102,8 @@ class ContactSystem(PetscOwner):
             pairs: the surfaces that may touch.
             stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
             expected_solves: number of solves with the same K, approximately.
-            petsc_options: options of the solver for K, on top of the defaults.
-            petsc_options_prefix: prefix of PETSc options on the command line.
+            petsc_options: PETSc options of the solver for K, with precedence over the defaults.
+            petsc_options_prefix: prefix of the options that the command line gives to this solver.
 
         Raises:
             InputError: an argument is wrong.
@@ -236,7 +237,7 @@ class ContactSystem(PetscOwner):
         self._operators = None
 
     def forget(self) -> None:
-        """Drop the multipliers and products of earlier solves. Not collective."""
+        """Drop multipliers and products: the next solve starts from zero. Not collective."""
         self.steps.forget()
         self.solved = None
         self.compliance.forget()
@@ -255,11 +256,11 @@ class ContactSystem(PetscOwner):
 
     @property
     def nodal_values(self) -> NodalValues:
-        """The evaluation of users' fields at the nodes of the displacement."""
+        """The object that evaluates users' fields at the nodes of the displacement."""
         return self._slip_bounds.values
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
-        """Return the inputs of a solve: load, slip bounds, added gaps. Not collective."""
+        """Return load, slip bounds and added gaps, to compare two solves. Not collective."""
         result = [self.linear.f.x.array.copy()]
         for one in bounds:
             result += [one.constant, one.coefficient, one.limit]
@@ -297,7 +298,7 @@ class ContactSystem(PetscOwner):
             )
 
     def _update_gaps(self) -> None:
-        """Update the gaps that users have added to the distances. Collective.
+        """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
 
         Raises:
             InputError: a gap is on another mesh, or is NaN or infinite.
@@ -326,8 +327,8 @@ class ContactSystem(PetscOwner):
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
 
-        If the axes differ from the axes of the last solve, A is another matrix, and only the far
-        field of its known products is kept.
+        If the axes differ from the axes of the last solve, A becomes another matrix, and only the
+        far field of the known products is kept.
 
         Raises:
             InputError: the direction of orthotropic friction is normal to the surface.
@@ -390,9 +391,9 @@ class ContactSystem(PetscOwner):
             self._accepted_configuration = self.sliding.origin.copy()
 
     def begin_solve(self) -> None:
-        """Return to the accepted state if the solution may depend on the start. Collective.
+        """Let the next solve start at the last accepted step if its result may depend on the start.
 
-        Pairs whose obstacle has moved since their pairing are paired anew.
+        Pairs whose obstacle has moved since they were paired are paired anew. Collective.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
@@ -424,7 +425,7 @@ class ContactSystem(PetscOwner):
             self.sliding.begin(u)
 
     def note_obstacles(self) -> Mask:
-        """Record the present places of the obstacles. Collective.
+        """Record the present positions of the obstacles. Collective.
 
         Returns:
             (pairs,) whether the distance from the obstacle has changed since the pairing.
@@ -471,7 +472,10 @@ class ContactSystem(PetscOwner):
             self._replace_jump(jump)
 
     def _history_of_solve(self) -> SlipHistory:
-        """Return the slip history with the motion of obstacles in this load step. Collective."""
+        """Return the slip history whose origin moves with the obstacles in this step. Collective.
+
+        The slip on an obstacle then counts relative to the obstacle.
+        """
         steps, jump = self.steps, self.jump
         displacement = np.zeros(len(jump.gap))
         for before, now, slides_far, (_, t) in zip(
@@ -489,7 +493,7 @@ class ContactSystem(PetscOwner):
         Collective.
 
         With finite sliding only the final solution is checked, since in the first configurations
-        surfaces that come from afar meet bodies in wrong places.
+        surfaces that come from afar may lie deep inside other bodies.
 
         Args:
             u: displacement of a solution [length].
@@ -519,7 +523,7 @@ class ContactSystem(PetscOwner):
         return bool(self.comm.allreduce(same, op=MPI.LAND))
 
     def _replace_jump(self, jump: JumpOperator) -> None:
-        """Replace B, with the same K. Collective."""
+        """Replace B after a new pairing, and drop what depends on the old B. Collective."""
         before, self.jump = self.jump, jump
         self._guess.forget()
         self.compliance = self.compliance.on(jump)
@@ -541,7 +545,11 @@ class ContactSystem(PetscOwner):
         self.compliance = self._factored(self.compliance)
 
     def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
-        """Assemble K, find the rigid modes it resists weakly, and set up its solver. Collective."""
+        """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
+
+        Args:
+            before: A with the former K, whose far field the new A keeps; None: there is none.
+        """
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()
@@ -605,7 +613,10 @@ class ContactSystem(PetscOwner):
         self.compliance.operator.solver.check_ready()
 
     def _largest_of_one(self, values: Array) -> fem.Function:
-        """Return owned nodal values as a motion whose greatest nodal length is 1. Collective."""
+        """Return a motion with given owned values, scaled to a greatest nodal length of 1.
+
+        Collective.
+        """
         motion = fem.Function(self.linear.V, name="motion")
         lengths = np.linalg.norm(values.reshape(-1, motion.function_space.dofmap.bs), axis=1)
         greatest = reduce_array(self.comm, lengths.max(initial=0.0), MPI.MAX)

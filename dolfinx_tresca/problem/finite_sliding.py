@@ -26,29 +26,29 @@ from dolfinx_tresca.units import Units
 ANDERSON_DEPTH = 3
 
 #: Least eigenvalue, relative to the largest one, of the Gram matrix of the differences of residuals
-#: u - w, each divided by its length; differences with smaller eigenvalues count as dependent: early
-#: contact problems are solved inaccurately, and small differences of differences are noise. The
-#: half ring of benchmarks/finite_sliding.py takes 187 Newton steps with 1e-12, 160 with 1e-3 (32
-#: cells, 11 load steps, `geometry_accuracy=1e-6`).
+#: u - w, each divided by its length. Eigenvectors with smaller eigenvalues are ignored: they are
+#: nearly dependent combinations of differences, and these are noise, since early contact problems
+#: are solved inaccurately. The half ring of benchmarks/finite_sliding.py takes 187 Newton steps
+#: with 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
 
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
 #: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
-#: configuration changes the forces again, so early contact problems need no more accuracy. The
-#: change of the forces would be no measure of the accuracy they need: where forces are sensitive to
-#: residuals, as in slender bodies, this change is as large as the errors of the contact problems.
+#: configuration changes the forces again, so early contact problems need no more accuracy. A
+#: residual in proportion to the last change of the forces is not better: where forces are sensitive
+#: to residuals, as in slender bodies, this change is as large as the errors of contact problems.
 #: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
-#: steps with 0.03 of that change, 165 with this value, and 159 with 0.003. The hemisphere of the
+#: steps with 0.03 times that change, 165 with this value, and 159 with 0.003. The hemisphere of the
 #: same file (size 10, steps of 2 cells) takes, in this order, 63, 59 and 57 Newton steps with 381,
 #: 438 and 473 products.
 FORCING = 0.01
 
 #: Ratio of a change of forces or gaps to the previous change: the assumed value while it is
 #: unknown; its lower bound, since a step of Anderson's acceleration may succeed by chance; and its
-#: upper bound, since a convergent iteration has a ratio below 1. A change with a ratio below the
-#: lower bound is small by chance if the residual u - w has not fallen as far, and the lower bound
-#: is taken for it: without this 28 of 200 random scenes, solved to 1e-5 and to 1e-6, had more than
-#: ten times the requested error, and 8 have it now.
+#: upper bound, since a convergent iteration has a ratio below 1. A change whose ratio is below both
+#: the lower bound and the ratio of the residuals u - w is small by chance, and is enlarged to the
+#: smaller of these two ratios: without this, 28 of 200 random scenes, solved to 1e-5 and to 1e-6,
+#: had more than ten times the requested error; with it 8 have.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Advice to users if the configurations do not converge.
@@ -58,9 +58,9 @@ ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 MAX_CONFIGURATIONS = 40
 
 
-#: Displacement since the last accepted step, relative to the whole displacement, below which the
-#: accuracy of gaps does not follow it: where a wheel turns on a body that rests, the displacement
-#: of a step is the rounding of the solves, and gaps would never be accurate relative to it.
+#: Changes of gaps are measured relative to the displacement since the last accepted step, but at
+#: least to this fraction of the whole displacement: where a wheel turns on a body that rests, the
+#: displacement of a step is rounding, and gaps would never be accurate relative to it.
 SMALL_STEP = 1e-2
 
 
@@ -93,7 +93,7 @@ class FiniteSliding:
         self.configurations = 1
 
     def loosened(self, options: SolverOptions) -> SolverOptions:
-        """Return the options with the accuracy that the present configuration justifies."""
+        """Return the options with the `rtol` that suffices for now; see `FORCING`."""
         residual = FORCING * self._start
         if options.rtol is not None:
             residual = max(residual, options.rtol)
@@ -177,9 +177,9 @@ class FiniteSliding:
         self.configurations += 1
 
     def _next(self) -> Array:
-        """Return the next displacement w, ghosts included. Collective."""
+        """Return the next displacement w by Anderson's acceleration, with ghosts. Collective."""
         u, w = self._solved[-1], self._displaced[-1]
-        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first is no approximation of u
+        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first u(w) is no approximation
         if depth < 1:
             return u
         owned = len(self._contact.linear.prescribed_displacements)
@@ -268,7 +268,7 @@ def summed_timings(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
 
 
 def _ratio(square: float, size: float) -> float:
-    """Return the square root of a ratio; 0 for 0 / 0."""
+    """Return the square root of square / size; 0 for 0 / 0."""
     if square == 0.0:
         return 0.0
     return math.sqrt(square / size) if size > 0.0 else math.inf

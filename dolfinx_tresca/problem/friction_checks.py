@@ -47,8 +47,8 @@ def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
 def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:
     """Check for floating bodies that no coefficient of friction depends on the slip.
 
-    For a block held by viscous friction alone the solver found no multipliers in minutes. Not
-    collective.
+    Such problems are refused since the solver may not converge: for a block held by viscous
+    friction alone it found no multipliers within minutes. Not collective.
 
     Raises:
         InputError: a coefficient depends on the slip.

@@ -39,7 +39,10 @@ from dolfinx_tresca.units import Units
 
 
 def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
-    """Return the values, other than its arguments, on which a solve depends. Not collective."""
+    """Return by name what must be equal on all ranks for a solve, besides its arguments.
+
+    Not collective.
+    """
     return {
         "options of the problem": problem.options,
         "pairs": problem.pairs,
@@ -52,19 +55,19 @@ class ContactProblem(ContactProcess):
 
     Forms and slip bounds may contain `fem.Constant` and `fem.Function`: change these in place, and
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
-    coefficients of the form `a` call `update_stiffness()`; until then solutions are those for the K
-    that was factored last, and the log warns. Each solve starts from the multipliers of the last
-    solve (in a process with Coulomb friction, from those of the last accepted step), and uses the
-    products with A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed,
-    but their values may change.
+    coefficients of the form `a` call `update_stiffness()`; until then solves use the K that was
+    factored last, and the log warns. Each solve starts from the multipliers of the last solve (in a
+    process with Coulomb friction, from those of the last accepted step), and uses the products with
+    A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed, but their
+    values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
     static load. For a process call `accept()` after each `solve()`. Friction then resists the slip
     since the last accepted step, and slip remains when the loads are removed.
 
-    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. On one
-    rank the objects of a problem that nobody destroys are freed with its last reference; on several
-    ranks they are freed when the next problem on the same mesh is made.
+    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. If
+    nobody destroys a problem, its objects are freed on one rank together with the problem, and on
+    several ranks when the next problem on the same mesh is made.
 
     Attributes:
         pairs: surfaces that may touch.
@@ -125,26 +128,27 @@ class ContactProblem(ContactProcess):
                 of bodies that contact holds. Its arguments are in a vector space of degree 1 or 2,
                 in 3D or in 2D (plane strain; a meridian with `axisymmetric`), or in a mixed space
                 with such a component: then K is a saddle point, and Dirichlet conditions must hold
-                the bodies (see the guide on embedding). With V, `a` may also be a compiled form, or
-                a `PETSc.Mat` that was assembled without conditions. For a mixed space, a compiled
-                form or a matrix the discretisation error is unknown: solve with a number as
-                `accuracy`, or with `rtol`.
-            L: linear form, or a compiled form; None: no load.
+                the bodies (see the guide on embedding). If V is given, `a` may also be a compiled
+                form, or a `PETSc.Mat` that was assembled without conditions. For a mixed space, a
+                compiled form or a matrix the discretisation error is unknown: solve with a number
+                as `accuracy`, or with `rtol`.
+            L: linear form of the loads, in UFL or compiled; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
             options: options of the contact algorithm; `solve()` can change them for one solve.
             stiffness: how to solve with K: "cholesky", "multigrid" (for large models), or "auto".
             expected_solves: approximate number of calls of `solve()` before K changes. The larger
                 it is, the sooner "auto" takes "cholesky", whose further solves are cheaper.
-            petsc_options: options of the solver for K, on top of the defaults. For degree 2 the
-                options of the GAMG solver on the level of degree 1 begin with "mg_coarse_"; options
-                without this prefix hold for that level as well.
-            petsc_options_prefix: prefix of PETSc options on the command line.
+            petsc_options: PETSc options of the solver for K, which take precedence over the
+                defaults. For degree 2 the options of the GAMG solver on the level of degree 1 begin
+                with "mg_coarse_"; options without this prefix hold for that level as well.
+            petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
             entity_maps: needed if forms hold Functions on surfaces, as in `dolfinx.fem.form`;
                 `SurfaceFields.entity_maps` has the map of a surface.
-            V: the space of the displacement, if `a` is no form of UFL; for a mixed space W with
-                several vector components the displacement, such as W.sub(0).
+            V: the space of the displacement. It is needed if `a` is not a form of UFL, and for a
+                mixed space W with several vector components, where it is a sub-space such as
+                W.sub(0).
             axisymmetric: whether the mesh is the meridian of bodies of revolution: x[0] is the
                 radius, x[1] is along the axis, and the integrands of the forms have the factor
                 2 pi x[0]. Contact forces, areas and energies are then those of the whole rings.
@@ -205,16 +209,17 @@ class ContactProblem(ContactProcess):
         """Pair the surfaces in the configuration displaced by u. Collective.
 
         With small sliding nodes keep their normals and their partners on the other side. After this
-        call normals and partners are those in the configuration displaced by u, the gap is d - N u
-        with the distance d of the displaced surfaces, and stresses are forces divided by displaced
-        areas. With `sliding="finite"` each solve does this automatically. For an iteration of your
-        own repeat `solve` and `update_geometry` within a load step until the forces do not change
-        any more, and then accept the step; with one call per step the normals lag one step behind.
-        Slip, accepted steps, multipliers and the far field of products with A are kept, and K is
-        not factored again. Bonded pairs do not change.
+        call normals and partners are those in the configuration displaced by u, the gap at a later
+        displacement v is d - N (v - u) with the distance d of the displaced surfaces, and stresses
+        are forces divided by displaced areas. With `sliding="finite"` each solve pairs the surfaces
+        in the configuration of its solution automatically. For an iteration of your own repeat
+        `solve` and `update_geometry` within a load step until the forces do not change any more,
+        and then accept the step; with one call per step the normals lag one step behind. Slip,
+        accepted steps, multipliers and the far field of products with A are kept, and K is not
+        factored again. Bonded pairs do not change.
 
         Args:
-            u: displacement [length] in the problem's space, usually the one of a solution.
+            u: displacement [length] in the problem's space, usually the `u` of a solution.
 
         Raises:
             InputError: u is no Function of that space, or has values that are NaN or infinite.
@@ -313,7 +318,7 @@ class ContactProblem(ContactProcess):
 
     @collective(comm_of_self)
     def goal_error(self, goal: Goal) -> GoalError:
-        """Return a number of the last solution with an estimate of its error. Collective.
+        """Return the value of a goal in the last solution, with an error estimate. Collective.
 
         The estimate keeps the contact state of each node, which is right to first order: if all
         nodes stick, mean slip and estimated error are zero. The estimate covers the
@@ -346,10 +351,10 @@ class ContactProblem(ContactProcess):
         check that nothing has changed since the solve.
 
         Args:
-            checkpoint_every: number k: keep the state of each k-th step only, which consists of
-                values on the contact surfaces, and repeat the solves of all steps when derivatives
-                are asked for; None: keep the displacement of each step, and repeat no solve. With
-                k = 1 each repeated solve starts from its solution, and costs a product or two.
+            checkpoint_every: number k: keep only the state of each k-th step (values on the contact
+                surfaces), and repeat the solves of all steps for derivatives; None: keep the
+                displacement of each step, and repeat no solve. With k = 1 each repeated solve
+                starts from the solution of the first solve, and costs a product or two.
             folder: folder for files with these states, in the format of `save_state`; None: keep
                 the states in memory.
 
@@ -375,7 +380,9 @@ class ContactProblem(ContactProcess):
             self._tape = None
 
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
-        """Return the last solve, for derivatives. Not collective.
+        """Return the dual problem, multipliers and fields of the last solve. Not collective.
+
+        Derivatives and error estimates need them.
 
         Raises:
             ContactError: the problem was destroyed, nothing was solved, or coefficients of `a`

@@ -1,4 +1,7 @@
-"""Central differences of B with respect to a Constant on which the place of obstacles depends."""
+"""Central differences of B with respect to a Constant on which positions of obstacles depend.
+
+They are part of the derivatives with respect to this Constant.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ def obstacle_differences(
 
     Args:
         contact: the problem, after a solve.
-        constant: the Constant, on which places of obstacles may depend.
+        constant: the Constant, on which positions of obstacles may depend.
         direction: change of the Constant, an array of the shape of its value.
         in_all_steps: whether the Constant changes in all load steps so far. If not, it changes only
             after the accepted steps, whose slip is carried over to the displaced obstacle.
@@ -42,7 +45,7 @@ def obstacle_differences(
 
     Raises:
         InputError: an obstacle moves in the load step of the last solve, or a node faces an
-            obstacle at one of the two displaced places only.
+            obstacle at one of the two displaced positions only.
     """
     obstacles = contact.obstacles
     moves = obstacles.depending_on(constant)

@@ -37,10 +37,10 @@ def along(constant: fem.Constant, direction: Array, factor: float) -> Iterator[N
 
 
 class Obstacles:
-    """The rigid obstacles of a problem, and where they were when the surfaces were paired."""
+    """The rigid obstacles of a problem, and their distances when the surfaces were paired."""
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
-        """Note the obstacles. Not collective.
+        """Find the obstacles of the pairs. Not collective.
 
         Args:
             V: the space of the displacement.
@@ -54,7 +54,7 @@ class Obstacles:
 
     @property
     def motions(self) -> Array:
-        """Present places (pairs, 3, 4) as in `RigidMotion.matrix`; identity without an obstacle."""
+        """(pairs, 3, 4) `RigidMotion.matrix` of each obstacle; of no motion without an obstacle."""
         none = RigidMotion.none()
         return np.array([(none if one is None else one.motion).matrix for one in self._obstacles])
 
@@ -65,14 +65,14 @@ class Obstacles:
                 one.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
-        """Return the place of each obstacle at a fraction of its way. Not collective.
+        """Return the motions (pairs, 3, 4) of the obstacles at a fraction of a load step.
 
-        Places are matrices (pairs, 3, 4).
+        Not collective.
 
         Args:
-            before: (pairs, 3, 4) places at the start, as in `RigidMotion.matrix`.
-            after: (pairs, 3, 4) places at the end.
-            fraction: fraction of the way, from 0 to 1.
+            before: (pairs, 3, 4) motions at the start of the step, as in `motions`.
+            after: (pairs, 3, 4) motions at the end of the step.
+            fraction: fraction of the way from the start to the end, from 0 to 1.
         """
         result = np.array(after)
         for place, one, first, last in zip(result, self._obstacles, before, after, strict=True):
@@ -90,9 +90,9 @@ class Obstacles:
         self._at_pairing = self._distances(jump)
 
     def _distances(self, jump: JumpOperator) -> list[Array]:
-        """Return distances and normals (n, 4) at the undeformed nodes of each pair. Collective.
+        """Return for each pair an array (n, 4): distances and normals at undeformed nodes.
 
-        Pairs of deformable bodies have no rows.
+        It has no rows for a pair of deformable bodies. Collective.
         """
         has_obstacle = any(one is not None for one in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
@@ -117,13 +117,14 @@ class Obstacles:
         return np.asarray(reduce_array(self._V.mesh.comm, np.array(here)) > 0)
 
     def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
-        """Log a warning of obstacles with friction that changed without `move_to`. Not collective.
+        """Log a warning for obstacles with friction that changed without `move_to`.
 
-        Obstacles that depend on Constants may change without a warning.
+        The slip does not contain such a change. Obstacles that depend on Constants may change
+        without a warning. Not collective.
 
         Args:
             changed: (pairs,) whether the distance has changed.
-            same_place: (pairs,) whether the place that `move_to` sets is unchanged.
+            same_place: (pairs,) whether the motion that `move_to` sets is unchanged.
         """
         for pair, one, unknown in zip(
             self._pairs, self._obstacles, changed & same_place, strict=True
@@ -145,9 +146,11 @@ class Obstacles:
     def step_of_unit_change(
         self, constant: fem.Constant, direction: Array, jump: JumpOperator
     ) -> float:
-        """Return the step of a Constant with which distances change by a length of 1. Collective.
+        """Return the step of a Constant that changes distances by one unit of length. Collective.
 
-        A change of a normal counts as its length times the extent of the mesh.
+        If the step of a difference quotient is a multiple of this step, the quotient does not
+        depend on the units. A change of a normal counts as a distance: the change times the extent
+        of the mesh.
 
         Args:
             constant: a Constant on which obstacles depend.
@@ -178,14 +181,15 @@ class Obstacles:
         return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 
     def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
-        """Return the displacement of the obstacle's material points that are at nodes now.
+        """Return how far an obstacle has moved at each node, since a former position.
 
-        Not collective.
+        This is the displacement of the material point of the obstacle that is at the node now. Not
+        collective.
 
         Args:
-            before: (3, 4) former place of the obstacle, as in `RigidMotion.matrix`.
-            now: (3, 4) present place of the obstacle.
-            u: displacement [length] of the nodes that touch it now.
+            before: (3, 4) former motion of the obstacle, as in `RigidMotion.matrix`.
+            now: (3, 4) present motion of the obstacle.
+            u: present displacement [length] of the nodes.
         """
         dim = self._V.mesh.geometry.dim
         here = self._V.tabulate_dof_coordinates().T.copy()

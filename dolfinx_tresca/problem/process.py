@@ -49,7 +49,7 @@ from dolfinx_tresca.units import Units
 
 
 def space_to_agree(problem: ContactProcess) -> dict[str, Any]:
-    """Return the space of the displacement, by name. Not collective."""
+    """Return by name the space of u, which must be equal on all ranks. Not collective."""
     return {"the space of the problem": problem._contact.linear.V}
 
 
@@ -150,8 +150,8 @@ class ContactProcess(PetscOwner, Tabulated):
         1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
         solution that is not accepted leaves no trace: try another load instead. If slip bounds
         depend on the pressure, a solution may depend on where the solve starts; so each solve after
-        the first accepted step starts at the last accepted step. Nodes that stick keep their s:
-        thus residuals of the iteration do not add up from step to step.
+        the first accepted step starts at the last accepted step. Nodes that stick keep their s, and
+        do not take the computed T u, so that residuals do not add up from step to step.
 
         Collective.
 
@@ -160,7 +160,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Raises:
             ContactError: nothing was solved since the last step; or the history of a material has
-                changed since.
+                changed since the last solve.
             ConvergenceError: the last solve failed.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
@@ -203,8 +203,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
         """Use the tractions of a solution on another mesh as the next initial guess. Collective.
 
-        The initial guess does not change the accuracy of the result; the better it is, the fewer
-        iterations are needed. For nonlinear bodies this call does not change u: interpolate u, too.
+        The initial guess does not change the accuracy of the result; a better one saves iterations.
+        For nonlinear bodies this call does not change u: interpolate u, too.
 
         Args:
             solution: a solution with the same number of pairs. Each point of a surface takes the
@@ -361,7 +361,7 @@ class ContactProcess(PetscOwner, Tabulated):
         *,
         at_edge: EdgeState = None,
     ) -> list[Any]:
-        """Return the derivatives of a number of the last solution. Collective.
+        """Return the derivatives of a goal of the last solution by controls. Collective.
 
         They are exact for the discrete problem, with each node held in its contact state. Where
         nodes are about to change their state, the derivatives are one-sided (see `at_edge`). All
@@ -379,16 +379,17 @@ class ContactProcess(PetscOwner, Tabulated):
             at_edge: assumption on the nodes that are about to change their state (the log and
                 `NodeCounts.undecided` give their number). None: their state in the solution;
                 "held": they are pressed and stick; "released": they open or slip. For a single such
-                node "held" and "released" give the derivatives on the two sides; for several nodes
-                they give two of the possible derivatives, often the extreme ones.
+                node "held" and "released" give the derivatives on the two sides. If a control
+                presses some of several such nodes and opens others, a derivative on one side may
+                equal neither.
 
         Returns:
-            for each control the derivatives with respect to its values: an array of the shape of a
-            Constant, a Function on the space of a Function [unit of the goal divided by the unit of
-            the control]. They are zero, and the log says so, if nothing depends on the control.
+            for each control the derivatives with respect to its values: for a Constant an array of
+            its shape, for a Function a Function on its space [unit of the goal divided by the unit
+            of the control]. They are zero, and the log says so, if nothing depends on the control.
 
         Raises:
-            ContactError: there is no converged solution since the last change; or, for nonlinear
+            ContactError: there is no converged solution for the present inputs; or, for nonlinear
                 bodies, the solution was accepted already.
             InputError: the goal or a control is wrong; a control is part of a direction of
                 friction; `a` is no form of UFL, or is on a mixed space; or a pair has
@@ -413,12 +414,12 @@ class ContactProcess(PetscOwner, Tabulated):
         *,
         at_edge: EdgeState = None,
     ) -> ContactTangent:
-        """Return the change of the last solution along a direction of controls. Collective.
+        """Return the derivative of the last solution in a direction of controls. Collective.
 
-        This is the forward derivative, and `gradient` the backward one. Fields change with the
-        controls to first order, while each node is held in its contact state. One direction
-        costs about ten products with A, and gives the changes of all goals; `gradient` gives the
-        changes of one goal in all directions.
+        This is the forward derivative: the first-order change of all fields, with each node held in
+        its contact state. One direction costs about ten products with A, and gives the changes of
+        all goals. The backward derivative, `gradient`, gives the changes of one goal in all
+        directions.
 
         Args:
             controls: see `gradient`.
@@ -432,7 +433,8 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             ContactError: see `gradient`.
             InputError: a control or a direction is wrong; see also `gradient`.
-            ConvergenceError: with the contact state kept, nothing holds a body against a change.
+            ConvergenceError: with the contact state kept, nothing holds a body against the change
+                of its loads.
         """
         self._contact.check_not_destroyed()
         controls = checked_controls(controls)
@@ -455,7 +457,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
 
     def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
-        """Return a goal with the displacement of the problem replaced by u. Not collective."""
+        """Return a goal in which u replaces the `u` of a nonlinear problem. Not collective."""
         present = self._contact.steps.u
         if isinstance(goal, ufl.Form) and present is not None:
             return ufl.replace(goal, {present: u})

@@ -15,8 +15,9 @@ from dolfinx_tresca.monitor import Iteration
 
 #: Number of Newton steps without progress, and number of configurations with finite sliding, after
 #: which a solve counts as stalled. (For iterations of a contact problem the number is `PATIENCE`.)
-#: Of the solves in tests/validation and tests/nonlinear that converge, none needs more than 6 and
-#: 15. If both are doubled, the warning comes later, and nothing else changes.
+#: Of the solves in tests/validation and tests/nonlinear that converge, none needs more than 6 such
+#: Newton steps or 15 configurations. If both numbers are doubled, the warning comes later, and
+#: nothing else changes.
 IDLE_NEWTON_STEPS, IDLE_CONFIGURATIONS = 15, 20
 
 
@@ -79,7 +80,7 @@ class StallWatch:
 
 
 class _Halving:
-    """Successive values of a residual, and how many of them came since it last halved.
+    """A count of the values of a residual since the residual last halved.
 
     Attributes:
         idle: number of values since the residual last halved.

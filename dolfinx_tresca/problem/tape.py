@@ -48,7 +48,7 @@ from dolfinx_tresca.solution.gradient import (
 )
 from dolfinx_tresca.solution.prescribed import replaced, values_of
 
-#: What is differentiated at a step: a goal, or a sum of goals as pairs of a factor and a goal.
+#: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"
 
 
@@ -59,7 +59,7 @@ class _Recorded:
     Attributes:
         solved: the solution with its problem; None if it is to be computed again from a checkpoint.
         u: weak reference to the displacement that the solve returned, on which goals that are forms
-            may depend; it returns None if nobody else has the displacement any more.
+            may depend; None when called if the user has dropped this displacement.
         values: values of all inputs of the problem in this step.
         options: options with which the step was solved.
     """
@@ -144,7 +144,7 @@ class ProcessTape:
         self._history: SlipHistory = contact.steps.history  # after the last recorded step
         self._compliance: Any = None
         #: Whether no obstacle has moved, and recording began without slip: only then are
-        #: derivatives with respect to the places of obstacles known.
+        #: derivatives with respect to the positions of obstacles known.
         self._has_places = True
 
     def __len__(self) -> int:
@@ -163,8 +163,8 @@ class ProcessTape:
         """Record the last solution if the block accepts it. Collective.
 
         Raises:
-            ContactError: the solution has no derivative; or the slip history is not the one that
-                the last recorded step has left.
+            ContactError: the solution has no derivative; the slip history has changed since the
+                last recorded step; or an obstacle has moved, which checkpoints cannot record.
             InputError: the file of a checkpoint cannot be written.
         """
         contact = self._contact
@@ -213,7 +213,8 @@ class ProcessTape:
         """Keep what is needed to solve again for the step that is being added. Collective.
 
         Args:
-            multipliers: (size,) multipliers of the step's solution, from which that solve starts.
+            multipliers: (size,) multipliers of the step's solution, from which the repeated solve
+                starts.
 
         Raises:
             InputError: the file cannot be written.
@@ -286,14 +287,14 @@ class ProcessTape:
         The slip at which recording begins counts as independent of the controls.
 
         Args:
-            goals: number of a recorded step, from 0 on -> a goal of `ContactProblem.gradient`, or
-                pairs of a factor and a goal. A form depends on the `solution.u` of that step.
+            goals: number of a recorded step, from 0 on -> a goal of `ContactProblem.gradient`, or a
+                sequence of pairs (factor, goal). A form depends on the `solution.u` of that step.
             controls: see `ContactProblem.gradient`.
 
         Returns:
-            for each control the derivatives with respect to its values: an array of the shape of a
-            Constant, a Function on the space of a Function [unit of the sum of the goals divided by
-            the unit of the control].
+            for each control the derivatives with respect to its values: for a Constant an array of
+            its shape, for a Function a Function on its space [unit of the sum of the goals divided
+            by the unit of the control].
 
         Raises:
             ContactError: the problem was destroyed, or K or the pairing has changed since steps
@@ -320,8 +321,8 @@ class ProcessTape:
             controls: see `gradient`.
 
         Returns:
-            for each recorded step a list as `gradient` returns it: derivatives with respect to the
-            values in this step alone. They are zero after the last step with a goal.
+            for each recorded step a list like the result of `gradient`, but with respect to the
+            values in this step alone. The derivatives are zero after the last step with a goal.
 
         Raises:
             ContactError: see `gradient`.
@@ -335,7 +336,9 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return the derivatives of each step, see `Differentiation.backwards`. Collective.
+        """Return for each step the derivatives by the controls' values in this step. Collective.
+
+        See `Differentiation.backwards`.
 
         Raises:
             ContactError: the problem was destroyed, or K or the pairing has changed since steps
@@ -378,13 +381,14 @@ class ProcessTape:
         return result
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles are where they were, and that their places may be controls.
+        """Check that obstacles have not moved, and that derivatives by their positions are known.
 
         Collective.
 
         Raises:
-            ContactError: an obstacle is elsewhere now.
-            InputError: an obstacle moved in the process, or there was slip at its start.
+            ContactError: an obstacle is not where it was in the recorded steps.
+            InputError: an obstacle depends on a control, and an obstacle moved in the process, or
+                there was slip at the start of the process.
         """
         contact = self._contact
         if contact.obstacles.changed(contact.jump).any():

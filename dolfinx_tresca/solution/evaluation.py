@@ -45,7 +45,7 @@ class NodeCounts:
         stick: nodes with a tangential traction below the slip bound, pressed or not.
         contact_stick: nodes that are pressed and stick.
         idle: open nodes whose slip bound is zero, as without pressure in Coulomb's law.
-        bonded: nodes of bonded pairs, in none of the other states.
+        bonded: nodes of bonded pairs, which no other state counts.
         undecided: nodes whose state is uncertain: a change of tractions by `local_error` may put
             them in another state. The other counts are exact up to these nodes.
     """
@@ -104,7 +104,7 @@ def evaluate(
     *,
     estimate: bool,
 ) -> tuple[Evaluation, SlipHistory]:
-    """Evaluate a solution of the dual problem, with one solve with K. Collective.
+    """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
     Args:
         dual: the dual problem.
@@ -125,8 +125,8 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # found.c belongs to the gradient of the model: combined with the gradient of u, it would
-        # give larger gaps and penetrations than the stopping criterion has seen
+        # found.c, the multipliers of the constraints, belongs to the model's gradient: with the
+        # gradient of u, it would give larger gaps and penetrations than the stopping criterion saw
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
@@ -243,7 +243,8 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
     Args:
         lam: Lambda with the bounds of a solution.
-        moved: Lambda with the bounds at the decoupled minimisers of the nodes.
+        moved: Lambda with the bounds after the tractions of each node alone have moved to the
+            minimum of the dual energy.
         comm: the communicator.
     """
     before, after = lam.radius, moved.radius

@@ -73,9 +73,8 @@ class SurfaceFields:
             secondary body its opposite. None without friction.
         slip: tangential jump T u [length], a vector; secondary minus primary. In a process the sum
             of the slip vectors of all steps. None without friction.
-        slip_increment: slip since the last accepted step, T u - s [length], a vector
-            along the traction; before the first accepted step it is `slip` itself. None without
-            friction.
+        slip_increment: slip since the last accepted step, T u - s [length], a vector along the
+            traction; before the first accepted step it is `slip` itself. None without friction.
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
             over all steps in which it was pressed or had a positive slip bound. None without
             friction.
@@ -87,7 +86,8 @@ class SurfaceFields:
             side, or towards a rigid obstacle.
         weights: (n,) areas of nodes [length^2, in 2D length], on sharp edges the sum over all
             patches; zero at ghosts and at nodes without a multiplier.
-        obstacle: the rigid primary side, at its place in this solution; None if it is deformable.
+        obstacle: the rigid primary side, at its position in this solution; None if the primary side
+            is deformable.
         entity_maps: the argument `entity_maps` of `fem.form` and `ContactProblem` for forms on the
             problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from
             0.10 on. Integrals then are over facets of this surface, with the problem's mesh
@@ -140,12 +140,13 @@ class SurfaceFields:
     def on_mesh(self, name: str) -> fem.Function:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 
-        The values at nodes of the secondary side are those of the field; at nodes of the primary
-        side they are means over the opposite part of the secondary side (`SideTransfer`), elsewhere
-        zero. The sum of the values times `ContactOperators.areas` is equal on both sides; for a
-        pressure it is the force. The integral in a form is equal to this sum if each side faces the
-        whole of the other one. If facets extend beyond the other side, the integral includes all of
-        their area: multiply the Function by `ContactOperators.area_fraction` to correct that.
+        The values at nodes of the secondary side are those of the field. At nodes of the primary
+        side they are means over the opposite part of the secondary side (`SideTransfer`), and at
+        other nodes zero. The sum of the values times `ContactOperators.areas` is equal on both
+        sides; for a pressure it is the force. An integral over either side, in a form, equals this
+        sum if the two sides face each other completely. If facets extend beyond the other side, the
+        integral includes their whole area: multiply the Function by
+        `ContactOperators.area_fraction` to leave out the part beyond.
 
         Args:
             name: name of the field, such as "pressure".
@@ -197,13 +198,13 @@ class SlipFields:
 
 @dataclass(frozen=True)
 class Surface:
-    """The mesh of a pair's secondary side, and the node of V at each of its nodes; built once.
+    """The mesh of a pair's secondary side, and its map to the nodes of V; built once.
 
     Attributes:
         mesh: the facets of the secondary side.
         scalar: space of scalar functions of degree 1 on `mesh`.
         vector: space of vector functions of degree 1 on `mesh`, with the dimension of space.
-        parent: (nodes of `scalar`, with ghosts) the node of V at each node, on this rank.
+        parent: (nodes of `scalar`, with ghosts) local number of the node of V at each node.
         work: a Function in V through which values reach ghosts; its own values have no meaning.
         pair: the pair of this secondary side.
         entity_maps: maps between the facets of the problem's mesh and `mesh`.
@@ -241,7 +242,10 @@ class Surface:
         outside: float = 0.0,
         kind: type[fem.Function] = fem.Function,
     ) -> fem.Function:
-        """Return a Function: values (n,) or (n, d) at nodes, `outside` elsewhere. Collective."""
+        """Return a Function with values (n,) or (n, d) at nodes (n,) of V. Collective.
+
+        At all other nodes of the surface its value is `outside`.
+        """
         dim = self.mesh.geometry.dim
         whole = self.work.x.array.reshape(-1, dim)
         whole[:] = outside
@@ -253,7 +257,7 @@ class Surface:
         return function
 
     def on_both_sides(self, operators: PairOperators, function: fem.Function) -> fem.Function:
-        """Return a field as a Function on the mesh of the displacements. Collective."""
+        """Return a field on the problem's mesh, see `SurfaceFields.on_mesh`. Collective."""
         dim = self.mesh.geometry.dim
         columns = function.function_space.dofmap.index_map_bs
         V = self.work.function_space
@@ -270,7 +274,12 @@ class Surface:
         return transfer.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
 
     def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
-        """Return areas (n,) of nodes of V at nodes of the surface, zero at ghosts. Collective."""
+        """Return the area (n,) of each node of the surface, zero at ghosts. Collective.
+
+        Args:
+            nodes: (m,) nodes of V; on sharp edges a node occurs once for each patch.
+            weights: (m,) their areas.
+        """
         areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
         areas[self.scalar.dofmap.index_map.size_local :] = 0.0
         return areas
@@ -351,7 +360,7 @@ class Surface:
 
 
 def _to_owners(function: fem.Function) -> None:
-    """Send values, each on one rank and zero on others, to owners and ghosts. Collective."""
+    """Give owners and ghosts the values, each of which is non-zero on one rank only. Collective."""
     function.x.scatter_reverse(dolfinx.la.InsertMode.add)
     function.x.scatter_forward()
 

@@ -31,31 +31,32 @@ from dolfinx_tresca.scene.goal import (
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
-#: Degree -> relative error with which squared energy errors of cells are assumed to be known. By
-#: the parallelogram identity it is also the uncertainty of the sum of a(e, e') over the cells,
-#: relative to the sum of the products of the energy norms of e and e' (Prudhomme and Oden, On
-#: goal-oriented error estimation for elliptic problems, 1999). If it is doubled, the estimate is
-#: above 5 times the error on twice as many meshes, and below 0.7 times the error on a third fewer;
-#: see "Meshes for a number" in benchmarks/README.md.
+#: Degree of the elements -> relative error with which squared energy errors of cells are assumed
+#: to be known. By the parallelogram identity it is also the uncertainty of the sum of a(e, e') over
+#: the cells, with the errors e of the displacement and e' of the adjoint, relative to the sum of
+#: the products of their energy norms (Prudhomme and Oden, On goal-oriented error estimation for
+#: elliptic problems, 1999). If it is doubled, the estimate is above 5 times the error on twice as
+#: many meshes, and below 0.7 times the error on a third fewer; see "Meshes for a number" in
+#: benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
 
-#: Fraction of `state_changes` that is added to the estimate. It is less than 1, since the terms, of
-#: which `state_changes` sums the absolute values, have both signs.
+#: Fraction of `state_changes` that is added to the estimate. It is less than 1, since
+#: `state_changes` is a sum of absolute values of terms that have both signs.
 CHANGING = 0.1
 
 
 @dataclass(frozen=True)
 class GoalError:
-    """A number, and an estimate of its error.
+    """The value of a goal in a solution, and an estimate of its discretisation error.
 
     Attributes:
-        goal: the goal that defines the number.
-        value: value of the number for the solution [unit of the goal].
-        error: estimate of the discretisation error of the value [same unit]: the absolute value of
-            `signed_error` plus its uncertainty, which is `DOUBT` times the sum of the squares of
-            `cell_errors` plus `CHANGING` times `state_changes`. The estimate is not a bound. It is
-            zero if the number does not depend on the displacement to first order, as on a patch
-            that nothing touches.
+        goal: the goal.
+        value: value of the goal in the solution [unit of the goal].
+        error: estimate of the discretisation error of the value [same unit], the sum of three
+            terms: the absolute value of `signed_error`; and, as its uncertainty, `DOUBT` times the
+            sum of the squares of `cell_errors`, and `CHANGING` times `state_changes`. The estimate
+            is not a bound. It is zero if the goal does not depend on the displacement to first
+            order, as for the mean pressure on a patch that nothing touches.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
             cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
         iteration_error: estimate, to first order, of the error of the value that the iteration's
@@ -63,8 +64,8 @@ class GoalError:
             `ContactSolution.bound_error`, is not included.
         state_changes: sum of the absolute contributions to the error from the edges of contact and
             stick zones [same unit]; see `solution/state_changes.py`.
-        cell_errors: roots of the products of the energy norms of e and e' [root of the goal's
-            unit], for `refine`. The sum of their squares has no cancellation of signs.
+        cell_errors: for each cell the root of the product of the energy norms of e and e' [root of
+            the goal's unit], for `refine`. The sum of their squares has no cancellation of signs.
         adjoint: the adjoint displacement z; see `dual/adjoint.py`.
         products: number of applications of A for this estimate.
 
@@ -94,7 +95,7 @@ class GoalError:
 
         The least error is |signed_error| minus its uncertainty, or zero if the uncertainty is
         larger. Of the 202 meshes of benchmarks/goals.py on which the corrected value differs from
-        the value, it is more accurate on 196. `error` is the error of the value without correction.
+        `value`, the corrected value is more accurate on 196. `error` refers to `value`.
         """
         least = max(2.0 * abs(self.signed_error) - self.error, 0.0)
         return self.value + math.copysign(least, self.signed_error)
@@ -119,10 +120,10 @@ def goal_error(
     u: fem.Function,
     energy_error: float,
 ) -> GoalError:
-    """Return a number of a solution and its error, for some 10 products with A. Collective.
+    """Return the value of a goal and its estimated error, for some 10 products. Collective.
 
     Args:
-        goal: the goal that defines the number.
+        goal: the goal.
         dual: the dual problem.
         surfaces: surfaces of the pairs.
         x: (size,) multipliers of the solution.
@@ -218,7 +219,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
 
 
 def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
-    """Return the weight (n,) of a patch at points (n, d)."""
+    """Return the weight (n,) of a goal's patch at points (n, d): 1 at its centre, 0 outside."""
     away = np.linalg.norm(points - np.asarray(goal.point), axis=1) / goal.radius
     return np.asarray(np.maximum(1.0 - away**2, 0.0) ** 2)
 
@@ -226,9 +227,9 @@ def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
 def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     """Return the mean (nodes,) of a patch's weight round each node of a pair. Collective.
 
-    A multiplier is the mean of the pressure under its node's hat function. With the values of the
-    weight at the nodes, the goal would have the weight that is linear between them: an error larger
-    than the discretisation error of elements of degree 2. With means by the multiplier basis, the
+    A multiplier is the mean of the pressure under its node's hat function. If the goal took the
+    weight's values at the nodes, its weight would be linear between nodes: this error would exceed
+    the discretisation error of elements of degree 2. With means by the multiplier basis, the
     difference between the linear weight and the patch's weight has a zero mean round each node.
     """
     index_map = V.dofmap.index_map

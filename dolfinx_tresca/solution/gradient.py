@@ -35,8 +35,8 @@ from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
-#: Relative error of the adjoint multipliers, and so of the derivatives, if K is factored; and with
-#: an iterative solver for K, whose products have this relative error.
+#: Relative error of the adjoint multipliers, and so of the derivatives: the first if K is factored,
+#: the second with an iterative solver for K, whose products have this relative error.
 ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
 
 #: Input with respect to which derivatives are taken; users change its values in place.
@@ -74,7 +74,8 @@ class SolvedStep:
         multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
-        edge: state to assume of nodes that are about to change theirs; see `LinearisedContact.of`.
+        edge: state to assume for nodes that are about to change their state; see
+            `LinearisedContact.of`.
     """
 
     dual: DualProgram
@@ -127,14 +128,14 @@ class SolvedStep:
 
 
 def check_control(control: Control, pairs: Sequence[ContactPair]) -> None:
-    """Check that a control is no direction of friction. Not collective.
+    """Check that no direction of orthotropic friction depends on a control. Not collective.
 
     Args:
         control: a Constant or a Function.
         pairs: the pairs of the problem.
 
     Raises:
-        InputError: the control is unsuitable.
+        InputError: such a direction depends on the control, so the derivative is not known.
     """
     for pair in pairs:
         law = pair.friction
@@ -168,7 +169,7 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 
 
 class Differentiation:
-    """Derivatives of goals with respect to controls, at one solution after the other.
+    """Derivatives of goals with respect to controls, for any number of solutions.
 
     Forms are compiled once. With each node held in its contact state, the derivative of a goal J
     with respect to a control m follows from the residual R(u; v) and the adjoint (z, y) of
@@ -177,12 +178,12 @@ class Differentiation:
         dJ/dm = explicit - dR/dm(u; z) + y'dd/dm + (q_u - B'y - dR/du(u; z))'du_D/dm
                 + sum over slipping nodes of dg/dm t'(q_x - B z)
 
-    with the gap d, the prescribed values u_D, the slip bound g of a node, the direction t of its
-    traction, and the derivatives q_u and q_x of J with respect to u and to the multipliers. The
-    derivative with respect to the slip origin s is y, like the derivative with respect to the gap.
-    In a process a node that stuck in the previous step keeps the s of that step; for any other node
-    s is its tangential jump T u in that step. So y carries the derivatives of a step's goals back
-    to the previous step.
+    with the derivative `explicit` of J for fixed u and multipliers, the gap d, the prescribed
+    values u_D, the slip bound g of a node, the direction t of its traction, and the derivatives q_u
+    and q_x of J with respect to u and to the multipliers. The derivative with respect to the slip
+    origin s is y, like the derivative with respect to the gap. In a process a node that stuck in
+    the previous step keeps the s of that step; for any other node s is its tangential jump T u in
+    that step. So y carries the derivatives of a step's goals back to the previous step.
     """
 
     def __init__(
@@ -224,21 +225,22 @@ class Differentiation:
     ) -> tuple[list[Any], Array]:
         """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
-        `on_origin` and `on_displacement` add further numbers to the sum, by their derivatives.
+        The sum may contain further terms, of which only the derivatives `on_origin` and
+        `on_displacement` are given.
 
         Args:
             step: the solution.
             goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on the
                 solution's u.
-            on_origin: (size,) derivatives of further numbers with respect to the slip origin of the
+            on_origin: (size,) derivatives of further terms with respect to the slip origin of the
                 next step; None: zeros.
-            on_displacement: derivatives of further numbers with respect to the displacement, at
+            on_displacement: derivatives of further terms with respect to the displacement, at
                 least with respect to the values that this rank owns; None: zeros.
 
         Returns:
-            for each control the derivatives with respect to its values (of a Function, the values
-            that this rank owns), or None if nothing depends on the control; and (size,) the
-            derivatives with respect to the slip origin of this step.
+            for each control the derivatives with respect to its values (for a Function, those that
+            this rank owns), or None if nothing depends on the control; and (size,) the derivatives
+            with respect to the slip origin of this step.
 
         Raises:
             InputError: the patch of a goal has no node, or a form does not depend on u; or the
@@ -304,9 +306,9 @@ class Differentiation:
         radial: Array,
         on_jump: Array,
     ) -> Array | None:
-        """Return the part of the derivative that is due to the places of obstacles. Collective.
+        """Return the part of the derivative that is due to moved obstacles. Collective.
 
-        None if no obstacle depends on the control.
+        The result is None if no obstacle depends on the control.
         """
         assert self._find_differences is not None
         result = np.zeros(np.size(control.value))
@@ -340,7 +342,7 @@ def sum_of_known(parts: Sequence[Any]) -> Any:
 
 
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
-    """Return the derivatives of `Differentiation.backwards` for the user. Collective.
+    """Return derivatives by `Differentiation.backwards` as arrays and Functions. Collective.
 
     Args:
         values: for each control the derivatives with respect to its values; None: nothing depends
@@ -349,7 +351,7 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
         comm: communicator.
 
     Returns:
-        for each Constant an array of its shape, for each Function a Function of its space.
+        for each Constant an array of its shape, for each Function a Function on its space.
     """
     for control, known in zip(controls, values, strict=True):
         if known is None:
@@ -398,7 +400,8 @@ def assembled(form: fem.Form) -> Array:
 def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array] | None:
     """Return a function that differentiates a form of rank 0 by a control, at present values.
 
-    Collective, and so is the returned function. None if the form does not depend on the control.
+    Collective, and so is the returned function. The result is None if the form does not depend on
+    the control.
     """
     if control not in (*form.constants(), *form.coefficients()):
         return None
@@ -452,7 +455,7 @@ def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: A
 
 @dataclass(frozen=True)
 class NodalField:
-    """A scalar of the user at the nodes of a pair, and derivatives with respect to its values.
+    """A scalar of the user, such as a gap, at the nodes of a pair, and derivatives by its values.
 
     Attributes:
         field: the scalar as the user gave it.
@@ -479,7 +482,7 @@ class NodalField:
 
 
 def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalField]:
-    """Return the gaps and the terms of slip bounds of all pairs. Collective."""
+    """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
     jump, x = step.dual.jump, step.multipliers
     discs = step.state.face.discs
     shape, by_value = (discs.size, len(discs.radius)), _radii_by_terms(step)
@@ -534,7 +537,10 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
 
 
 def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
-    """Return term of c + min(F p, l) -> derivatives (n_discs,) of the radii by it. Collective."""
+    """Return for each term of the slip bound c + min(F p, l) the derivatives of the radii by it.
+
+    Each is an array (n_discs,). Collective.
+    """
     jump, x = step.dual.jump, step.multipliers
     numbers = [len(on_nodes.nodes) for on_nodes in jump.pairs]
 
@@ -564,9 +570,10 @@ def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class _Ellipses:
-    """Nodes with two tangential rows, whose stretch follows the ratio of the ellipse's semi-axes.
+    """Derivatives of friction discs and tangential rows by the semi-axes of friction ellipses.
 
-    A change of the semi-axes b_1, b_2 stretches the multipliers of a node by 1 + S, with
+    Tangential rows are stretched so that the ellipse of a node becomes a disc. A change of the
+    semi-axes b_1, b_2 stretches the multipliers of a node with two tangential rows by 1 + S, with
     S = (a a' - e e') (db_1/b_1 - db_2/b_2) / 2 for the unit vectors a and e along the axes.
 
     Attributes:
@@ -583,7 +590,7 @@ class _Ellipses:
 
     @classmethod
     def of(cls, pair: PairOperators, ellipses: NodalEllipses) -> _Ellipses:
-        """Return the nodes of a pair. Not collective."""
+        """Return the derivatives at the nodes of a pair. Not collective."""
         node, d = pair.tangent_node, pair.normals.shape[1]
         direction = ellipses.direction[:, :d]
         inward = np.einsum("ni,ni->n", direction, pair.normals)

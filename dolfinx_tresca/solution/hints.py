@@ -119,8 +119,8 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
     Then there may be several solutions. A decrease with the slip is harmless if its rate, at the
-    slip and on average from rest to the slip, is below the least traction that a unit of additional
-    slip takes: 1 divided by the largest eigenvalue of A.
+    slip and on average from rest to the slip, is below the least traction that elastic bodies need
+    for one more unit of slip: 1 divided by the largest eigenvalue of A.
 
     Args:
         comm: communicator of the mesh.

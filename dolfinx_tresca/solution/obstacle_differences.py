@@ -1,4 +1,4 @@
-"""Derivatives with respect to the place of rigid obstacles, by central differences of B."""
+"""Derivatives with respect to the position of rigid obstacles, by central differences of B."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from dolfinx_tresca.solution.goal_error import weights_of
 if TYPE_CHECKING:
     from dolfinx_tresca.solution.gradient import SolvedStep
 
-#: Largest difference of a component up to which a tangent at a displaced place of the obstacles and
-#: a tangent at their present place count as the same row of T.
+#: Largest difference of a component up to which a tangent with displaced obstacles and a tangent
+#: with the obstacles where they are count as the same row of T.
 TURNED = 0.05
 
 
@@ -30,7 +30,7 @@ TURNED = 0.05
 class ObstacleDifferences(PetscOwner):
     """Central differences of B in a direction in which obstacles are displaced.
 
-    Gaps, normals and tangents at the nodes depend on the place of an obstacle. Their central
+    Gaps, normals and tangents at the nodes depend on the position of an obstacle. Their central
     differences have relative errors of some 1e-10, and need no solve.
 
     Owns the operators `after` and `before`: call `destroy()`.
@@ -40,9 +40,10 @@ class ObstacleDifferences(PetscOwner):
         before: B with the obstacles displaced by `-step` times the direction.
         step: size of the displacement, as a factor of the direction.
         bounds: slip bounds at the nodes of each pair.
-        present: B at the present place.
-        origin: (size,) slip origin, divided by `JumpOperator.length_scale`, if it is a fixed vector
-            in space, whose components change with the tangents; None: its components are constant.
+        present: B with the obstacles where they are.
+        origin: (size,) slip origin, divided by `JumpOperator.length_scale`, if at each node it is a
+            fixed vector, whose components change with the tangents; None: its components are
+            constant.
     """
 
     after: JumpOperator
@@ -65,7 +66,7 @@ class ObstacleDifferences(PetscOwner):
     def have_rows_of(self, jump: JumpOperator) -> bool:
         """Return whether both operators have the nodes, areas and rows of B on this rank.
 
-        Not collective.
+        Otherwise differences of their values have no meaning. Not collective.
         """
         return all(
             np.array_equal(one.nodes, pair.nodes)
@@ -77,7 +78,7 @@ class ObstacleDifferences(PetscOwner):
         )
 
     def difference(self, of: Callable[[JumpOperator], Any]) -> Any:
-        """Return the directional derivative of a function of B."""
+        """Return the directional derivative of a function of B, as a central difference."""
         return (of(self.after) - of(self.before)) / (2.0 * self.step)
 
     def offset(self, u: fem.Function) -> Array:
@@ -92,6 +93,11 @@ class ObstacleDifferences(PetscOwner):
         """Return the directional derivative (n, d) of the tractions of a pair [stress].
 
         The multipliers are fixed; the tangents change.
+
+        Args:
+            pair: number of the pair.
+            rows: positions of the pair's tangential multipliers.
+            x: (size,) multipliers, divided by `JumpOperator.stress_scale`.
         """
 
         def vectors(jump: JumpOperator) -> Array:
@@ -133,14 +139,14 @@ class ObstacleDifferences(PetscOwner):
         return np.asarray((one - two) / (2.0 * self.step))
 
     def of(self, u: fem.Function) -> tuple[Array, Array]:
-        """Return B u (size,) with the operators `after` and `before`. Collective."""
+        """Return B u (size,) with the operators `after` and `before`, for `goal`. Collective."""
         return self.after.of_displacement(u), self.before.of_displacement(u)
 
     def goal(self, goal: Goal, x: Array, jumps: tuple[Array, Array]) -> float:
         """Return the directional derivative of a goal for fixed displacement and multipliers.
 
-        A goal such as a force depends on the place of obstacles through normals and tangents. The
-        method may be called after `destroy()`. Collective.
+        A goal such as a force depends on the position of obstacles through normals and tangents.
+        The method may be called after `destroy()`. Collective.
 
         Args:
             goal: a goal that is not a UFL form.
@@ -165,7 +171,7 @@ class ObstacleDifferences(PetscOwner):
     ) -> float:
         """Return the directional derivative of a weighted sum of goals by the adjoint method.
 
-        The sum is that of weight J over `goals`, plus on_jump' B u. Collective.
+        The sum contains weight times J for each of the `goals`, and on_jump' B u. Collective.
 
         Args:
             step: the solution.

@@ -21,7 +21,7 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
     Args:
         bcs: Dirichlet conditions; the last one that prescribes a value counts.
         control: a Constant or a Function.
-        size: number of degrees of freedom, beginning with the owned ones.
+        size: number of this rank's degrees of freedom, in local order: owned ones come first.
 
     Returns:
         (size,) position in the control's values; -1 where no value of the control is prescribed.

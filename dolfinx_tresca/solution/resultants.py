@@ -52,7 +52,10 @@ class Resultant:
 
 
 def moments(arm: Array, force: Array) -> Array:
-    """Return moments (..., 3) of forces (..., 3); in 2D (..., 1) of (..., 2). Not collective."""
+    """Return the moments (..., 3) of forces (..., 3) with arms (..., 3). Not collective.
+
+    In 2D moments are (..., 1), forces and arms (..., 2).
+    """
     dim = force.shape[-1]
     arm, force = (
         np.concatenate([v, np.zeros((*v.shape[:-1], 3 - dim))], axis=-1) for v in (arm, force)
@@ -64,7 +67,7 @@ def moments(arm: Array, force: Array) -> Array:
 def resultants_on(
     comm: Any, parts: Sequence[tuple[Array, Array, Indices]], number: int
 ) -> tuple[Resultant, ...]:
-    """Return resultants about the centre of the bounding box of all forces. Collective.
+    """Return resultants about the centre of the bounding box of all points with forces. Collective.
 
     Args:
         comm: communicator of the mesh.

@@ -23,7 +23,7 @@ LARGE = 1.0
 
 
 class Sliding:
-    """The slip of nodes since the surfaces were paired.
+    """The displacement at which surfaces were paired, and a check of the slip since then.
 
     A warning of large slip is logged once, and never after surfaces were paired anew.
 
@@ -36,7 +36,7 @@ class Sliding:
         self._warned = False
 
     def begin(self, u: fem.Function) -> None:
-        """Measure slip from a displacement on. Not collective."""
+        """Note the displacement at which surfaces are paired anew. Not collective."""
         self.origin.x.array[:] = u.x.array
         self._warned = True  # surfaces are paired anew on purpose, and will be again
 
@@ -59,8 +59,8 @@ class Sliding:
     ) -> float:
         """Return the largest ratio of a pressed node's slip to the mesh size. Collective.
 
-        Pairs with a plane are left out, since a plane has only one normal, and so are two surfaces
-        without friction, which have no tangential rows.
+        Left out are pairs with finite sliding, bonded pairs, pairs with a plane, which has only one
+        normal, and two deformable surfaces without friction, which have no tangential rows.
         """
         dim = u.function_space.mesh.geometry.dim
         moved = fem.Function(u.function_space)

@@ -26,12 +26,13 @@ def state_changes(
 ) -> float:
     """Return the sum of absolute error terms at the edges of contact and stick zones. Collective.
 
-    The exact adjoint has pressure where the exact solution is in contact, which is not exactly
-    where the discrete solution is. So the error of a goal is a(e, e') + (y, r) + (lambda, w), with
-    the gap r of the discrete solution, and the residual w = q_x - B z of the discrete adjoint at
-    open nodes. The edges of stick zones add the same terms, with the slip in place of the gap, and
-    the distance of the traction from its bound in place of the pressure. At each node one factor of
-    a product is zero, so the integral over facets whose nodes have the same state vanishes; between
+    The exact adjoint has multipliers y where the exact solution is in contact; the discrete
+    solution is in contact on a slightly different part of the surface. So the error of a goal is
+    a(e, e') + (y, r) + (lambda, w), where (,) is an integral over the surface, r the gap of the
+    discrete solution, and w = q_x - B z the residual of the discrete adjoint at open nodes. The
+    edges of stick zones add similar terms, with the slip in place of the gap, and the distance of
+    the traction from its bound in place of the pressure. At each node one factor of each product is
+    zero, so the integral over a facet whose nodes have the same state vanishes; on a facet with
     nodes of two states both factors, interpolated linearly, differ from zero. The signs of the
     terms are not reliable.
 
@@ -75,7 +76,7 @@ def state_changes(
 
 
 def _normal(pair: PairOperators, values: Array) -> Array:
-    """Return absolute values (nodes,) of values (n_normal,); zero at nodes without one."""
+    """Return absolute values (nodes,) of values (n_normal,); zero at nodes without a value."""
     result = np.zeros(len(pair.nodes))
     result[pair.normal_node] = np.abs(values)
     return result

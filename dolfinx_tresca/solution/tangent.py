@@ -1,4 +1,4 @@
-"""The change of a solution with loads, materials, friction, gaps and prescribed values."""
+"""The derivative of a solution in a direction of controls, such as loads, moduli or gaps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 class SurfaceTangent:
     """Changes of fields on the secondary surface of a pair; see `SurfaceFields` for the fields.
 
-    The units are those of the fields: the direction includes the size of the controls' change.
+    The units are those of the fields, since a direction is a change of the controls in their units.
 
     Attributes:
         name: name of the pair.
@@ -163,7 +163,7 @@ def tangent_of(
         controls: Constants and Functions.
         directions: changes of the controls, see `checked_directions`.
         find_differences: returns the central differences of B for displaced obstacles.
-        checked_goal: checks a goal that the result is asked for, and returns it.
+        checked_goal: checks and returns a goal that a user gives to `ContactTangent.of`.
 
     Raises:
         InputError: the derivative with respect to a control is not known.
@@ -176,7 +176,7 @@ def tangent_of(
     residual, force, moved = forms.residual(test), fem.Function(V), fem.Function(V)
     fields = nodal_fields(step, pairs)
     offset, radius = np.zeros(len(jump.gap)), np.zeros(len(step.state.face.discs.radius))
-    apart = np.zeros(len(jump.gap))  # the part that is a change of gap and slip
+    apart = np.zeros(len(jump.gap))  # the part of `offset` by which gap and slip change
     turned: list[tuple[ObstacleDifferences, tuple[Array, Array]]] = []
     for control, direction in zip(controls, directions, strict=True):
         found = False

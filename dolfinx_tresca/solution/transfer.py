@@ -22,7 +22,7 @@ SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
-    """Return multipliers (size,) [stress] from the tractions on another mesh. Collective.
+    """Return multipliers (size,) [stress] for a start, from tractions on another mesh. Collective.
 
     Args:
         surfaces: fields of the solution on the other mesh, one for each pair.
@@ -77,7 +77,7 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
 
 
 def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
-    """Return the vectors (nodes, d) of a function, zero for None."""
+    """Return the nodal vectors (nodes, d) of a function; zeros if it is None."""
     dim, count = fields.mesh.geometry.dim, len(fields.pressure.x.array)
     return np.zeros((count, dim)) if function is None else function.x.array.reshape(-1, dim)
 
@@ -85,8 +85,9 @@ def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
 def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
     """Return values (n, k) interpolated on the facets nearest to points. Collective.
 
-    Linear values are exact in the planes of the facets, and so at midpoints of edges on refined
-    meshes. Values are zero at points whose distance from the surface exceeds its longest edge.
+    At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
+    edges, where refined meshes have nodes. Values are zero at points whose distance from the
+    surface exceeds its longest edge.
 
     Args:
         fields: fields of a solution on any mesh.
@@ -135,16 +136,16 @@ def _longest_edge(corners: Array) -> float:
 def _nearest_places(
     V: fem.FunctionSpace, places: Array, points: Array
 ) -> tuple[Indices, Array, Array]:
-    """Return the places on this rank's facets that are nearest to given points. Not collective.
+    """Return the points of this rank's facets that are nearest to given points. Not collective.
 
     Args:
         V: space of scalar functions of degree 1 on the facets, of which there is at least one.
         places: (nodes, 3) coordinates of the nodes [length].
-        points: (n, 3) coordinates of the points [length].
+        points: (n, 3) coordinates of the given points [length].
 
     Returns:
-        nodes (n, corners) of the simplex that contains each place, their weights (n, corners) at
-        the place, whose sum is 1, and the distances (n,) from the points [length].
+        nodes (n, corners) of the simplex that contains each nearest point, their weights
+        (n, corners) there, whose sum is 1, and the distances (n,) from the given points [length].
     """
     mesh = V.mesh
     dim = mesh.topology.dim
