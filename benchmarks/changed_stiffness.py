@@ -171,7 +171,7 @@ BENCHMARK = Benchmark(
     shown=[
         *WHAT,
         Column("back end", "{backend}", width=9),
-        Column("asked for", "{asked}", width=9),
+        Column("requested", "{asked}", width=9),
         Column("first / later", counts, width=12),
     ],
     tables=[

@@ -51,7 +51,7 @@ from scenes.two_bricks import two_bricks
 SCENES = ("free_end_1", "free_end_2")
 BACKENDS = ("cholesky", "multigrid", "auto")
 
-#: What is asked for, in the rows and of the package.
+#: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[float, Row] = {1e-3: {"accuracy": 1e-3}, 1e-6: {"rtol": 1e-6}}
 IN_WORDS = {1e-3: "energy error", 1e-6: "natural residual"}
 
@@ -247,8 +247,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     add_ranks(parser)
 
 
-def asked_for(rows: list[Row]) -> str:
-    """Return what was asked for, shortly."""
+def requested(rows: list[Row]) -> str:
+    """Return the requested accuracy as a short text."""
     if rows[0].get("accuracy") is None:
         return ""  # it failed before
     kind = IN_WORDS[rows[0]["accuracy"]].split()[-1]
@@ -260,7 +260,7 @@ COLUMNS = [
     Column("n / m", "{n} / {m}", width=14),
     Column("back end", "{backend}", width=9),
     Column("ranks", "{ranks}"),
-    Column("asked for", asked_for, width=13),
+    Column("requested", requested, width=13),
     Column("energy error: bound / true", "{energy_error_bound:.0e} / {energy_error:.0e}"),
     Column("linear s", "{linear_seconds:.1f}"),
     Column("contact s", "{contact_seconds:.1f}"),

@@ -31,7 +31,7 @@ from scenes.two_bricks import two_bricks
 COEFFICIENTS = (0.1, 0.3, 0.6, 1.0)
 BACKENDS = ("cholesky", "multigrid")
 
-#: What is asked for, in the rows and of the package.
+#: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[str, Row] = {"1e-6": {"rtol": 1e-6}, "default": {}}
 
 #: What is wanted of the products, over those of Tresca's law with the scene's bound.

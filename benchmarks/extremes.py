@@ -99,7 +99,7 @@ RANGES = {
     "repeated constraints": "the same or dependent ones",
     "rho times the largest eigenvalue": "both ends of its interval",
     "spring that holds the body, over the body's stiffness": "1e-10 to 1e-2",
-    "accuracy that is asked for": "more than double precision has",
+    "accuracy that is requested": "more than double precision has",
     "condition of A": "to 1e12, dense",
 }
 

@@ -69,7 +69,7 @@ MOST_FACTORED = 32
 
 ROOT = Path(__file__).parents[1]
 
-#: Residual that is asked for, and the relative change of the load from step to step.
+#: Requested residual, and the relative change of the load from step to step.
 RTOL, CHANGE = 1e-6, 0.02
 
 #: What a new process does: imports; from a mesh to the first solution.

@@ -28,7 +28,7 @@ from scenes.two_bricks import ENDS, SLIP_BOUND, two_bricks
 BACKENDS = ("cholesky", "multigrid")
 FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
 
-#: What is asked for, in the rows and of the package.
+#: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[str, Row] = {"default": {}, "rtol 1e-6": {"rtol": 1e-6}}
 
 #: Of the signs of the changes, the changes, and how many.
@@ -123,7 +123,7 @@ def each(backend: str) -> list[Column]:
 
 WHAT = [
     Column("friction", "{friction}", width=8),
-    Column("asked for", "{asked}", width=9),
+    Column("requested", "{asked}", width=9),
     Column("scene", "`{scene}`", width=12),
     Column("N", "{N}", width=2),
 ]

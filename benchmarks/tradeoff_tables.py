@@ -28,7 +28,7 @@ GAIN = 0.97
 
 
 def described(row: Row) -> str:
-    """Return how a row was asked for."""
+    """Return the options of a row."""
     kind = "" if row["method"] == "projected_newton" else f"{row['method']}, "
     kind += "" if row["pairing"] == "auto" else f"{row['pairing']}, "
     kind += "" if row["fraction"] == 0.5 else f"fraction {row['fraction']:g}, "
@@ -42,7 +42,7 @@ COLUMNS = [
     Column("n/m", "{n}/{m}", width=12),
     Column("axis", "{axis}", width=9),
     Column("K-solver", "{chosen}", width=9),
-    Column("method, asked for", lambda rows: described(rows[0]), width=22),
+    Column("method, requested", lambda rows: described(rows[0]), width=22),
     Column("seconds", "{seconds:.2f}"),
     Column("wall", "{wall:.2f}"),
     Column("asked", "{accuracy:g}", width=6),
@@ -95,7 +95,7 @@ def part_lines(rows: list[Row], scene: str) -> Iterator[str]:
     for key in dict.fromkeys((row["family"], row["size"], row["chosen"]) for row in found):
         yield f"\n{scene}, {key[0]} of size {key[1]:g}, {key[2]}: errors over the mesh's own"
         names = ("algebra", *(error for error in ERRORS if error in found[0]))
-        yield f"{'asked for':<12} {'products':>8} {'seconds':>8} " + " ".join(
+        yield f"{'requested':<12} {'products':>8} {'seconds':>8} " + " ".join(
             f"{name:>9}" for name in names
         )
         for row in found:
@@ -268,7 +268,7 @@ def draw_errors(panel: Any, rows: list[Row], error: str, unresolved: float) -> N
 
 
 def parts(rows: list[Row]) -> list[Row]:
-    """Return the runs that were asked for a part of the mesh's error, errors over the mesh's."""
+    """Return the runs with a requested part of the mesh's error, errors over the mesh's."""
     scenes = dict.fromkeys(row["scene"] for row in rows)
     found = (row for scene in scenes for row in over_mesh(converged(rows, scene)))
     return [row for row in found if row["axis"] == "part"]

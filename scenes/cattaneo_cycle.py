@@ -118,7 +118,7 @@ def cycle_errors(
         comm: of one rank.
         dim: 2 or 3.
         n: see `cattaneo`.
-        rtol: residual that is asked for.
+        rtol: requested residual.
         loads: approaches over `APPROACH`.
 
     Returns:

@@ -196,9 +196,9 @@ def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: f
     """
     scale = np.ones(len(lam.radius))
     scale[lam.node] = stress_scale[lam.tangential]
-    rubs = np.isfinite(lam.radius) & (lam.radius > 0.0)
-    distance = np.abs(lam.norms(target) - np.where(rubs, lam.radius, 0.0)) * scale
-    return np.asarray(rubs & (distance < error))
+    has_friction = np.isfinite(lam.radius) & (lam.radius > 0.0)
+    distance = np.abs(lam.norms(target) - np.where(has_friction, lam.radius, 0.0)) * scale
+    return np.asarray(has_friction & (distance < error))
 
 
 def tangent(

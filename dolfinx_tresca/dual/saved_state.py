@@ -167,10 +167,10 @@ def read_motions(path: Path, comm: MPI.Comm, pairs: int) -> Array:
 
 def _laws(jump: JumpOperator) -> list[str]:
     """Return the kind of law of each pair, which determines its multipliers. Collective."""
-    rubs = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
+    tangential_rows = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
     return [
         "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
-        for pair, rows in zip(jump.pairs, rubs, strict=True)
+        for pair, rows in zip(jump.pairs, tangential_rows, strict=True)
     ]
 
 

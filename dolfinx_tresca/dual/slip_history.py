@@ -81,9 +81,9 @@ class SlipHistory:
             jump: the new B.
         """
         kept = carried_residuals(before.of_displacement(u) - self.origin, before, jump)
-        rubs = jump.unbounded.tangential
+        rows = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
-        origin[rubs] = (jump.of_displacement(u) - kept)[rubs]
+        origin[rows] = (jump.of_displacement(u) - kept)[rows]
         return replace(self, origin=origin)
 
     def with_origin_at(
@@ -97,11 +97,11 @@ class SlipHistory:
             of_pairs: for each pair whether its slip counts from u.
         """
         at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
-        origin, rubs = self.origin.copy(), jump.unbounded.tangential
+        origin, rows = self.origin.copy(), jump.unbounded.tangential
         replaced = np.zeros(len(origin), dtype=np.bool_)
         for has_new_origin, (_, tangential) in zip(of_pairs, jump.slices, strict=True):
             replaced[tangential] = has_new_origin
-        rows = rubs[replaced[rubs]]
+        rows = rows[replaced[rows]]
         origin[rows] = at_start[rows]
         return replace(self, origin=origin)
 

@@ -54,13 +54,15 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     """Return the rows of the contact, with the digits that `local_error` justifies."""
     counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
     dim = 3 if found.axisymmetric else dim  # forces on whole rings
-    rubs = any(surface.traction is not None for surface in found.surfaces)
+    has_friction = any(surface.traction is not None for surface in found.surfaces)
     open_nodes = counts.nodes - counts.contact - counts.bonded
     open_stick = counts.stick - counts.contact_stick
 
     def nodes(number: int, stick: int, idle: int = 0) -> str:
-        rub = rubs and number > idle
-        return f"{number}" + (f": {stick} stick, {number - stick - idle} slip" if rub else "")
+        shows_states = has_friction and number > idle
+        return f"{number}" + (
+            f": {stick} stick, {number - stick - idle} slip" if shows_states else ""
+        )
 
     def number(value: float, quantity: Quantity, error: float = found.local_error) -> str:
         return with_unit(significant(value, error), units, quantity, dim)
@@ -109,7 +111,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
             else []
         ),
         ("peak pressure", number(found.peak_pressure, "stress")),
-        *([("greatest slip", slip)] if rubs else []),
+        *([("greatest slip", slip)] if has_friction else []),
         *([("dissipation", f"{work[0]} in this step, {work[1]} so far")] if history else []),
         *force_rows,
         (

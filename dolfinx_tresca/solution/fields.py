@@ -324,17 +324,17 @@ class Surface:
             return result
 
         vectors, primary = operators.tangential_vectors, self.pair.primary
-        rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
+        has_friction = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
         if operators.bonded:
             state: Array = np.full(count, float(ContactState.BONDED))
-        elif rubs:
+        elif has_friction:
             moves = (~sticking).astype(int)
             state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + moves
             state[~pressed & ~rubbing] = ContactState.OPEN
         else:
             state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
         slip = slip_increment = slip_path = None
-        if rubs:
+        if has_friction:
             slip = slip_increment = self.function("slip", nodes, slips.total)
             if slips.increment is not None:
                 slip_increment = self.function("slip_increment", nodes, slips.increment)
@@ -343,7 +343,7 @@ class Surface:
             name=str(self.pair),
             mesh=self.mesh,
             pressure=self.function("pressure", nodes, at_nodes(pressure)),
-            traction=self.function("traction", nodes, vectors(traction)) if rubs else None,
+            traction=self.function("traction", nodes, vectors(traction)) if has_friction else None,
             slip=slip,
             slip_increment=slip_increment,
             slip_path=slip_path,

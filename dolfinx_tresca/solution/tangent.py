@@ -244,13 +244,13 @@ def tangent_of(
     ):
         pressure, gap = np.zeros((2, len(pair.nodes)))
         pressure[pair.normal_node], gap[pair.normal_node] = stress[n], -slip[n]
-        rubs = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
+        has_friction = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
         vectors = [pair.tangential_vectors(parts[t]) for parts in (stress, slip)]
         for jumps, _ in turned:  # the tangents, along which components are measured, turn as well
             vectors[0] += jumps.traction(k, t, step.multipliers)
             vectors[1] += jumps.slip(k, t, -step.gradient)
         traction, slipped = (
-            surface.function(name, pair.nodes, vector) if rubs else None
+            surface.function(name, pair.nodes, vector) if has_friction else None
             for name, vector in zip(("traction", "slip"), vectors, strict=True)
         )
         on_surfaces.append(

@@ -14,7 +14,7 @@ from dolfinx_tresca import ContactError, ContactSolution, ContactStatus
 from scenes.extremes.laws import defects
 from scenes.scene import EPS, Scene
 
-#: Residual that is asked for.
+#: Requested residual.
 RTOL = 1e-8
 
 #: Of the laws at single nodes: residuals are norms, and a node has at least 1e-4 of the area.

@@ -179,7 +179,7 @@ def at_the_limit(comm: MPI.Comm, bound: float) -> Outcome:
 
 # -- What is asked for ----------------------------------------------------------------------------
 
-ASKED = "accuracy that is asked for"
+ASKED = "accuracy that is requested"
 
 
 @case(ASKED, "residual 1e-8", rtol=RTOL)

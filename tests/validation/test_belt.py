@@ -16,7 +16,7 @@ from scenes.blocks import LEFT, YOUNG, block
 #: Coefficient, angle of contact, cells along it, thickness of the belt over the drum's radius.
 FRICTION, ANGLE, CELLS, THICKNESS = 0.3, np.pi, 24, 0.05
 
-#: Force on the free end, which goes to the right at the top; and residual that is asked for.
+#: Force on the free end, which goes to the right at the top; and requested residual.
 FORCE, RTOL = 1.0, 1e-8
 
 

@@ -34,7 +34,7 @@ from scenes.rubbing import moved_end, rubbing
 from scenes.scene import Scene
 from scenes.two_bricks import ENDS, two_bricks
 
-#: Residual that is asked for, and what it and rounding leave of other figures, over their size.
+#: Requested residual, and what it and rounding leave of other figures, over their size.
 RTOL, DIGITS = 1e-10, 1e-7
 
 #: What the stiffness of a column 1 high and 1 wide makes of a motion of its top.

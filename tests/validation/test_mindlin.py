@@ -17,7 +17,7 @@ from scenes.patches import patch
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="each scene is one rank's")
 
-#: Residual that is asked for, and what it leaves of tractions, over their size.
+#: Requested residual, and what it leaves of tractions, over their size.
 RTOL, DIGITS = 1e-11, 1e-7
 
 

@@ -47,7 +47,7 @@ NONE = 1e-4
 #: Asked for, in the energy norm, and what clarabel leaves, but where springs are soft.
 ACCURACY, REFERENCE, STIFF = 1e-4, 1e-4, 1.0
 
-#: Residual that is asked for with Coulomb's law, whose fixed point the energy norm does not tell;
+#: Requested residual with Coulomb's law, whose fixed point the energy norm does not tell;
 #: and where a gap of a thousandth of the size is 1e9 times what loads move.
 RTOL, RTOL_OF_TINY = 1e-7, 1e-4
 

@@ -15,7 +15,7 @@ from dolfinx_tresca import Coulomb, RigidPlane
 from scenes.blocks import LEFT, RIGHT, block
 from scenes.scene import Scene
 
-#: Half of the angle of the wedge, the force that drives it in, and the residual that is asked for.
+#: Half of the angle of the wedge, the force that drives it in, and the requested residual.
 SLOPE, FORCE, RTOL = np.arctan(0.1), 10.0, 1e-8
 
 

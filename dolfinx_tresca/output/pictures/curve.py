@@ -112,9 +112,9 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
         units: units of length and stress.
     """
     length, stress = (units.length, units.stress) if units else ("", "")
-    contact, rubs = curve.contact, curve.contact.has_friction
+    contact, has_friction = curve.contact, curve.contact.has_friction
     inner = Box(box.left + 0.65, box.bottom + 0.5, box.width - 0.9, box.height - HEADER - 0.55)
-    if rubs:
+    if has_friction:
         slip_height = 0.36 * inner.height
         lower = Box(inner.left, inner.bottom, inner.width, slip_height)
         rest = inner.height - slip_height - 0.22
@@ -124,13 +124,14 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
         axes[0].tick_params(labelbottom=False)
     else:
         axes = [inner.axes(figure)]
-    factors = [_label_axis(curve, axes[0], ("pressure", "traction") if rubs else ("pressure",),
-                      "stress" if rubs else "contact pressure", stress)]  # fmt: skip
-    if rubs:
+    names = ("pressure", "traction") if has_friction else ("pressure",)
+    label = "stress" if has_friction else "contact pressure"
+    factors = [_label_axis(curve, axes[0], names, label, stress)]
+    if has_friction:
         factors.append(_label_axis(curve, axes[1], ("slip",), "slip", length))
     along = _along_arc(curve, axes[-1], length)
     legend = _draw_open(curve, axes, along)
-    if rubs:
+    if has_friction:
         legend = [
             line("pressure", CURVE_COLOUR, 1.8),
             line(f"traction, {contact.slip_of}", TANGENT_COLOUR, 1.8),
@@ -144,7 +145,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
         _plain(one)
     figure.align_ylabels(axes)
     title = contact.title("Contact curve")
-    if rubs and not contact.label:
+    if has_friction and not contact.label:
         title += ": traction and slip positive along it"
     write_header(figure, box, title, [*legend, *contact.legend_of_marks()])
 
