@@ -25,8 +25,8 @@ DEFAULTS = {
     # for small matrices CHOLMOD's default is LDL', which accepts negative pivots
     "mat_cholmod_factor": "SUPERNODAL",
     "mat_cholmod_print": 0,  # PETSc reports errors
-    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which gives the
-    # sparsest factors of volumes among Debian's orderings (AMD, AMF, QAMD, PORD)
+    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among the
+    # orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D bodies
     "mat_mumps_icntl_7": 5,
     "mat_mumps_icntl_14": SPARE_WORKSPACE,
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
@@ -41,7 +41,7 @@ SADDLE = {
 
 
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
-    """Return a factorised K. Collective.
+    """Return a solver with the Cholesky factors of K. Collective.
 
     On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If it fails,
     MUMPS factors K, or gives the reason of the failure: PETSc may be built without CHOLMOD, factors
@@ -63,7 +63,7 @@ def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None)
 def saddle_cholesky(
     K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None
 ) -> StiffnessSolver:
-    """Return the factorised saddle-point matrix K = (A, B'; B, -C). Collective.
+    """Return a solver with the factors of the saddle-point matrix K = (A, B'; B, -C). Collective.
 
     Args:
         K: the matrix.

@@ -17,7 +17,7 @@ from dolfinx_tresca.stiffness.nested import is_nested, nested
 
 
 def has_levels(V: Any) -> bool:
-    """Return whether a space has levels below it. Not collective."""
+    """Return whether a space has degree 2 or a mesh with coarser meshes below. Not collective."""
     return V.element.basix_element.degree > 1 or is_nested(V)
 
 
@@ -36,9 +36,9 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     """Set up a preconditioner as multigrid with the spaces below V as its levels. Collective.
 
     The matrices of the levels are P'KP, with the interpolation P between the spaces. They need no
-    further compiled forms, and include additions to K, such as the springs of floating bodies. They
-    equal the matrices of the form, since each space is a part of the finer space, except at nodes
-    that were moved to curved surfaces.
+    further compiled forms, and include additions to K, such as the springs of floating bodies.
+    Apart from such additions, P'KP equals the matrix of the form on the coarser space, since this
+    is a subspace of the finer space, except at nodes that were moved to curved surfaces.
 
     Args:
         pc: preconditioner of a KSP whose matrix is K.
@@ -78,9 +78,10 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
-    """Restrict values at the nodes of a space to the nodes of the coarse space. Collective.
+    """Return values at the nodes of a space, restricted to nodes of the coarse space. Collective.
 
-    P has ones in the rows of these nodes, and smaller entries elsewhere.
+    The nodes of the coarse space are nodes of both spaces: in their rows P has ones, elsewhere it
+    has smaller entries.
     """
     ones = P.copy()
     ones.chop(0.99)
@@ -92,10 +93,10 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
 
 
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
-    """Make the rigid body modes the near-nullspace of a matrix on a space. Collective.
+    """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
 
-    The modes are motions of the whole space, and so rigid motions of each body: one set serves any
-    number of bodies.
+    The modes are motions of all bodies together, and so rigid motions of each body: one set serves
+    any number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = PETSc.Vec().createMPI(

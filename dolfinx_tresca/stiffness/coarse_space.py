@@ -10,7 +10,8 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 
-#: Most unknowns of the level: a factorisation takes a hundredth of a second, a solve a millisecond.
+#: Largest number of unknowns of the level. A factorisation takes a hundredth of a second, a solve a
+#: millisecond.
 #: (Two bricks, N = 16, Krylov iterations of a contact solve: 63 with 42 unknowns, 58 with 306, 54
 #: with 2244.)
 MOST_UNKNOWNS = 3000
@@ -18,6 +19,8 @@ MOST_UNKNOWNS = 3000
 
 class CoarseSpace(PetscOwner):
     """P (P'KP)^-1 P', where the columns of P are the basis displacements of a multigrid level.
+
+    This is the part of K^-1 that a few displacements of bodies as a whole can represent.
 
     Owns PETSc objects: call `destroy()`. The multigrid hierarchy keeps its own objects.
     """
@@ -44,7 +47,10 @@ class CoarseSpace(PetscOwner):
 
     @classmethod
     def of(cls, pc: PETSc.PC) -> CoarseSpace | None:
-        """Return the largest level of a preconditioner that is small enough. Collective.
+        """Return the largest level that is small enough (`MOST_UNKNOWNS`). Collective.
+
+        Args:
+            pc: a preconditioner, whose multigrid levels are searched.
 
         Returns:
             the level; None if the preconditioner is not multigrid, if no level is small enough, or
@@ -76,7 +82,7 @@ class CoarseSpace(PetscOwner):
             owned.destroy()
 
     def correct(self, residual: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Add the coarse-space part of K^-1 residual to u. Collective."""
+        """Add P (P'KP)^-1 P' residual to u. Collective."""
         above = residual
         for P, level in zip(self._interpolations, self._levels, strict=True):
             P.multTranspose(above, level)

@@ -26,15 +26,16 @@ COARSENING = 3.0
 
 @dataclass(frozen=True)
 class Bisection:
-    """The refinement by which a mesh was made of a coarser one.
+    """The refinement by which a mesh was made from a coarser mesh.
 
-    Nodes are numbered as at the creation of their mesh; no partition changes these numbers.
+    Nodes have the numbers that they got when their mesh was made; no partition changes them.
 
     Attributes:
         coarse: the coarser mesh, with straight edges.
-        first: number of the node of the finer mesh in this rank's first row of `ends`.
-        ends: (n, 2) numbers of the two nodes of the coarser mesh midway between which the node
-            `first`, `first` + 1, ... was put; twice the same number for a node of the coarser mesh.
+        first: number of the node of the finer mesh that belongs to this rank's first row of `ends`.
+        ends: (n, 2) row i has the numbers of the two nodes of the coarser mesh between which the
+            node `first` + i of the finer mesh lies midway, or twice the number of one node if the
+            node `first` + i is this node.
     """
 
     coarse: Any
@@ -87,7 +88,7 @@ def is_nested(V: Any) -> bool:
 
 
 def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
-    """Return the matrix from the coarse space to the fine one. Collective."""
+    """Return the matrix that interpolates from the coarse space to the fine one. Collective."""
     comm, dim = fine.mesh.comm, fine.dofmap.index_map_bs
     owned = fine.dofmap.index_map.size_local
     nodes = coarse.dofmap.index_map.local_to_global(
