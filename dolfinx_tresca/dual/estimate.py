@@ -29,10 +29,10 @@ CELLS_AT_ONCE = 50_000
 #: has a recovery of its own, which costs as much as the first.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
-#: Approximate ratio of the error to the difference of gradients, by the degree of the displacement
-#: and whether cells are simplices. Only for degree 1 has the mean gradient a higher order than the
-#: gradient, and singular edges lower their difference by up to a third; factors are mid-range
-#: values of benchmarks/estimate.py.
+#: Approximate ratio of the error to the difference of the gradient from its mean, both in the energy
+#: norm, by the degree of the displacement and whether cells are simplices. It is not 1, since the
+#: mean gradient has a higher order than the gradient only for degree 1, and since singular edges
+#: lower the difference by up to a third. Factors are mid-range values of benchmarks/estimate.py.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -42,11 +42,11 @@ class DiscretisationError:
     The gradient of a finite element displacement jumps from cell to cell; the mean at the nodes,
     weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
     difference of the two is an estimate of the error. The energy of this difference follows from
-    the form `a`, in which it replaces the gradient, for any cell and material. Means are taken of
-    the gradient at the Gauss points of order 2 (degree - 1), where it is most accurate (Barlow,
-    1976), continued to the nodes. Taken directly at a node of a quadrilateral or hexahedron, the
-    derivative along an edge would depend on that edge alone, and on a boundary with its singular
-    edges the difference would be zero.
+    the form `a`, in which it replaces the gradient, for any cell and material. The gradient is
+    evaluated at the Gauss points of order 2 (degree - 1), where it is most accurate (Barlow, 1976),
+    and extrapolated to the nodes, where means are taken. If it were evaluated at a node of a
+    quadrilateral or hexahedron, the derivative along an edge would depend on that edge alone, and
+    on a boundary with its singular edges the difference would be zero.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
     singular edges and Poisson's ratios of up to 0.49. It is not a bound. For ratios closer to 0.5
@@ -57,12 +57,12 @@ class DiscretisationError:
     without gaps between the stiffnesses, the estimate is too large.
 
     For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
-    polynomial P_2, which is equal on both sides of a node if neighbouring cells are alike. Where a
-    smooth solution varies along one direction of such a mesh, gradients hardly jump, and the ratio
-    of the estimate to the error falls with h; where the solution varies in two directions, the
-    ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator for
-    biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). Edges of
-    contact have no such symmetry.
+    polynomial P_2. This error is equal on both sides of a node if neighbouring cells are alike, and
+    then the gradient hardly jumps. Where a smooth solution varies along one direction of such a mesh, the ratio of
+    the estimate to the error therefore falls with h; where the solution varies in two directions,
+    the ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator
+    for biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). At
+    the edge of a contact area the error is not equal on both sides of a node.
 
     In bodies of revolution the error of the hoop strain u_r / r counts as zero: it is of higher
     order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would
@@ -148,12 +148,13 @@ class DiscretisationError:
 
         Collective.
 
-        Materials are groups of stiffnesses with gaps between them; gradual variation is one group.
+        A material is a group of cells whose stiffnesses have no large gap between them: a stiffness
+        that varies gradually makes one group.
 
         Args:
             energy: the form that gives each cell's energy [energy] under the same gradient.
-            volume: the form that gives each cell's volume, or the volume of its ring up to a
-                factor.
+            volume: the form that gives each cell's volume, or for bodies of revolution the volume
+                of the cell's ring up to a constant factor.
         """
         volumes = self._assembled(volume)
         stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
@@ -201,14 +202,14 @@ class DiscretisationError:
 
 
 def total(cells: fem.Function) -> float:
-    """Return the norm [energy^(1/2)] of the errors of all cells together. Collective."""
+    """Return the root of the sum of squares of all cells' errors [energy^(1/2)]. Collective."""
     space = cells.function_space
     squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
     return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
 
 
 def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
-    """Return the matrix (m, n) that continues values at points of a cell to nodes by a polynomial.
+    """Return the matrix (m, n) that extrapolates from points of a cell to nodes by a polynomial.
 
     Args:
         cell: `basix.CellType` of the cell.

@@ -37,8 +37,8 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 SYMMETRY = 1e-10
 
 
-#: Force against a radial translation of length 1, divided by K's largest diagonal entry, up to which
-#: it is rounding: the form then lacks the hoop strain.
+#: Force against a radial translation of length 1, divided by K's largest diagonal entry, up to
+#: which the force is rounding: then the form lacks the hoop strain.
 HOOP_ROUNDING = 1e-12
 
 #: Negative radius, relative to the largest radius, that counts as zero.
