@@ -21,7 +21,8 @@ a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a post
 estimation in finite element methods, 2001), plus a term of order h^2, for any degree, from nodes
 that change their state: at the distance r from the edge of a contact zone y grows like r^(-1/2).
 If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact forces balance the
-load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other values.
+load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other right-hand
+sides.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ SHARE = 0.03
 #: its node counts as at the edge of its state, even if the solution is more accurate.
 EDGE = 1e-9
 
-#: States of the nodes at the edge: as in the solution (None), pressed and sticking ("held"), or
-#: open and slipping ("released").
+#: State that is assumed for nodes that are about to change their state: as in the solution (None),
+#: pressed and sticking ("held"), or open and slipping ("released").
 EdgeState: TypeAlias = 'Literal["held", "released"] | None'
 
 
@@ -95,7 +96,7 @@ class LinearisedContact:
             dual: the problem.
             x: multipliers.
             r: gradient.
-            edge: state that the nodes `at_edge` get.
+            edge: state that is assumed for the nodes `at_edge`.
 
         Raises:
             InputError: a slip bound depends on the slip.
@@ -166,6 +167,9 @@ class LinearisedContact:
 
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     """Return the rows and discs that are about to change their contact state. Collective.
+
+    Within the accuracy of the solution they may have either state, so that derivatives of goals are
+    one-sided.
 
     Args:
         dual: the problem.

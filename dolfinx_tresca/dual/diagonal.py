@@ -12,7 +12,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 
 
 def rademacher_vector(jump: JumpOperator) -> Array:
-    """Return a vector (size,) of random signs for `estimate_diagonal`, on any number of ranks equal.
+    """Return a vector (size,) of random signs for `estimate_diagonal`, equal on all partitions.
 
     The sign depends on the node's number in the mesh file, through a mixing of the number's bits.
     """

@@ -29,9 +29,9 @@ CELLS_AT_ONCE = 50_000
 #: has a recovery of its own, which costs as much as the first.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
-#: Approximate ratio of the error to the difference of the gradient from its mean, both in the energy
-#: norm, by the degree of the displacement and whether cells are simplices. It is not 1, since the
-#: mean gradient has a higher order than the gradient only for degree 1, and since singular edges
+#: Approximate ratio of the error to the difference between the gradient and its mean, both in the
+#: energy norm, by the degree of the displacement and whether cells are simplices. It is not 1,
+#: since the mean has a higher order than the gradient only for degree 1, and since singular edges
 #: lower the difference by up to a third. Factors are mid-range values of benchmarks/estimate.py.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
@@ -50,19 +50,20 @@ class DiscretisationError:
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
     singular edges and Poisson's ratios of up to 0.49. It is not a bound. For ratios closer to 0.5
-    cells lock; the error spreads from its origin, and the estimate is lower. At the corners of
-    inclusions that are 1000 times stiffer it is up to 1.7 times the error for degree 2. If the
+    cells lock: the error spreads from its origin, and its ratio to the estimate is larger. At the
+    corners of inclusions that are 1000 times stiffer than the rest the estimate is up to 1.7 times
+    the error for degree 2. If the
     material inside a body changes abruptly, the true gradient jumps too: each material then has
     means of its own, for up to `MOST_MATERIALS` materials. If the material varies from cell to cell
     without gaps between the stiffnesses, the estimate is too large.
 
     For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
-    polynomial P_2. This error is equal on both sides of a node if neighbouring cells are alike, and
-    then the gradient hardly jumps. Where a smooth solution varies along one direction of such a mesh, the ratio of
-    the estimate to the error therefore falls with h; where the solution varies in two directions,
-    the ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator
-    for biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). At
-    the edge of a contact area the error is not equal on both sides of a node.
+    polynomial P_2. This difference is equal on both sides of a node if neighbouring cells are
+    alike. Where a smooth solution varies along one direction of such a mesh, gradients therefore
+    hardly jump, and the ratio of the estimate to the error falls with h; where the solution varies
+    in two directions, the ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a
+    posteriori error estimator for biquadratic elements: errors of even degree are in the cells'
+    interiors, not in jumps). Edges of contact areas have no such symmetry.
 
     In bodies of revolution the error of the hoop strain u_r / r counts as zero: it is of higher
     order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would

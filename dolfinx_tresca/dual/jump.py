@@ -46,8 +46,8 @@ class JumpOperator(PetscOwner):
         length_scale: (size,) length per residual: 1 / sqrt(area), divided by the stretch.
         gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
         unbounded: Lambda with infinite slip bounds: all tangential rows of a node share its disc.
-        discs: like `unbounded`, but frictionless rows of nodes whose other row has friction have
-            discs of their own, after the discs of all nodes.
+        discs: like `unbounded`, except at nodes with friction in one of two tangential rows: the
+            frictionless row has a disc of its own. These discs come after the discs of all nodes.
         reductions: sums over the ranks.
     """
 
@@ -94,7 +94,7 @@ class JumpOperator(PetscOwner):
         return result
 
     def set_distances(self, pairs: Sequence[PairOperators]) -> None:
-        """Replace the pairs by copies with other distances of the surfaces. Not collective."""
+        """Replace the pairs by copies with other surface distances; update gaps. Not collective."""
         self.pairs = list(pairs)
         self.gap = self._gaps()
 
@@ -130,7 +130,7 @@ class JumpOperator(PetscOwner):
         )
 
     def _separated(self) -> FeasibleSet:
-        """Return `unbounded` with an infinite disc for each frictionless row. Not collective."""
+        """Return `discs`: `unbounded` with a disc for each frictionless row. Not collective."""
         frictionless = [
             discs.frictionless
             for pair, discs in zip(self.pairs, self._friction_discs, strict=True)
@@ -176,9 +176,12 @@ class JumpOperator(PetscOwner):
         return FrictionCones(self.discs, normal_of, constant, coefficient, limit, functions)
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
-        """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.
+        """Return B with tangents along the axes of each node's friction ellipse. Collective.
 
         The result is self if all tangents stay the same, else a new operator that the caller owns.
+
+        Args:
+            slip_bounds: for each pair the slip bounds at its nodes, with their ellipses.
 
         Raises:
             InputError: the direction of two bounds is not finite, is zero, or is normal to the

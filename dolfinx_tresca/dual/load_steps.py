@@ -101,12 +101,17 @@ class LoadSteps:
         self._continues = False
 
     def begin(self, history: SlipHistory) -> None:
-        """Begin the next step after the steps of a history. Not collective."""
+        """Let the next step follow the steps of a history. Not collective."""
         self.history = history
         self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
 
     def begin_at(self, u: fem.Function | None) -> None:
-        """Begin with the slip of a displacement [length]; None: undeformed bodies. Collective."""
+        """Begin as after an accepted step with the displacement u. Collective.
+
+        Args:
+            u: displacement [length], whose tangential jump is the slip so far; None: undeformed
+                bodies.
+        """
         jump = self.jump
         self.accepted_u = None if u is None else u.copy()
         self.begin_with(
@@ -292,7 +297,7 @@ class LoadSteps:
         state.write(path, self.jump, self.accepted_motions)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
-        """Continue from the file that `save` wrote, and return its step. Collective.
+        """Continue from the file that `save` wrote, and return the number of its step. Collective.
 
         Obstacles keep their present places.
 

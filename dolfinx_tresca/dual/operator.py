@@ -65,7 +65,8 @@ class DualOperator(PetscOwner):
 
         Args:
             x: (size,).
-            rtol: relative residual of an iterative solver; None: as in its options.
+            rtol: relative error in the energy norm at which an iterative solver stops; None: as in
+                its options.
 
         Returns:
             the product (size,), and the norm sqrt(e'A^-1 e) of its error e, as estimated by the

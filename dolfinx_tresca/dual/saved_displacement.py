@@ -47,7 +47,7 @@ def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str,
 def read_functions(
     path: Path, functions: Sequence[fem.Function], comm: Any, kind: str
 ) -> list[Array]:
-    """Return the values that a file has for Functions of a kind. Collective.
+    """Return for each Function its values in a file, ghosts included. Collective.
 
     Args:
         path: path of the file.
@@ -113,9 +113,9 @@ def read_displacements(
 
 
 def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) -> dict[str, Array]:
-    """Return the values (nodes, k) that a file holds for this rank's own nodes. Collective.
+    """Return name -> values (nodes, k) in a file for this rank's own nodes. Collective.
 
-    See `read_displacements`.
+    Arrays that the file lacks are left out. Arguments and errors are those of `read_displacements`.
     """
     comm, file, columns = V.mesh.comm, {}, {}
     with errors_on_all_ranks(comm):
@@ -167,8 +167,9 @@ def values_of(u: fem.Function) -> Array:
 def surroundings(V: Any) -> Array:
     """Return positions (n, 2 d) of this rank's own nodes or points, and of their cells. Collective.
 
-    The second position is the mean over the nodes of the cells, which distinguishes nodes of two
-    bodies that touch. Neither partition nor refinement changes them, up to rounding.
+    The second position is the mean of the midpoints of the cells around a node, which distinguishes
+    nodes of two bodies that touch. Both positions identify a node on any partition, up to rounding,
+    also on refined meshes, where numbers of nodes depend on the partition.
 
     Args:
         V: the space of a displacement, or of values at points of quadrature.

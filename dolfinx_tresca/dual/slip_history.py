@@ -27,7 +27,8 @@ class SlipHistory:
         slipped: for each pair (owned nodes of V, d + 1) the sum of the slip vectors of all steps,
             and the sum of their lengths [length]; kept at nodes that have no partner at present.
         dissipation: dissipation of all steps [energy].
-        begun: whether a step was accepted; if not, slips are total, as in a static problem.
+        begun: whether a step was accepted; if not, slips count from the undeformed bodies, as in a
+            static problem.
     """
 
     origin: Array
@@ -73,7 +74,7 @@ class SlipHistory:
     def carried_over(
         self, u: fem.Function, before: JumpOperator, jump: JumpOperator
     ) -> SlipHistory:
-        """Return the history for displaced surfaces, with the same slip of the step. Collective.
+        """Return the history for displaced surfaces; the slip of the step stays. Collective.
 
         Args:
             u: displacement at which B changes [length].
