@@ -17,13 +17,13 @@ from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
 #: The product rho D in the active sets (38.12), (38.13), with the diagonal D of the model. With 1
-#: each node would take the set of its minimiser for fixed neighbours; with a smaller value nodes
-#: change their sets less often.
+#: each node would take the state of its minimiser for fixed neighbours; with a smaller value nodes
+#: change their states less often.
 RHO_DIAGONAL = 0.2
 
-#: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
-#: has not decreased. Doubled it changes no number of products of benchmarks/ablation.py; with 0.1
-#: a cube held by springs of 1e-6 of its stiffness takes 160 products in place of 20.
+#: Natural residual, divided by the tolerance, at which a point is accepted even if the model of q
+#: has not decreased. With twice the value no number of products of benchmarks/ablation.py changes;
+#: with 0.1 a cube held by springs of 1e-6 of its stiffness takes 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
 
 
@@ -99,8 +99,8 @@ class FaceNewton:
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
         """Project z onto the friction cones only; the residual contains the constraints' residual.
 
-        In contrast to `point`, which projects onto the constraints as well, this method is cheap,
-        and does not require that the section of z contains a point that satisfies the constraints.
+        `point` projects onto the constraints as well. This method is cheaper, and does not require
+        that the section of z contains a point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.at(z, r, self._rho).project(z)
@@ -113,7 +113,10 @@ class FaceNewton:
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints so that steps on ill-posed faces remain short."""
+        """Softness to add to the constraints if the system on a face is nearly singular; 0: none.
+
+        It keeps steps short.
+        """
         return self._model.proximal_softness
 
     def step(
@@ -188,10 +191,10 @@ def minimise(
     """Return an approximate minimiser in Lambda of the model of q.
 
     The model is gradient'd + 1/2 d'M d with the step d from `multipliers`. If the active sets of
-    Newton's method do not settle, an interior-point method (`interior_point`) provides points from
-    which they do. Near the minimiser the interior-point method is less accurate than the start: a
-    strip of 150 nodes that is pulled to and fro ends with STAGNATED if that method takes over after
-    two idle steps.
+    Newton's method do not settle, an interior-point method (`interior_point`) provides other points
+    to start from, from which they settle. Near the minimiser the interior-point method is less
+    accurate than the start: a strip of 150 nodes that is pulled to and fro ends with STAGNATED if
+    the interior-point method takes over after two idle steps.
 
     Collective. Needs no product with A.
 

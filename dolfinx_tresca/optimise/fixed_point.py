@@ -27,7 +27,7 @@ from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Limit on the number of sweeps, Tresca problems with the bounds of the previous solution; and
+#: Limit on the number of sweeps, which are Tresca problems with the bounds of the last solution; and
 #: softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
@@ -42,8 +42,9 @@ WORSE = 2.0
 #: steps: with 0.5 and with 0.03, steps end with NO_FIXED_POINT.)
 REDUCTION = 0.003
 
-#: Number of consecutive iterations with too weak friction on the model after which the solve ends.
-#: (For a bolted joint beyond its limit, friction is too weak on the model after the first product.)
+#: Number of consecutive iterations after which the solve ends if in each of them, with the model in
+#: place of A, friction is too weak to hold a body. (For a bolted joint beyond its limit this is so
+#: from the first product on.)
 FAILURES = 2
 
 
@@ -191,7 +192,7 @@ def fixed_point_of_model(
 ) -> tuple[Array, Point | None]:
     """Return an approximate fixed point of the model's Tresca problems, in the cones.
 
-    Newton's method is started from one initial guess after the other until it converges:
+    Newton's method is started from the following initial guesses in turn until it converges:
 
     * the present point;
     * in a load step of a process, continuation in the load (`along_load`) from the last step;

@@ -106,7 +106,7 @@ class FrictionCones:
         return dataclasses.replace(self, coefficient=coefficient, part=part * self.part)
 
     def slip_along(self, face: Face) -> Array:
-        """Return the slips of the curves (size,) along the unit vectors of slipping nodes."""
+        """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
         if self.slip is None:
             return np.zeros(self.size)
         return face.along_radius(self.slip)
@@ -114,7 +114,7 @@ class FrictionCones:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return the function of (s, v) with the value s + Q s + S v.
+        """Return the function of (s, v) with the value s + Q s + S v, for Newton steps.
 
         Here s is a step along the face, and v the right-hand side of its equation: for example
         s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
@@ -273,7 +273,7 @@ class FrictionCones:
         return result
 
     def _pressures(self, x: Array) -> Array:
-        """Return the normal multiplier that each bound depends on; 0 if there is none.
+        """Return the normal multiplier on which each bound depends; 0 if there is none.
 
         Args:
             x: (size,) or (size, k) multipliers.

@@ -30,7 +30,7 @@ class History:
         residual: natural residual and its scale.
         stopping: criterion of convergence.
         residuals: relative natural residual of each iterate.
-        q: q(lambda) of each iterate, minus its value at the origin.
+        q: q(lambda) of each iterate, minus its value at the origin of `NaturalResidual`.
     """
 
     def __init__(

@@ -13,15 +13,15 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.model import Model, NodalMaps
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Part that is taken of the largest step inside Lambda and its dual (the customary 0.99).
+#: Part taken of the largest step that stays inside Lambda and its dual (the customary 0.99).
 TO_BOUNDARY = 0.99
 
 #: Largest norm of a friction disc's multiplier at the start, divided by the radius of the disc.
 INITIAL_RADIUS = 0.9
 
-#: Barrier after short and after nearly whole steps, divided by the mean product of multipliers and
-#: duals; and the part from which a step counts as nearly whole. They determine the number of steps,
-#: but not the point to which the steps converge.
+#: Barrier after shortened and after nearly whole steps, divided by the mean product of multipliers
+#: and duals; and the part of a step above which it counts as nearly whole. These numbers determine
+#: the number of steps, but not the point to which the steps converge.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
 #: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0: s is the
@@ -77,7 +77,7 @@ def central_path(
 
 
 class _CentralPath:
-    """The state of the iteration.
+    """The state of the iteration in `central_path`.
 
     Attributes:
         x: (size,) multipliers.
@@ -125,7 +125,7 @@ class _CentralPath:
         self.dual, self.t = self.on_path()
 
     def move_to(self, x: Array) -> None:
-        """Go to a point."""
+        """Go to multipliers x, and update the gradient there."""
         self.x = x
         self.r = self.first + self.model.apply(x - self.origin)
         self.square = self.in_cone(self.g, x)

@@ -32,7 +32,7 @@ class KnownProducts(ABC):
 
     @abstractmethod
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x with an unknown product, and A times the other part."""
+        """Return the part of x whose product is not known, and A times the rest of x."""
 
     @abstractmethod
     def product(self, x: Array) -> tuple[Array, float]:

@@ -14,7 +14,7 @@ from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import SolverOptions
 
-#: Inner residual of "exact" solves, over the outer residual at the start.
+#: Inner residual of "exact" solves, divided by the outer residual at the start.
 INNER_RESIDUAL = 1e-12
 
 

@@ -20,10 +20,10 @@ from dolfinx_tresca.status import ContactStatus
 #: A method for Tresca's problem.
 Solve: TypeAlias = Callable[[DualProblem, Array, SolverOptions, Observe], DualSolution]
 
-#: Accuracy of each Tresca problem over that of the fixed point.
+#: Requested accuracy of each Tresca problem, divided by the requested accuracy of the fixed point.
 INNER = 0.3
 
-#: Least relaxation factor, which is halved after each sweep without `PROGRESS`.
+#: Least value of the relaxation factor, which is halved after each sweep without `PROGRESS`.
 LEAST_PART = 1.0 / 16.0
 
 #: Limit on the number of sweeps.
