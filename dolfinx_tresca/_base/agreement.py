@@ -86,7 +86,7 @@ def collective(
 
 
 def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
-    """Return this module's own communicator for the processes of the communicator of a call.
+    """Return this module's own communicator with the same processes as `comm`.
 
     The first call for a group of processes duplicates `comm` and is collective; later calls return
     the same duplicate.

@@ -13,7 +13,7 @@ from __future__ import annotations
 #: iterations; with half of it 4 % fewer products and 1 % more Krylov iterations.
 FORCING = 0.1
 
-#: Relative error of quantities that only decide between two ways, or only scale other quantities.
+#: Relative error of quantities that only decide between alternatives, or scale other quantities.
 #: Doubling or halving it changes numbers of products in benchmarks/ablation.py by one at most.
 ROUGH = 1e-3
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-#: Ratio of a residual to the least residual before, below which an iteration makes progress. With
+#: Ratio of a residual to the least earlier residual, below which an iteration makes progress. With
 #: twice or half the distance from 1 no number of products of benchmarks/ablation.py changes.
 PROGRESS = 0.9
 

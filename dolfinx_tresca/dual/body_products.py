@@ -36,10 +36,10 @@ BLOCK = 32
 
 
 def sparse_model(operator: DualOperator) -> SparseModel | None:
-    """Return A of many small bodies, or None if it does not pay or is not possible. Collective.
+    """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
 
-    It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). It is not
-    possible with an iterative solver for K or a mixed space.
+    It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The result is
+    also None with an iterative solver for K or a mixed space, with which it is not possible.
 
     K is block diagonal, with a block K_b for each body, also with the springs that fix floating
     bodies. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of

@@ -18,7 +18,8 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 class EnergyBound(PetscOwner):
     """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
 
-    Here u* is the exact solution of the discrete problem. Weak duality: with the primal energy J, the dual energy D, and any v that does not penetrate,
+    Here u* is the exact solution of the discrete problem. Weak duality: with the primal energy J,
+    the dual energy D, and any displacement v without penetration,
 
         1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,

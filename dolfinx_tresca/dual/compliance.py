@@ -162,7 +162,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def near_field(self) -> NearField:
-        """The near field, an approximation of A for rough tractions. Collective."""
+        """The near field, an approximation of A for oscillating tractions. Collective."""
         return NearField(self.jump, self.operator.solver)
 
     @cached_property

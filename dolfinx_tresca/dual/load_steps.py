@@ -220,7 +220,7 @@ class LoadSteps:
         self._set_start(stress / self.jump.stress_scale)
 
     def _carry_over(self, jump: JumpOperator) -> JumpOperator:
-        """Replace B and express the multipliers by it; return the previous B. Not collective."""
+        """Replace B, and convert the multipliers to it; return the previous B. Not collective."""
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
             carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)

@@ -27,7 +27,8 @@ LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 class NearField(PetscOwner):
     """The approximation D = B S B' <= A, where S approximates K^-1 near the contact.
 
-    The effect of rough tractions decays within a few cells: nodes further away may be clamped. (Of
+    Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
+    may be clamped. (Of
     FETI's preconditioners, which approximate A^-1, the lumped one clamps all nodes except those of
     the interface, and the Dirichlet preconditioner clamps none: Farhat, Mandel and Roux 1994.)
     Further away the effect of tractions is smooth: with multigrid, a coarse level in S represents

@@ -88,7 +88,7 @@ class SlipBounds:
         self.values = NodalValues(V)
 
     def check(self, friction: Friction, nodes: LocalNumbers) -> None:
-        """Check that bounds can be evaluated at nodes of this rank, whatever the values.
+        """Check that bounds can be evaluated at nodes of this rank, whatever their values.
 
         Collective.
 

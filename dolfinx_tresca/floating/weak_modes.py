@@ -19,8 +19,8 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
 #: Stiffness against a rigid body mode, divided by the body's largest diagonal entry of K, up to
-#: which it is rounding: the product of K with the mode sums up to some hundred entries of a row,
-#: which cancel each other.
+#: which it is rounding: the product of K with the mode adds some hundred entries of each row, which
+#: cancel each other.
 NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
 
 #: Stiffness against a rigid body mode, divided by the stiffness of the body itself, up to which a

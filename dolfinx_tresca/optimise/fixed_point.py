@@ -27,8 +27,8 @@ from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Limit on the number of sweeps, which are Tresca problems with the bounds of the last solution; and
-#: softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
+#: Limit on the number of sweeps, which are Tresca problems with the bounds of the last solution;
+#: and softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
 #: Factor that makes slip bounds practically infinite.

@@ -32,7 +32,7 @@ DEFAULTS = {
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
 }
 
-#: For saddle points: L D L' with pivots of size 1 and 2, all of which must be counted.
+#: Options for saddle-point matrices: L D L' with pivots of size 1 and 2, whose signs are counted.
 SADDLE = {
     **{name: value for name, value in DEFAULTS.items() if name != "mat_mumps_cntl_1"},
     "mat_mumps_icntl_13": 1,  # the last front is not factored by ScaLAPACK, which counts no signs

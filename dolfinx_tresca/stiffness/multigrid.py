@@ -20,8 +20,8 @@ KRYLOV = {
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
 }
 
-#: Symmetric block Gauss-Seidel: errors fall in the energy norm for any positive definite K, so that
-#: the preconditioner is positive definite, without an estimate of eigenvalues.
+#: Smoother on one rank, symmetric block Gauss-Seidel. Errors fall in the energy norm for any
+#: positive definite K: the preconditioner is positive definite without an estimate of eigenvalues.
 GAUSS_SEIDEL = {
     "mg_levels_ksp_type": "richardson",
     "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
@@ -74,8 +74,8 @@ def multigrid(
     The level below degree 2 is degree 1 on the same mesh; the levels below a mesh from
     `adapt.refine` are the coarser meshes. Errors are smoothed on each of these spaces, and GAMG is
     applied to the matrix P'KP of the coarsest space, or to K if there are no levels below. If the
-    options name a `pc_type`, GAMG or another, it is applied to K; if they name a smoother,
-    `CHEBYSHEV` completes its options.
+    options name a `pc_type`, GAMG or another, this preconditioner is applied to K; if they name a
+    smoother, `CHEBYSHEV` completes its options.
 
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows

@@ -114,7 +114,7 @@ def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
 
 
 def _numbers(V: Any) -> npt.NDArray[np.int64]:
-    """Return the numbers of this rank's nodes of V, with ghosts. Not collective."""
+    """Return the numbers (see `Bisection`) of this rank's nodes, with ghosts. Not collective."""
     numbers = np.zeros(len(V.mesh.geometry.x), dtype=np.int64)
     numbers[V.dofmap.list] = V.mesh.geometry.input_global_indices[geometry_dofmap(V.mesh)]
     return numbers
