@@ -76,17 +76,19 @@ class Equilibrium:
 
         Args:
             x: (size,) multipliers.
-            u: K_p^-1 (f - B'x).
+            u: K_p^-1 (f - B'x), which is changed.
             c: (k,) multipliers of the constraints.
 
         Returns:
-            the energy norm of rigid displacements that u lacks for equilibrium.
+            the energy norm of the rigid displacements that u then lacks for equilibrium.
         """
         u.array += self.modes @ c
         return self.constraints.violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return U'f (k,), and the largest sum of absolute values of an entry's terms. Collective.
+        """Return the resultants U'f (k,), and the largest sum of their terms' absolute values.
+
+        Collective.
 
         Args:
             f: forces on all unknowns.
@@ -130,7 +132,9 @@ class FloatingBodies:
     def under(
         self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
     ) -> Equilibrium:
-        """Return the equilibrium under a load. Collective.
+        """Return the equilibrium under a load, after a check that contact can hold the bodies.
+
+        Collective.
 
         Args:
             load: f on this rank.
@@ -174,14 +178,16 @@ def equilibrium_constraints(
     reductions: Reductions,
     describe: Callable[[Array], str],
 ) -> tuple[EqualityConstraints, Array]:
-    """Return the equations of equilibrium, after a check that Lambda has a solution. Collective.
+    """Return the equations of equilibrium, after a check that some x in Lambda satisfies them.
+
+    Collective.
 
     Args:
         feasible_set: Lambda.
         jumps: (size, k) B U, the jumps of k rigid body modes, sparse.
         stiffness: (k, k) stiffness of K against the modes; zero rows for modes that K does not
             resist.
-        resultants: (k,) U'f.
+        resultants: (k,) U'f, the resultants of the loads along the modes.
         sizes: (k,) size of the terms of each resultant, see `SpringResponse.resultants`.
         bodies: (k,) the body of each mode.
         reductions: sums over the ranks.
@@ -192,8 +198,8 @@ def equilibrium_constraints(
         the equations, and the factors (k,) that scale the modes in them.
 
     Raises:
-        MechanismError: neither K nor contact resists a mode, or nothing balances the loads;
-            `motion` has its components (k,) of the modes.
+        MechanismError: neither K nor contact resists a motion, or nothing balances the loads; the
+            error's `motion` has the components (k,) of the motion in the modes.
     """
     carrying = diags_array(feasible_set.carrying.astype(np.float64), format="csr") @ jumps
     gram = reductions.sparse_inner(carrying, carrying)
@@ -232,11 +238,11 @@ def equilibrium_constraints(
 
 
 def _unresisted(gram: csr_array, bodies: Indices) -> Array:
-    """Return m modes (k, m) that contact does not resist; m may be zero.
+    """Return m motions that contact does not resist, by their components (k, m) in the modes.
 
-    They are motions of single bodies while all others rest or, if there are none, motions of all
-    bodies together. The resistance of bodies that lean on each other falls with their number n: the
-    least eigenvalue of a stack of n bodies is about 1 / n^4.
+    The number m may be zero. In each motion a single body moves while all others rest; if there is
+    no such motion, all bodies move together. The resistance of bodies that lean on each other falls
+    with their number n: the least eigenvalue of a stack of n bodies is about 1 / n^4.
 
     Args:
         gram: (k, k) products of the modes' jumps, sparse, 1 on the diagonal.
@@ -296,7 +302,8 @@ def _solvable(
         describe: function that names the motion with given components (k,) of the modes.
 
     Raises:
-        MechanismError: nothing balances the loads; `motion` has its components (k,) of the modes.
+        MechanismError: nothing balances the loads along a motion; the error's `motion` has the
+            components (k,) of the motion in the modes.
     """
     found = constraints.balance(feasible_set, LOAD_RESERVE)
     if found.satisfied:

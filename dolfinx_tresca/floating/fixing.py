@@ -28,7 +28,7 @@ RESPONSE_ACCURACY = 1e-10
 
 @dataclass(frozen=True)
 class FixingSprings:
-    """Springs Z on a few nodes of each floating body: K_p = K + Z Z' is well conditioned.
+    """Springs Z on a few nodes of each body with weak modes: K_p = K + Z Z' is well conditioned.
 
     Solves use K_p in place of K. The equilibrium of the bodies (`floating/equilibrium.py`) removes
     the effect of the fixing springs again. On floating bodies they then have no force; on softly
@@ -169,7 +169,9 @@ class FixingSprings:
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
-    """Return springs that fix floating and softly held bodies; None without any. Not collective.
+    """Return springs that fix floating and softly held bodies; None if no body needs springs.
+
+    Not collective.
 
     Args:
         modes: rigid body modes that K resists little or not at all.
@@ -192,7 +194,7 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
 
 def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:
-    """Return pseudorandom integers (n,) for integers (n,), different ones for different ones."""
+    """Return pseudorandom integers (n,) for integers (n,), equal only for equal integers."""
     return splitmix64(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
 
 

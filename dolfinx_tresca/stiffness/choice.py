@@ -131,7 +131,7 @@ def solver_for(
     """Return the chosen solver. Collective.
 
     Args:
-        method: the chosen method.
+        method: name of the solver, see `choose`.
         K: the system's matrix, with the springs of floating bodies, if there are any.
         system: the linear system of K.
         petsc_options: PETSc options in addition to the defaults.

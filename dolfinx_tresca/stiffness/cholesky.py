@@ -48,6 +48,11 @@ def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None)
     may have more entries than its 32-bit integers count, and CHOLMOD reports only the first bad
     pivot of a K that is not positive definite. The user's options may choose another package.
 
+    Args:
+        K: the matrix.
+        petsc_options: PETSc options in addition to the defaults.
+        prefix: prefix of the user's options in PETSc's database; None: there is none.
+
     Raises:
         StiffnessError: K is not positive definite, or the factorisation failed.
     """

@@ -17,7 +17,10 @@ from dolfinx_tresca.stiffness.nested import is_nested, nested
 
 
 def has_levels(V: Any) -> bool:
-    """Return whether a space has degree 2 or a mesh with coarser meshes below. Not collective."""
+    """Return whether a space has multigrid levels below: degree 1, or coarser meshes.
+
+    Not collective.
+    """
     return V.element.basix_element.degree > 1 or is_nested(V)
 
 
@@ -37,8 +40,8 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
     The matrices of the levels are P'KP, with the interpolation P between the spaces. They need no
     further compiled forms, and include additions to K, such as the springs of floating bodies.
-    Apart from such additions, P'KP equals the matrix of the form on the coarser space, since this
-    is a subspace of the finer space, except at nodes that were moved to curved surfaces.
+    Apart from such additions, P'KP equals the matrix of the form on the coarser space, since the
+    coarser space is a subspace, except at nodes that were moved to curved surfaces.
 
     Args:
         pc: preconditioner of a KSP whose matrix is K.
@@ -78,10 +81,14 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
-    """Return values at the nodes of a space, restricted to nodes of the coarse space. Collective.
+    """Return values at the nodes of a coarse space from values at the nodes of a finer space.
 
-    The nodes of the coarse space are nodes of both spaces: in their rows P has ones, elsewhere it
-    has smaller entries.
+    The nodes of the coarse space are nodes of the finer space, too. Collective.
+
+    Args:
+        P: interpolation from the coarse space to the finer one, with ones in the rows of the common
+            nodes and smaller entries elsewhere.
+        values: values at the nodes of the finer space.
     """
     ones = P.copy()
     ones.chop(0.99)

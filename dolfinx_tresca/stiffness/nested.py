@@ -47,14 +47,17 @@ _bisections: WeakKeyDictionary[Any, Bisection] = WeakKeyDictionary()
 
 
 def remember(mesh: Any, bisection: Bisection) -> None:
-    """Register the refinement of a mesh for the lifetime of the mesh. Not collective."""
+    """Register the refinement that made a mesh, for `nested`, while the mesh exists.
+
+    Not collective.
+    """
     _bisections[mesh] = bisection
 
 
 def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
     """Yield the spaces on coarser meshes, each with the interpolation to the previous, finer space.
 
-    Collective.
+    Meshes with too many nodes for the next level (`COARSENING`) are skipped. Collective.
 
     Args:
         V: space of degree 1, on any mesh.
