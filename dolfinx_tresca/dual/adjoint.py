@@ -78,8 +78,8 @@ class LinearisedContact:
 
     Attributes:
         face: states of the nodes.
-        curvature: (size,) diagonal of C.
-        with_bound_change: applies I + Q.
+        curvature: (size,) diagonal of C, the curvature of the circles of slipping nodes.
+        with_bound_change: applies I + Q, with the change Q of slip bounds with the pressure.
         with_bound_change_transpose: applies I + Q'.
     """
 
@@ -132,7 +132,10 @@ class LinearisedContact:
         )
 
     def projected(self, v: Array) -> Array:
-        """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
+        """Return P (I + Q') v, with P and Q as in `maps`, for (size,) or (size, columns).
+
+        Not collective.
+        """
         return self.face.project(self.with_bound_change_transpose(v))
 
     def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
@@ -213,7 +216,7 @@ def tangent(
     radius: Array,
     accuracy: float,
 ) -> tuple[fem.Function, Array]:
-    """Return du and dx (size,) for changes of the data. Collective.
+    """Return the changes du of the solution and dx (size,) of its multipliers. Collective.
 
     Products with A are kept for later solves.
 
@@ -315,14 +318,16 @@ def _solved(
     missing: Array,
     accuracy: float,
 ) -> tuple[Array, Array]:
-    """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
+    """Return multipliers y (size,) of the adjoint or the tangent, and c (k,). Collective.
 
-    Without `transpose` the first equation is P ((A + C) y - G c) = right with y = (I + Q) P y.
+    For the adjoint (`transpose`) P (I + Q') ((A + C) y - G c) = right with y = P y; for the tangent
+    P ((A + C) y - G c) = right with y = (I + Q) P y. For both G'y + S c = missing. The maps P, Q
+    and C are those of the state, G and S those of the equilibrium of floating bodies.
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, including products of this call. The second
-    equation therefore holds from the first step on. The displacement follows y, so that the error
-    of a product only has to be small compared with its step. Collective.
+    equation therefore holds from the first step on. The displacement is updated with y, so that the
+    error of a product only has to be small compared with its step.
 
     Raises:
         ConvergenceError: no solution exists.

@@ -1,4 +1,4 @@
-"""The sparse matrix A of an assembly of many bodies, from products that all bodies share."""
+"""The sparse matrix A of an assembly of many bodies, from solves that serve all bodies at once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dolfinx_tresca.surface.numbering import label_bodies
 #: multipliers, or than MOST_ON_BODY. Both limit the number of solves with K. With half the share,
 #: 17 bricks take 37 products in place of 32, and 39 Newton steps in place of 7; with twice the
 #: share 5 and 10 bricks are as fast. Walls of 15 bricks with up to 220 and 348 multipliers on a
-#: brick take 0.5 and 0.65 times the time if A is computed.
+#: brick take 0.5 and 0.65 times the time if A is computed as a matrix.
 BODY_SHARE, MOST_ON_BODY = 0.25, 200
 
 #: Approximate minimum fill, a value of MUMPS's ICNTL(7). For a matrix of 5,005 bricks it takes 0.76
@@ -39,7 +39,7 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
     """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
 
     It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The result is
-    also None with an iterative solver for K or a mixed space, with which it is not possible.
+    also None with an iterative solver for K or a mixed space, for which the method does not work.
 
     K is block diagonal, with a block K_b for each body, also with the springs that fix floating
     bodies. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of
@@ -128,8 +128,9 @@ class _BodyForces:
     Attributes:
         jump: B.
         row: (m,) multiplier of each force, a local number.
-        body: (m,) body that it acts on.
-        members: (bodies, count) the multipliers that act on each body, global numbers; -1 for none.
+        body: (m,) body on which each force acts.
+        members: (bodies, count) global numbers of the multipliers that act on each body; -1 where
+            there are no more.
         place: (m,) column of `members` in which each force's multiplier is, in its body's row.
         unknowns: (n,) global numbers of the unknowns that this rank's rows of B couple, ascending.
         weights: (m, n) for each force the entries of its multiplier's row of B on its body.

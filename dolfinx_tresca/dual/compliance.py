@@ -74,8 +74,8 @@ class ContactCompliance(PetscOwner):
                 same pairs; its products give the first model of A. None: there is none.
 
         Raises:
-            StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
-                destroyed.
+            StiffnessError: a solve failed, or rows of B depend on the incompressibility in K; the
+                solver is destroyed.
         """
         self.jump = jump
         with destroyed_on_error(solver):
@@ -157,7 +157,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def certificate(self) -> EnergyBound:
-        """The bound of errors in the energy norm. Collective."""
+        """The object that bounds errors in the energy norm. Collective."""
         return EnergyBound(self.jump, self._local_stiffness)
 
     @cached_property
@@ -167,7 +167,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def estimator(self) -> DiscretisationError:
-        """The estimate of the mesh's error. Collective."""
+        """The object that estimates the error of the mesh. Collective."""
         system = self.jump.system
         return DiscretisationError(system.form, system.V, system.axisymmetric)
 

@@ -25,8 +25,8 @@ from dolfinx_tresca._base.vertices import entities_per_cell
 #: Cells whose gradients are evaluated together, to bound the memory.
 CELLS_AT_ONCE = 50_000
 
-#: Least ratio of the stiffnesses of different materials, and the largest number of materials: each
-#: has a recovery of its own, which costs as much as the first.
+#: Least ratio of the stiffnesses of different materials, and the largest number of materials. Each
+#: material has a recovery of its own, which costs as much as the recovery for a single material.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
 #: Approximate ratio of the error to the difference between the gradient and its mean, both in the
@@ -52,10 +52,10 @@ class DiscretisationError:
     singular edges and Poisson's ratios of up to 0.49. It is not a bound. For ratios closer to 0.5
     cells lock: the error spreads from its origin, and its ratio to the estimate is larger. At the
     corners of inclusions that are 1000 times stiffer than the rest the estimate is up to 1.7 times
-    the error for degree 2. If the
-    material inside a body changes abruptly, the true gradient jumps too: each material then has
-    means of its own, for up to `MOST_MATERIALS` materials. If the material varies from cell to cell
-    without gaps between the stiffnesses, the estimate is too large.
+    the error for degree 2. If the material inside a body changes abruptly, the true gradient jumps
+    too: each material then has means of its own, for up to `MOST_MATERIALS` materials. If the
+    material varies from cell to cell without gaps between the stiffnesses, the estimate is too
+    large.
 
     For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
     polynomial P_2. This difference is equal on both sides of a node if neighbouring cells are
@@ -118,8 +118,9 @@ class DiscretisationError:
     def products(self, u: fem.Function, z: fem.Function) -> Array:
         """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
-        Here e_u and e_z are the errors of the displacements u and z. The values have signs. They
-        follow from the squared estimates for u + z and u - z, with u and z scaled to unit size.
+        Here e_u and e_z are the errors of the displacements u and z. The values may be negative.
+        They follow from the squared estimates for u + z and u - z, with u and z scaled to unit
+        size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])

@@ -89,7 +89,7 @@ class FollowedDisplacement:
         """
 
     def advance(self, length: float) -> None:
-        """Add the last step times its length to z, unless z is computed at the end."""
+        """Add `length` times the last step to z, unless z is computed at the end."""
 
     def end_at(self, y: Array, rtol: float) -> None:
         """Solve for multipliers y (size,) near the present ones. Collective.
@@ -139,5 +139,5 @@ class ImprovedDisplacement(FollowedDisplacement):
         self._steps.append(self._step)
 
     def advance(self, length: float) -> None:
-        """Add the last step times its length to z. Not collective."""
+        """Add `length` times the last step to z. Not collective."""
         self._z.array += length * self._step

@@ -28,9 +28,10 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class JumpOperator(PetscOwner):
-    """B, with each row times the square root of its node's area, and the data of its rows.
+    """The jump operator B with scaled rows, and the data of its rows.
 
-    Tangential rows are also stretched such that friction ellipses become discs.
+    A row is multiplied by the square root of its node's area. Tangential rows are also stretched
+    such that friction ellipses become discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
     multipliers, then its tangential ones. Physical tractions are `stress_scale` times multipliers.
@@ -39,7 +40,7 @@ class JumpOperator(PetscOwner):
 
     Attributes:
         system: linear system of the displacements.
-        pairs: the pairs.
+        pairs: rows, nodes and gaps of each pair.
         slices: the positions of each pair's normal and tangential multipliers.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
@@ -238,7 +239,7 @@ class JumpOperator(PetscOwner):
         return self._force
 
     def net_force(self, x: Array) -> PETSc.Vec:
-        """Return f - B'x [force]; the next call, or one of `contact_force`, overwrites it."""
+        """Return f - B'x [force]; the next call of this or of `contact_force` overwrites it."""
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force

@@ -54,7 +54,7 @@ class LoadSteps:
         u: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which solves
             start and end, owned by the caller; None for linear bodies.
         multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
-            it returns to the accepted ones.
+            it returns to those of the last accepted step.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
         accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`

@@ -115,7 +115,7 @@ class SlipBounds:
     def check_numbers(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
     ) -> None:
-        """Check bounds that are plain numbers, which cannot change before a solve. Collective.
+        """Check bounds that are plain numbers: they are known already before a solve. Collective.
 
         Args:
             friction: the law.
@@ -210,7 +210,7 @@ class SlipBounds:
         return shape
 
     def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values at nodes of this rank, with zero for negative rounding. Collective.
+        """Return values at nodes of this rank; negative rounding becomes zero. Collective.
 
         Raises:
             InputError: a value is negative by more than rounding, or a coefficient of friction is

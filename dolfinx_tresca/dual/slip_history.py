@@ -57,7 +57,7 @@ class SlipHistory:
     def from_slip(
         cls, jump: JumpOperator, slips: Sequence[Array], dissipation: float
     ) -> SlipHistory:
-        """Return the history of a single step. Not collective.
+        """Return the history of a single accepted step with given slips. Not collective.
 
         Args:
             jump: B.
@@ -90,7 +90,7 @@ class SlipHistory:
     def with_origin_at(
         self, u: fem.Function | None, jump: JumpOperator, of_pairs: Sequence[bool] | Mask
     ) -> SlipHistory:
-        """Return the history with the slip origin of some pairs at a displacement. Collective.
+        """Return the history in which slips of some pairs count from a displacement. Collective.
 
         Args:
             u: displacement of the last accepted step [length]; None: the undeformed state.

@@ -24,7 +24,7 @@ ZERO_NORM = 1e-300
 NEAR_SOLUTION = 1e-3
 
 #: Backward error |f - K u| / (|K| |u| + |f|), in the maximum norm, up to which a solve without
-#: iteration is exact to rounding. A factorisation leaves some 1e-16, whatever the condition of K.
+#: iteration is exact to rounding. A factorisation leaves about 1e-16, whatever the condition of K.
 BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
 
 #: Advice for breakdowns without a solution, by PETSc's reason.
@@ -220,7 +220,8 @@ class StiffnessSolver(PetscOwner):
         """Replace u by its multiple nearest to K^-1 f; return whether the multiple is not zero.
 
         The distance is in the energy norm. After a change of load a guess may be larger than the
-        solution by many orders of magnitude; then its rounding would exceed the requested accuracy.
+        solution by many orders of magnitude; rounding of the guess then exceeds the requested
+        accuracy.
         """
         Ku = f.duplicate()
         self._ksp.getOperators()[0].mult(u, Ku)

@@ -371,7 +371,7 @@ class LinearSystem(PetscOwner):
 
     @contextmanager
     def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
-        """Yield K, or the block of displacements of a mixed space. Collective."""
+        """Yield K, or for a mixed space the block of displacements of K. Collective."""
         if self.component is None:
             yield self.K
             return
@@ -461,8 +461,8 @@ class LinearSystem(PetscOwner):
             u: displacement [length] with the previous prescribed values.
 
         Returns:
-            the further displacement [length], which is to be added to u, to the accuracy `ROUGH`;
-            zero if the prescribed values are the same to rounding.
+            the displacement [length] that is to be added to u, with the relative error `ROUGH`;
+            zero if the prescribed values are the same up to rounding.
 
         Raises:
             StiffnessError: the solve failed.
