@@ -115,7 +115,7 @@ class DualProgram:
         """Return the program with reduced coefficients of friction and softer constraints.
 
         Args:
-            part: factor of the coefficients of friction, in (0, 1].
+            part: factor of the coefficients of friction, not negative.
             softness: number that is added to the diagonal of the constraints' matrix S.
             c: (k,) multipliers of the constraints with which both versions of the constraints have
                 the same solutions x.

@@ -12,7 +12,7 @@ from scipy.sparse import csc_array, csr_array, eye_array, issparse
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Number of equations from which on sparse matrices are faster than dense ones.
+#: Number of equations at and above which sparse matrices are faster than dense matrices.
 MANY = 100
 
 

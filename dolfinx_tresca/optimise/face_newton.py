@@ -81,7 +81,10 @@ class FaceNewton:
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto cones and constraints; c and the gradient r at z change accordingly."""
+        """Return the projection of multipliers z onto cones and constraints, with its residual.
+
+        The multipliers c of the constraints and the gradient r, given at z, change accordingly.
+        """
         admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho
         # Open nodes stay open unless c closes them: rounding of c would cause pressures there whose
@@ -97,10 +100,11 @@ class FaceNewton:
         return Point(projected, c + step_c, r - G @ step_c, residual)
 
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto the friction cones only; the residual contains the constraints' residual.
+        """Return the projection of multipliers z onto the friction cones only, with its residual.
 
-        `point` projects onto the constraints as well. This method is cheaper, and does not require
-        that the section of z contains a point that satisfies the constraints.
+        The residual contains the residual of the constraints. The method `point` projects onto the
+        constraints as well. This method is cheaper, and does not require that the section of z
+        contains a point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.at(z, r, self._rho).project(z)

@@ -53,14 +53,15 @@ def solve(
 ) -> DualSolution:
     """Find the multipliers that minimise q over the section of the cones at their own pressures.
 
-    They are the fixed point g = G(lambda_nu(g)), where lambda(g) is the solution of Tresca's
-    problem with the bounds g (Haslinger 1983, Approximation of the Signorini problem with friction,
-    obeying the Coulomb law). A, b and the gradient do not depend on g. In each iteration, the fixed
-    point is computed on the model of A (see `projected_newton`), which costs no products, by
-    Newton's method (Alart and Curnier 1991), which requires no contraction; the product of A with
-    the step to this point then improves the model. All iterates lie in the cones, hence each in its
-    own section: the natural residual, the energy bound and the nodes' states are those of Tresca's
-    problem with the bounds G(lambda_nu) of the same lambda.
+    Their slip bounds are the fixed point g = G(lambda_nu(g)), where lambda(g) is the solution of
+    Tresca's problem with the bounds g, and G(p) are the bounds at the pressures p (Haslinger 1983,
+    Approximation of the Signorini problem with friction, obeying the Coulomb law). A, b and the
+    gradient do not depend on g. In each iteration, the fixed point is computed on the model of A
+    (see `projected_newton`), which costs no products, by Newton's method (Alart and Curnier 1991),
+    which requires no contraction; the product of A with the step to this point then improves the
+    model. All iterates lie in the cones, hence each in its own section: the natural residual, the
+    energy bound and the nodes' states are those of Tresca's problem with the bounds G(lambda_nu) of
+    the same lambda.
 
     No quantity is guaranteed to decrease. A step that more than doubles the residual is not taken,
     and its product only improves the model; if residuals stop decreasing, the iteration ends with
@@ -291,7 +292,8 @@ def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
         x: (size,) multipliers whose pressures determine the slip bounds.
 
     Returns:
-        None if some multipliers with the bounds of x satisfy the constraints.
+        the motion, with the work of the loads and of friction; None if some multipliers with the
+        bounds of x satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.admissible.section(x)
     if len(constraints) == 0:  # no body floats

@@ -103,9 +103,10 @@ class History:
     def check_convergence_of_projection(
         self, x: Array, r: Array
     ) -> tuple[ContactStatus | None, Array, Array]:
-        """Check the convergence of P(x); return the status, P(x) and its gradient. Collective.
+        """Check the convergence of the projection P(x) of an iterate onto Lambda. Collective.
 
-        The gradient costs a product if P(x) differs from x.
+        Return the status or None, P(x), and the gradient at P(x). The gradient costs a product if
+        P(x) differs from x.
         """
         problem = self._problem
         projected = problem.feasible_set.project(x)

@@ -20,8 +20,9 @@ LEAST_SOFTNESS = 1e-10
 class NodalMaps:
     """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
 
-    Such equations are Newton steps on a face, or steps of an adjoint. Each map couples the
-    multipliers of a node only, and takes (size,) or (size, columns).
+    Here M is the model of A, and G c the contribution of equality constraints. Such equations give
+    Newton steps on a face, and steps to an adjoint. Each map couples the multipliers of a node
+    only, and takes (size,) or (size, columns).
 
     Attributes:
         test: T, with P T = T.
@@ -116,12 +117,12 @@ class Model(ABC):
         missing: Array,
         with_bound_change: Callable[[Array, Array], Array],
     ) -> tuple[Array, Array]:
-        """Return s and c with P (M + C) s - P G c = P right and G's + S c = missing on a face.
+        """Return a Newton step s on a face, and the step c of the constraints' multipliers.
 
-        This is a Newton step. Here s = (I + Q) P s, where Q is the change of slip bounds with the
-        pressure. For fixed bounds Q = 0 and the system is symmetric. Along the radius of a disc
-        whose bound depends on the slip, the step solves s = Q s + h (right - M s + G c), with the
-        slope h.
+        They satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s, where Q
+        is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the system is
+        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves
+        s = Q s + h (right - M s + G c), with the slope h.
 
         Args:
             face: face with the projector P.

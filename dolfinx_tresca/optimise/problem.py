@@ -111,7 +111,7 @@ class DualProblem(InnerProduct, Protocol):
         The fixed points of such programs lead to the fixed point of the given one.
 
         Args:
-            part: factor of the coefficients of friction, in (0, 1].
+            part: factor of the coefficients of friction, not negative.
             softness: number that is added to the diagonal of the constraints' matrix S.
             c: (k,) multipliers of the constraints with which both versions of the constraints have
                 the same solutions x.

@@ -14,8 +14,8 @@ from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Least share of the new part of a vector x, which no known pair gives, in the energy x'A x with
-#: which the product of x is kept: rounding of a pair is divided by the root of this share.
+#: Least energy of the new part of a vector x, which no known pair gives, divided by x'A x, with
+#: which the product of x is kept: rounding of a pair is divided by the root of this ratio.
 NEW_ENERGY = 1e-10
 
 #: Rayleigh quotient x'A x / x'x of a new part, divided by the largest quotient so far, up to which
@@ -40,7 +40,7 @@ LASTING_ERROR = 0.15
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
 #: Rounding error of a product, divided by the product's norm, or of q, divided by |lambda| |r|
-#: (Euclidean norms). Doubled or halved it changes no status and no number of products
+#: (Euclidean norms). Doubling or halving it changes no status and no number of products
 #: (benchmarks/ablation.py).
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
@@ -243,7 +243,7 @@ class ProductStore(KnownProducts):
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x, (size,), for the model whose D is given as a function. Collective.
+        """Return M x (size,) for the model M of `updated_model`, with D as a function. Collective.
 
         Args:
             x: (size,) vector.

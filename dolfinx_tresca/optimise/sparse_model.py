@@ -27,8 +27,8 @@ PROXIMAL = 1e-4
 class SparseModel(Model):
     """The model M = A + s I of A, sparse since A couples only multipliers of the same body.
 
-    A is singular if constraints are linearly dependent, as at corners of bricks that touch two
-    other bricks; the shift s makes M positive definite. Since gradients are computed with A, the
+    A is singular if rows of B are linearly dependent, as at corners of bricks that touch two other
+    bricks; the shift s makes M positive definite. Since gradients are computed with A, the
     iteration with M is a proximal point method (Rockafellar 1976): its solution is the solution for
     A, and the error falls by the factor s / (s + sigma) in each iteration, where sigma is the least
     positive eigenvalue of A.

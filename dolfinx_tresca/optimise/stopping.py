@@ -125,9 +125,9 @@ class Stopping:
 
     @property
     def residual_error(self) -> float:
-        """Norm sqrt(e'A^-1 e) up to which an error e of the gradient is below the residual.
+        """Norm sqrt(e'A^-1 e) up to which errors e of the gradient are sufficiently small.
 
-        The Euclidean norm |e| is then not larger than the requested residual.
+        Their Euclidean norm |e| is then not larger than the requested residual.
         """
         rtol = UNPROVEN if self._rtol is None else self._rtol
         # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
