@@ -75,7 +75,7 @@ class DualProgram:
             history: slip of the accepted load steps; None if there is none.
 
         Raises:
-            InputError: a body floats and contact cannot hold it.
+            MechanismError: contact cannot hold a floating body.
         """
         jump = compliance.jump
         history = SlipHistory.none(jump) if history is None else history

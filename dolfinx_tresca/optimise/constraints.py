@@ -112,9 +112,9 @@ class EqualityConstraints:
     ) -> tuple[Array, Array]:
         """Return the point x of Lambda nearest to y that satisfies the equations, and a change dc.
 
-        The multipliers of the equations change to c + dc: x and dc minimise
-        |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that
-        x = P_Lambda(y + rho G dc). For y = z - rho r with the gradient r at z, this is the gradient
+        The multipliers of the equations become c + dc. The point and dc minimise
+        |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that x is
+        P_Lambda(y + rho G dc). For y = z - rho r with the gradient r at z, this is the gradient
         projection step from z.
 
         Args:

@@ -27,7 +27,8 @@ class Face:
         stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside.
         slip: (n_discs,) discs whose multiplier is on the circle.
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
-            of (38.12), tangential multipliers of sticking nodes, and all of bonded nodes.
+            of (38.12), tangential multipliers of sticking nodes, and all multipliers of bonded
+            nodes.
         free: (size,) active multipliers, and tangential multipliers of slipping nodes, which may
             move along their circles.
         radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
@@ -73,7 +74,7 @@ class FeasibleSet:
         normal: (n_normal,) positions of the normal multipliers lambda_nu.
         tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
-        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau [stress].
+        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in its units.
     """
 
     size: int

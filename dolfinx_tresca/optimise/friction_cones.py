@@ -38,7 +38,8 @@ class FrictionCones:
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip; None: there are none.
-        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated.
+        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; None:
+            zeros.
         part: factor of the curves' coefficients.
     """
 
@@ -71,16 +72,17 @@ class FrictionCones:
     def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        Where the bound g decreases with the slip v, v is |r|. Elsewhere v >= 0 is the solution of
-        g(v) + rho v = |x - rho r|, which means: x - rho r has the distance rho v from the circle
-        with radius g(v). At a solution of the problem this v equals |r|. At other points it depends
-        less on r than |r| does, and bounds that grow steeply with the slip stay moderate.
+        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere it is
+        evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
+        distance rho v from the circle with radius g(v). At a solution of the problem this v equals
+        |r|. At other points it depends less on r than |r| does, and bounds that grow steeply with
+        the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints; its tangential
                 part is minus the slip.
-            rho: step length of the projection, a number or one for each multiplier (size,).
+            rho: step length of the projection: a number, or (size,) a number for each multiplier.
         """
         if self.curves is None:
             return self
@@ -236,7 +238,7 @@ class FrictionCones:
     def _slips(self, pressure: Array, length: Array, rho: Array) -> Array:
         """Return v >= 0 (n_discs,) with g(v) + rho v = length, or 0 if g(0) >= length.
 
-        The method is Newton's, with bisection where it leaves the interval that contains v.
+        The method is Newton's, with bisection where a step leaves the interval that contains v.
 
         Args:
             pressure: (n_discs,) normal multiplier, on which g depends as well.

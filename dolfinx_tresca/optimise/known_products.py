@@ -27,7 +27,8 @@ class KnownProducts(ABC):
         """Add the product of x (size,), with its error in the norm sqrt(e'A^-1 e).
 
         Returns:
-            True if the new part of the product exceeds its error.
+            True if the new part of the product, which known products do not give, exceeds its
+            error.
         """
 
     @abstractmethod

@@ -24,7 +24,7 @@ def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
         if issparse(matrix):
             return _sparse_factors(matrix).solve  # type: ignore[no-any-return]
         return partial(cho_solve, cho_factor(matrix, check_finite=False))
-    except (RuntimeError, np.linalg.LinAlgError):  # a zero pivot of L U; a negative one
+    except (RuntimeError, np.linalg.LinAlgError):  # a zero pivot in L U, a negative one in L L'
         return None
 
 

@@ -39,10 +39,10 @@ def solve(
 ) -> DualSolution:
     """Find the fixed point by sweeps: Tresca problems with the bounds g of the previous pressures.
 
-    The authors of the paper use this method. It serves algorithms for Tresca's problem;
-    `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed. The result
-    counts the iterations and products of all sweeps and has the residuals of all; the last residual
-    is measured with the bounds of its own pressures.
+    The authors of the paper use this method, which extends algorithms for Tresca's problem to
+    Coulomb's law; `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed.
+    The result counts the iterations and products of all sweeps and has the residuals of all; the
+    last residual is measured with the bounds of its own pressures.
 
     Collective.
     """
