@@ -106,7 +106,7 @@ def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
 
 
 def same_topology(tags: Any, mesh: Any) -> bool:
-    """Return whether tags are of entities of a mesh, and not of another mesh."""
+    """Return whether tags belong to a mesh."""
     return _same(tags.topology, mesh.topology)
 
 
@@ -136,7 +136,7 @@ def is_float64(bc: Any) -> bool:
 
 
 def prescribed_function(bc: Any, kind: type) -> Any:
-    """Return the Function that a Dirichlet condition prescribes, as an object of a given class.
+    """Return the Function of a given class that a Dirichlet condition prescribes.
 
     If the condition prescribes no Function of this class, the result is `bc.g`. DOLFINx before 0.12
     keeps only the C++ object of the Function. The Function itself is found among the objects that

@@ -57,7 +57,7 @@ def free_unused(comm: MPI.Comm) -> None:
 
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
-    """Destroy an owner if the enclosed block raises an exception, on all ranks together."""
+    """Destroy an owner if the enclosed block raises; the block must raise on all ranks together."""
     try:
         yield
     except BaseException:

@@ -163,7 +163,7 @@ class RankReductions:
         return sum(others, start=first)
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x: on others x may differ by rounding, and so may decisions."""
+        """Return the first rank's x, so that ranks decide alike where x differs by rounding."""
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:

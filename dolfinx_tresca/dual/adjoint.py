@@ -216,9 +216,10 @@ def tangent(
     radius: Array,
     accuracy: float,
 ) -> tuple[fem.Function, Array]:
-    """Return the changes du of the solution and dx (size,) of its multipliers. Collective.
+    """Return the tangent (du, dx): the change of the solution by given changes of the data.
 
-    Products with A are kept for later solves.
+    Here du is a displacement and dx (size,) are multipliers, see the module. Products with A are
+    kept for later solves. Collective.
 
     Args:
         dual: the problem.

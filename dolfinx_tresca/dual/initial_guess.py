@@ -63,8 +63,8 @@ class InitialGuess(PetscOwner):
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
-        Of the other points the newest is kept: its u changes by the same difference, and its
-        multipliers stay. The others are forgotten.
+        Of the other points only the newest is kept: its u changes by as much as the displacement
+        without contact, at the same multipliers.
 
         Args:
             load: the new u at x = 0.

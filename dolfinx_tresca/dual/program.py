@@ -112,7 +112,7 @@ class DualProgram:
         return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
 
     def relaxed(self, part: float, softness: float, c: Array) -> DualProgram:
-        """Return the program with reduced coefficients of friction and softer constraints.
+        """Return the program with scaled coefficients of friction and softer constraints.
 
         Args:
             part: factor of the coefficients of friction, not negative.

@@ -140,8 +140,8 @@ class SlipBounds:
         Args:
             friction: the law.
             nodes: contact nodes of this rank.
-            stress_rounding: size of negative values that count as zero [stress], in addition to
-                `BOUND_ROUNDING`, which is relative to values at other nodes.
+            stress_rounding: largest size of negative values that count as zero [stress], in
+                addition to `BOUND_ROUNDING`, which is relative to values at other nodes.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is

@@ -218,7 +218,7 @@ class EqualityConstraints:
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> Array:
-        """Return the c (k,) of the gradient projection step from x, found from zero.
+        """Return the c (k,) of the gradient projection step from x, by a search from zero.
 
         The values S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x if S
         is small.

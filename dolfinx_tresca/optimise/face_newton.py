@@ -102,9 +102,9 @@ class FaceNewton:
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
         """Return the projection of multipliers z onto the friction cones only, with its residual.
 
-        The residual contains the residual of the constraints. The method `point` projects onto the
-        constraints as well. This method is cheaper, and does not require that the section of z
-        contains a point that satisfies the constraints.
+        The residual contains the residual of the constraints. This costs less than `point`, which
+        projects onto the constraints as well, and does not require that the section of z contains a
+        point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.at(z, r, self._rho).project(z)

@@ -105,8 +105,9 @@ class History:
     ) -> tuple[ContactStatus | None, Array, Array]:
         """Check the convergence of the projection P(x) of an iterate onto Lambda. Collective.
 
-        Return the status or None, P(x), and the gradient at P(x). The gradient costs a product if
-        P(x) differs from x.
+        Returns:
+            the status, or None if the iteration goes on; P(x); and the gradient at P(x), which
+            costs a product if P(x) differs from x.
         """
         problem = self._problem
         projected = problem.feasible_set.project(x)

@@ -106,7 +106,7 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def relaxed(self, part: float, softness: float, c: Array) -> DualProblem:
-        """Return the program with reduced coefficients of friction and softer constraints.
+        """Return the program with scaled coefficients of friction and softer constraints.
 
         The fixed points of such programs lead to the fixed point of the given one.
 
