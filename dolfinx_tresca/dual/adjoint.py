@@ -197,7 +197,7 @@ def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: f
 
     Args:
         lam: Lambda.
-        target: (size,) decoupled minimisers of the nodes.
+        target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
         stress_scale: (size,) factors from multipliers to stresses.
         error: error of a traction [stress].
     """

@@ -204,8 +204,8 @@ class NodalValues:
         """Return the values (components, n) of a function at the nodes. Not collective.
 
         Raises:
-            InputError: the function returns an array of another shape, or of another type than
-                real numbers.
+            InputError: the function returns neither one value nor one for each node, or values that
+                are no real numbers.
         """
         n = len(nodes)
         if n == 0:
@@ -229,7 +229,7 @@ class NodalValues:
         """Check that a Function or an expression is on the mesh of the space. Not collective.
 
         Raises:
-            InputError: its mesh is another one.
+            InputError: it is on another mesh.
         """
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"

@@ -190,9 +190,11 @@ class DualProgram:
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
 
+        Here u* is the exact solution of the discrete problem.
+
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient, from u.
+            r: (size,) the gradient, computed from u.
             error: error of r in the norm of `ElasticResponse.gradient`.
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
@@ -228,7 +230,9 @@ class DualProgram:
         return change / traction if traction > 0.0 else float(change > 0.0)
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
-        """Return the largest change of tractions from x to `decoupled_minimiser`. Collective.
+        """Return the largest change of tractions from x to the nodes' own minimisers. Collective.
+
+        These are the projection of `decoupled_minimiser` onto Lambda.
 
         Args:
             x: (size,) in Lambda.

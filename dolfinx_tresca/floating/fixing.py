@@ -212,7 +212,7 @@ class SpringResponse:
     does not resist.
 
     Attributes:
-        modes: R.
+        modes: the rigid body modes R.
         displacements: U (owned degrees of freedom, k), sparse.
         stiffness: (k, k) stiffness of K against U, sparse.
     """
@@ -222,10 +222,10 @@ class SpringResponse:
     stiffness: csr_array
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
-        """Return U'f (k,) of loads f on this rank, and the sizes (k,) of its terms. Collective.
+        """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
 
-        A size is the sum of |U| |f| over the nodes, with lengths of vectors, which do not depend on
-        the axes. A resultant that is rounding relative to its size is set to zero.
+        The size of a resultant is the sum of |U| |f| over the nodes, with lengths of vectors, which
+        do not depend on the axes. A resultant that is rounding relative to its size is set to zero.
         """
         U, dim = self.displacements, self.modes.dim
         nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")

@@ -64,6 +64,8 @@ class ConstraintMatrix:
     def hessian(self, derivative: Callable[[Array], Array]) -> Array | csc_array:
         """Return G'D G, (k, k), the same on all ranks. Collective.
 
+        This is the Hessian of exact equations in `constrained_projection`.
+
         Args:
             derivative: applies D to (size, columns); D is symmetric and couples the multipliers of
                 a node only.

@@ -342,8 +342,8 @@ class _Nearest:
         pressure: (n_discs,) normal multiplier.
         ratio: (n_discs,) norm of the tangential multiplier, divided by its norm before the
             projection; 1 if that norm is zero.
-        jacobian: (n_discs, 2, 2) derivative of (pressure, radius) by their values before the
-            projection.
+        jacobian: (n_discs, 2, 2) derivative of (pressure, radius) with respect to their values
+            before the projection.
     """
 
     pressure: Array

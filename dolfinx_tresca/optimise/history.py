@@ -150,7 +150,7 @@ class History:
 
 
 def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
-    """Return an estimate of the error of r = A x - b, computed by `apply`. Collective.
+    """Return an estimate of the error of r = A x - b if `apply` has computed A x. Collective.
 
     The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
     """

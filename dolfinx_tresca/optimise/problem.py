@@ -169,6 +169,8 @@ class DualProblem(InnerProduct, Protocol):
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 
+        Here u* is the displacement of the exact solution.
+
         Args:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.

@@ -17,9 +17,9 @@ MOST_UNKNOWNS = 3000
 
 
 class CoarseSpace(PetscOwner):
-    """P (P'KP)^-1 P', where the columns of P are the basis displacements of a multigrid level.
+    """The approximation P (P'KP)^-1 P' of K^-1 by a multigrid level with few unknowns.
 
-    This is the part of K^-1 that a few displacements of bodies as a whole can represent.
+    The columns of P are the basis displacements of the level: they move bodies as a whole.
 
     Owns PETSc objects: call `destroy()`. The multigrid hierarchy keeps its own objects.
     """

@@ -31,7 +31,7 @@ class Component(PetscOwner):
     """
 
     def __init__(self, space: Any, index: int) -> None:
-        """Number the sub-space. Collective.
+        """Collapse the sub-space, which numbers its degrees of freedom anew. Collective.
 
         Args:
             space: the mixed space.
