@@ -115,8 +115,9 @@ class ContactCompliance(PetscOwner):
         self.operator.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
-        """Return the compliance for another B, with the same solver. Collective.
+        """Return the compliance for another B, such as that of displaced surfaces. Collective.
 
+        The solver is the same, and the model of A begins with the far field of this compliance.
         PETSc objects of this compliance are destroyed, except the solver.
 
         Raises:

@@ -193,8 +193,8 @@ class ElasticResponse(ABC):
     def energy_resolution(self) -> float:
         """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
-        Such a displacement is the difference of K^-1 f and K^-1 B'x, and both have the norm of
-        K^-1 f. The first call may need a solve with K, as in `energy_norm`.
+        Such a displacement is the small difference of K^-1 f and K^-1 B'x, which both have about
+        the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
         """
         energy, _ = self._solved_load_terms()
         return max(ENERGY_ROUNDING * float(np.sqrt(energy)), self.b_error)

@@ -143,7 +143,7 @@ def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) 
 
 
 def _rows(path: Path, known: Array, nodes: Array) -> Indices:
-    """Return the row (n,) of each node in a file. Not collective.
+    """Return for each node its row (n,) in a file. Not collective.
 
     Args:
         path: path of the file, for the message.

@@ -214,7 +214,7 @@ def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> Non
 def _rows_of(
     path: Path, file: dict[str, npt.NDArray[Any]], keys: GlobalNumbers, points: Array, columns: int
 ) -> Indices:
-    """Return the row in a file of each contact node. Not collective.
+    """Return for each contact node its row (n,) in a file. Not collective.
 
     Args:
         path: path of the file.

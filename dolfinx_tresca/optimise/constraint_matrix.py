@@ -23,7 +23,7 @@ def stored(matrix: csr_array) -> Matrix:
 
 @dataclass(frozen=True)
 class ConstraintMatrix:
-    """The matrix G of the equations G'x + S c = e. A row has entries for few bodies only.
+    """The matrix G of `EqualityConstraints`, G'x + S c = e. A row has entries for few bodies only.
 
     Attributes:
         columns: (size, k) G, sparse or dense, whose columns have length 1 or less.

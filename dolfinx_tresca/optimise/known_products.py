@@ -51,7 +51,7 @@ class KnownProducts(ABC):
         """Scale the far field of an earlier A, if there is one, to fit the known products.
 
         Args:
-            base: model that replaces the diagonal; None: the diagonal.
+            base: model of the near field, in place of the diagonal; None: the diagonal.
         """
         return
 

@@ -237,7 +237,7 @@ class ProductStore(KnownProducts):
         """Scale the far field of an earlier A so that it fits the pairs. Collective.
 
         Args:
-            base: model that replaces the diagonal; None: the diagonal.
+            base: model of the near field, in place of the diagonal; None: the diagonal.
         """
         if self.far is not None and len(self) > 0:
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
@@ -263,7 +263,7 @@ class ProductStore(KnownProducts):
         """Return the model of A: diagonal and far field, updated with all pairs. Collective.
 
         Args:
-            base: model that replaces the diagonal; None: the diagonal.
+            base: model of the near field, in place of the diagonal; None: the diagonal.
         """
         if self.far is not None:
             base = (self._diagonal_model() if base is None else base).plus(self.far.root)
