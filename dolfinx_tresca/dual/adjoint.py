@@ -90,7 +90,7 @@ class LinearisedContact:
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array, edge: EdgeState = None) -> LinearisedContact:
-        """Return the state for multipliers x (size,) with gradient r (size,). Collective.
+        """Return the contact state of multipliers x (size,) with gradient r (size,). Collective.
 
         Args:
             dual: the problem.

@@ -36,11 +36,11 @@ class Lift(PetscOwner):
     `EnergyBound` closes gaps with it. B D B' is sparse, with a row for each row of B. If it has
     more than `MOST_FACTORED` rows, systems with it are solved by conjugate gradients preconditioned
     by a factorisation of each rank's own rows: memory and work of a rank depend on these rows
-    alone. Conjugate gradients take 10 to 40 steps, but more on more ranks if a fine, stiff
-    secondary side touches a coarse primary side that is 1e6 times softer: 288, 1124 and 2108 on 2,
-    3 and 5 ranks. They stop after `MOST_ITERATIONS`; the energy norm of w counts as infinite if
-    B w then misses the jump by more than `DEPENDENT_ROWS`. A factorisation of all rows has none of
-    these limits.
+    alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff secondary side touches a coarse
+    primary side that is 1e6 times softer, the number grows with the number of ranks: 288, 1124 and
+    2108 steps on 2, 3 and 5 ranks. They stop after `MOST_ITERATIONS`; the energy norm of w counts
+    as infinite if B w then misses the jump by more than `DEPENDENT_ROWS`. A factorisation of all
+    rows has none of these limits.
 
     Owns PETSc objects: call `destroy()`. B and K stay the caller's.
     """

@@ -132,9 +132,9 @@ def _nearest_fixed_point(
     """Return the iterate of Newton's method with the least residual.
 
     A step is shortened if it does not reduce the residual. If no part of it reduces the residual,
-    the contact of the face may hold some bodies hardly or not at all: with exact constraints the
-    step is then repeated with softened ones; with softened constraints the part with the least
-    residual is taken.
+    the contact of the face may hardly hold some bodies, or not at all: with exact constraints the
+    step is then repeated with softened constraints; with softened constraints the part with the
+    least residual is taken.
 
     Args:
         newton: method and problem.

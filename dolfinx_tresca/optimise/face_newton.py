@@ -117,9 +117,9 @@ class FaceNewton:
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints if the system on a face is nearly singular; 0: none.
+        """Softness to add to the constraints after a step that failed; 0: none.
 
-        It keeps steps short.
+        It keeps steps short on faces whose system is nearly singular.
         """
         return self._model.proximal_softness
 

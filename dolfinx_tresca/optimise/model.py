@@ -76,9 +76,9 @@ class Model(ABC):
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints if the system on a face is nearly singular; 0: none.
+        """Softness to add to the constraints after a Newton step that failed; 0: none.
 
-        It keeps Newton steps short.
+        It keeps steps short on faces whose system is nearly singular.
         """
         return 0.0
 

@@ -15,7 +15,7 @@ from dolfinx_tresca._base.arrays import Array, Matrix
 
 
 def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
-    """Return the function that solves with a matrix, or None if it is not positive definite.
+    """Return the function that solves with a matrix; None if the matrix is not positive definite.
 
     Sparse matrices are factored as L U without pivoting, which for positive definite matrices is as
     stable as Cholesky's method. For others it fails only at a pivot of zero, not at a negative one.

@@ -75,7 +75,7 @@ class SparseModel(Model):
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints if the system on a face is nearly singular."""
+        """Softness to add to the constraints after a Newton step that failed, see `PROXIMAL`."""
         return float(PROXIMAL / self._unit)
 
     @property
