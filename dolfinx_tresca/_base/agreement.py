@@ -24,12 +24,12 @@ from dolfinx_tresca.errors import InputError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Largest size of an array whose values are compared: large enough for points and directions, while
-#: fields are not compared.
+#: Number of entries up to which the values of an array are compared: points and directions are
+#: compared; larger arrays, such as fields, are not.
 MAX_COMPARED_VALUES = 16
 
-#: Communicators of comparisons, one for each group of processes; the one that was used last is at
-#: the end. (The communicator of a mesh cannot be found if the arguments are wrong.)
+#: Communicators of comparisons, one for each group of processes; the list ends with the one that
+#: was used last, which serves calls whose wrong arguments have no communicator.
 _comms: list[MPI.Comm] = []
 
 #: Name of an argument, or of a part of an argument -> text that must be equal on all ranks.
@@ -44,8 +44,8 @@ def collective(
 ) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Decorate a collective function so that the ranks compare its arguments before its body runs.
 
-    The body may then check values without communication, since all ranks find the same. Data that
-    differ between the ranks by design, such as the values of a Function, are not compared. The
+    The body may then check values without communication, since all ranks get the same result. Data
+    that differ between the ranks by design, such as the values of a Function, are not compared. The
     comparison costs one reduction of five integers, and nothing on one rank. A rank whose arguments
     have no communicator, since they are wrong, compares them with the processes of its last
     collective call.
@@ -54,7 +54,7 @@ def collective(
         comm: function that is given a mapping name -> argument and returns the communicator, or
             None if no argument has a communicator; the body must then raise an error.
         ignored: names of arguments that may differ between the ranks.
-        extra_values: function from `self` to further values that must agree, by name.
+        extra_values: function that takes `self` and returns name -> further value that must agree.
     """
 
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -86,7 +86,7 @@ def collective(
 
 
 def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
-    """Return this module's own communicator for the processes of the communicator of a call.
+    """Return this module's own communicator with the same processes as `comm`.
 
     The first call for a group of processes duplicates `comm` and is collective; later calls return
     the same duplicate.
@@ -94,7 +94,7 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
     same = (MPI.IDENT, MPI.CONGRUENT)
     for number, known in enumerate(_comms):
         if MPI.Comm.Compare(known, comm) in same:
-            _comms.append(_comms.pop(number))  # the last one is the one that was used last
+            _comms.append(_comms.pop(number))  # the communicator used last is at the end
             return known
     _comms.append(comm.Dup() if comm.size > 1 else MPI.COMM_SELF)
     return _comms[-1]
@@ -114,7 +114,8 @@ def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    The function takes the mesh of the first argument that has one: other arguments may be wrong.
+    It is the communicator of the first argument that has a mesh; arguments without a mesh, which
+    may be wrong, are passed over.
     """
 
     def find(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -207,7 +208,11 @@ def check_agreement(
 
 
 def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
-    """Return an error that names the first difference of (call, texts) between the ranks."""
+    """Return an error that names the first difference between the ranks.
+
+    Args:
+        found: for each rank the name of its call, and the texts that describe the values.
+    """
     first_place, first = found[0]
     for rank, (where, texts) in enumerate(found):
         if where != first_place:
@@ -228,8 +233,8 @@ def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
 class _Description:
     """Describes values by texts, which are equal on all ranks if the values agree.
 
-    Function spaces and meshes are numbered in the order of their first appearance: equal numbers
-    on all ranks mean that the same values share a space.
+    Function spaces and meshes are numbered in the order of their first appearance. So the texts
+    differ if two values share a space on one rank, and have different spaces on another rank.
     """
 
     def __init__(self) -> None:
@@ -255,7 +260,10 @@ class _Description:
             yield from self._described(part.replace("{}", name), inside)
 
     def _parts(self, value: Any) -> dict[str, Any] | None:
-        """Return name -> part, where {} stands for the value's name; None if it has no parts."""
+        """Return name -> part of a value; None if it has no parts.
+
+        The characters {} in a name stand for the name of the value itself.
+        """
         if hasattr(value, "values_to_agree"):
             return {f"{{}}.{name}": one for name, one in value.values_to_agree().items()}
         ours = type(value).__module__.startswith("dolfinx_tresca.")

@@ -24,9 +24,9 @@ GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 #: stiffness, energy or barrier of a scene in any units, and its reciprocal does not overflow.
 LEAST_DIVISOR = 1e-300
 
-#: Difference of two numbers, relative to the sum of the absolute values of the terms from which the
-#: numbers are computed, that counts as rounding: the error of some hundred operations. Doubled or
-#: halved it changes no status and no number of products (benchmarks/ablation.py).
+#: Largest difference of two numbers that counts as rounding, divided by the sum of the absolute
+#: values of the terms from which the numbers are computed: the error of some hundred operations.
+#: Doubling or halving it changes no status and no number of products (benchmarks/ablation.py).
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 

@@ -47,7 +47,7 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
             ADIOS2 abort or hang.
 
     Raises:
-        InputError: the files cannot be written there.
+        InputError: files cannot be written to the folder of `path`.
     """
     with file_named_in_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -82,7 +82,7 @@ EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return the submesh of `entities`, its nodes in the parent mesh, and its entity maps.
+    """Return the submesh of `entities`, its geometry nodes' numbers in `mesh`, and entity maps.
 
     Forms on the parent mesh that hold Functions on the submesh need the entity maps.
     """
@@ -116,7 +116,7 @@ def _same(first: Any, second: Any) -> bool:
 
 
 def with_one_tag(tags: Any, some: Mask, tag: int) -> Any:
-    """Return tags of the entities in a mask (n,) only, all with the same tag."""
+    """Return tags of some of the tagged entities, chosen by a mask (n,), all with one tag."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
     entities = tags.indices[some]
     values = np.full(len(entities), tag, dtype=np.int32)
@@ -136,10 +136,11 @@ def is_float64(bc: Any) -> bool:
 
 
 def prescribed_function(bc: Any, kind: type) -> Any:
-    """Return the Function of a given class that a Dirichlet condition prescribes, else `bc.g`.
+    """Return the Function of a given class that a Dirichlet condition prescribes.
 
-    DOLFINx before 0.12 keeps only the C++ object of the Function. The Function itself is found
-    among the objects that Python's garbage collector knows.
+    If the condition prescribes no Function of this class, the result is `bc.g`. DOLFINx before 0.12
+    keeps only the C++ object of the Function. The Function itself is found among the objects that
+    Python's garbage collector knows.
 
     Args:
         bc: a Dirichlet condition.

@@ -50,7 +50,9 @@ def exchange(
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row (k,) with the least key of all ranks; None if there are no rows. Collective.
+    """Return the row (k,) with the least key among the rows of all ranks. Collective.
+
+    The result is None if no rank has a row.
 
     Args:
         comm: the communicator.

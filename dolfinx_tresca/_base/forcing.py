@@ -1,26 +1,27 @@
 """Forcing terms: how accurately inner problems are solved (Eisenstat and Walker 1996).
 
-Every other accuracy of an inner problem is a multiple of these, or has a comment at its definition
-that says why it differs.
+Other accuracies of inner problems are multiples of the constants in this file, or have a comment at
+their definition that says why they differ.
 """
 
 from __future__ import annotations
 
-#: Error of an inner problem, relative to the error, or the change, of the outer problem: of a
-#: product relative to the step, of the last gradient relative to the requested error, of a model's
-#: solution relative to the tolerance. With twice this value the scenes of benchmarks/ablation.py
-#: take 3 % more products and 9 % fewer Krylov iterations; with half of it 4 % fewer products and
-#: 1 % more Krylov iterations.
+#: Error of an inner problem, divided by the error, or the change, of the outer problem. It limits
+#: the error of a product divided by the step, the error of the last gradient divided by the
+#: requested error, and the residual of a model's solution divided by the tolerance. With twice this
+#: value the scenes of benchmarks/ablation.py take 3 % more products and 9 % fewer Krylov
+#: iterations; with half of it 4 % fewer products and 1 % more Krylov iterations.
 FORCING = 0.1
 
-#: Relative error of quantities that only decide between two ways, or only scale other quantities.
-#: Doubled or halved it changes the products of the ablation by one at most.
+#: Relative error of quantities that only decide between alternatives, or scale other quantities.
+#: Doubling or halving it changes numbers of products in benchmarks/ablation.py by one at most.
 ROUGH = 1e-3
 
-#: Largest accepted ratio of an error to the requested one: both are evaluated with different
-#: rounding. With twice or half the distance from 1 no number of products changes.
+#: Largest accepted ratio of an error to the requested error. It is above 1, since rounding differs
+#: between the evaluation that ended an iteration and a later one. With twice or half the distance
+#: from 1 no number of products changes.
 SLACK = 1.01
 
-#: Relative error, in the energy norm, that is requested where only rounding is allowed.
-#: Doubled or halved it changes nothing: solvers stop at their own rounding first.
+#: Relative error, in the energy norm, that is requested where only rounding errors are allowed.
+#: Doubling or halving it changes nothing: solvers stop at their own rounding first.
 FULL_ACCURACY = 1e-13

@@ -7,7 +7,7 @@ import textwrap
 #: Greatest number of characters in a line; longer words are not broken.
 LINE_WIDTH = 100
 
-#: A space at which lines are not broken, as between the components of a vector.
+#: A space at which lines are not broken, such as a space between the components of a vector.
 UNBROKEN = "\N{NO-BREAK SPACE}"
 
 

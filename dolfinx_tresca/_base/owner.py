@@ -18,9 +18,10 @@ _T = TypeVar("_T", bound="PetscOwner")
 class PetscOwner(ABC):
     """Base class of PETSc owners: `destroy()`, or the end of a `with` block, frees the objects.
 
-    `ContactError` is raised on all ranks together, so the objects are freed after it, too. After
-    another exception on several ranks they are left to petsc4py: to free them is collective and
-    would wait for ranks that may not have raised, and the exception would never be seen.
+    `ContactError` is raised on all ranks together, so the objects are freed after it, too. If there
+    are several ranks, objects are left to petsc4py after any other exception: freeing them is
+    collective and would wait for ranks that may not have raised the exception, so that nobody would
+    ever see it.
     """
 
     @property
@@ -41,13 +42,14 @@ class PetscOwner(ABC):
 
 
 def free_unused(comm: MPI.Comm) -> None:
-    """Free the PETSc objects of a communicator to which no rank refers any more. Collective.
+    """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
     On one rank petsc4py frees an object as soon as Python drops it. On several ranks freeing is
     collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
 
     Args:
-        comm: the communicator `mesh.comm`, a duplicate of the one that the mesh was made with.
+        comm: the communicator of the objects; for objects on a mesh `mesh.comm`, which is a
+            duplicate of the communicator that the mesh was made with.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
@@ -55,7 +57,7 @@ def free_unused(comm: MPI.Comm) -> None:
 
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
-    """Destroy an owner if the enclosed block raises, which it must do on all ranks together."""
+    """Destroy an owner if the enclosed block raises; the block must raise on all ranks together."""
     try:
         yield
     except BaseException:

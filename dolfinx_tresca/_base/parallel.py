@@ -67,7 +67,7 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     """Raise on every rank an exception that the enclosed block raised on any rank.
 
     Otherwise the remaining ranks would wait for ever in their next collective call. The block
-    itself must not communicate, since a rank that has raised takes no part any more.
+    itself must not communicate, since a rank that has raised takes no part in communication.
 
     Collective: all ranks enter and leave together.
 
@@ -130,7 +130,7 @@ def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) ->
 
 
 def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Return the first rank's array on every rank; the shape is equal on all ranks. Collective."""
+    """Return the first rank's array on every rank; all ranks give the same shape. Collective."""
     array = np.array(values, dtype=np.float64, order="C")
     comm.Bcast(array, root=0)
     return array
@@ -163,7 +163,7 @@ class RankReductions:
         return sum(others, start=first)
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x, from which the x of other ranks may differ by rounding."""
+        """Return the first rank's x, so that ranks decide alike where x differs by rounding."""
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:

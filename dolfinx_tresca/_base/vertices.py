@@ -18,7 +18,7 @@ def entities_per_cell(V: Any, dim: int) -> int:
 
 
 def nodes_of_vertices(V: Any) -> LocalNumbers:
-    """Return for each geometry node at a vertex the node of V at the vertex. Not collective.
+    """Return for each geometry node at a vertex the node of V at this vertex. Not collective.
 
     Args:
         V: a Lagrange space. Its nodes on edges, on facets and in cells do not appear in the result.
@@ -36,8 +36,8 @@ def nodes_of_vertices(V: Any) -> LocalNumbers:
 def numbers_in_file(V: Any) -> GlobalNumbers:
     """Return for each node of V the number of its vertex in the mesh file. Not collective.
 
-    The numbers depend neither on the partition nor on the degree of V. Nodes off the vertices have
-    the number 0.
+    The numbers do not depend on the degree of V, nor on the partition, unless the mesh was refined.
+    Nodes that are not at vertices have the number 0.
     """
     index_map, vertices = V.dofmap.index_map, entities_per_cell(V, 0)
     numbers = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)

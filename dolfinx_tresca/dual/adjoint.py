@@ -21,7 +21,8 @@ a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a post
 estimation in finite element methods, 2001), plus a term of order h^2, for any degree, from nodes
 that change their state: at the distance r from the edge of a contact zone y grows like r^(-1/2).
 If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact forces balance the
-load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other values.
+load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other right-hand
+sides.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ SHARE = 0.03
 #: its node counts as at the edge of its state, even if the solution is more accurate.
 EDGE = 1e-9
 
-#: States of the nodes at the edge: as in the solution (None), pressed and sticking ("held"), or
-#: open and slipping ("released").
+#: State that is assumed for nodes that are about to change their state: as in the solution (None),
+#: pressed and sticking ("held"), or open and slipping ("released").
 EdgeState: TypeAlias = 'Literal["held", "released"] | None'
 
 
@@ -77,8 +78,8 @@ class LinearisedContact:
 
     Attributes:
         face: states of the nodes.
-        curvature: (size,) diagonal of C.
-        with_bound_change: applies I + Q.
+        curvature: (size,) diagonal of C, the curvature of the circles of slipping nodes.
+        with_bound_change: applies I + Q, with the change Q of slip bounds with the pressure.
         with_bound_change_transpose: applies I + Q'.
     """
 
@@ -89,13 +90,13 @@ class LinearisedContact:
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array, edge: EdgeState = None) -> LinearisedContact:
-        """Return the state for multipliers x (size,) with gradient r (size,). Collective.
+        """Return the contact state of multipliers x (size,) with gradient r (size,). Collective.
 
         Args:
             dual: the problem.
             x: multipliers.
             r: gradient.
-            edge: state that the nodes `at_edge` get.
+            edge: state that is assumed for the nodes `at_edge`.
 
         Raises:
             InputError: a slip bound depends on the slip.
@@ -131,7 +132,10 @@ class LinearisedContact:
         )
 
     def projected(self, v: Array) -> Array:
-        """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
+        """Return P (I + Q') v, with P and Q as in `maps`, for (size,) or (size, columns).
+
+        Not collective.
+        """
         return self.face.project(self.with_bound_change_transpose(v))
 
     def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
@@ -167,6 +171,9 @@ class LinearisedContact:
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     """Return the rows and discs that are about to change their contact state. Collective.
 
+    Within the accuracy of the solution they may have either state, so that derivatives of goals are
+    one-sided.
+
     Args:
         dual: the problem.
         x: (size,) multipliers of the solution.
@@ -190,7 +197,7 @@ def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: f
 
     Args:
         lam: Lambda.
-        target: (size,) decoupled minimisers of the nodes.
+        target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
         stress_scale: (size,) factors from multipliers to stresses.
         error: error of a traction [stress].
     """
@@ -209,9 +216,10 @@ def tangent(
     radius: Array,
     accuracy: float,
 ) -> tuple[fem.Function, Array]:
-    """Return du and dx (size,) for changes of the data. Collective.
+    """Return the tangent (du, dx): the change of the solution by given changes of the data.
 
-    Products with A are kept for later solves.
+    Here du is a displacement and dx (size,) are multipliers, see the module. Products with A are
+    kept for later solves. Collective.
 
     Args:
         dual: the problem.
@@ -311,14 +319,16 @@ def _solved(
     missing: Array,
     accuracy: float,
 ) -> tuple[Array, Array]:
-    """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
+    """Return multipliers y (size,) of the adjoint or the tangent, and c (k,). Collective.
 
-    Without `transpose` the first equation is P ((A + C) y - G c) = right with y = (I + Q) P y.
+    For the adjoint (`transpose`) P (I + Q') ((A + C) y - G c) = right with y = P y; for the tangent
+    P ((A + C) y - G c) = right with y = (I + Q) P y. For both G'y + S c = missing. The maps P, Q
+    and C are those of the state, G and S those of the equilibrium of floating bodies.
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, including products of this call. The second
-    equation therefore holds from the first step on. The displacement follows y, so that the error
-    of a product only has to be small compared with its step. Collective.
+    equation therefore holds from the first step on. The displacement is updated with y, so that the
+    error of a product only has to be small compared with its step.
 
     Raises:
         ConvergenceError: no solution exists.

@@ -1,4 +1,4 @@
-"""The sparse matrix A of an assembly of many bodies, from products that all bodies share."""
+"""The sparse matrix A of an assembly of many bodies, from solves that serve all bodies at once."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from dolfinx_tresca.optimise.sparse_model import SparseModel
 from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies
 
-#: Largest number of multipliers on a body, divided by the number of all multipliers, and largest
-#: number of multipliers on a body, with which A is computed as a sparse matrix. Both limit the
-#: number of solves with K. With half the share, 17 bricks take 37 products in place of 32, and 39
-#: Newton steps in place of 7; with twice the share 5 and 10 bricks are as fast. Walls of 15
-#: bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65 times the time with the
-#: matrix.
+#: A is computed as a sparse matrix if no body has more multipliers than BODY_SHARE of all
+#: multipliers, or than MOST_ON_BODY. Both limit the number of solves with K. With half the share,
+#: 17 bricks take 37 products in place of 32, and 39 Newton steps in place of 7; with twice the
+#: share 5 and 10 bricks are as fast. Walls of 15 bricks with up to 220 and 348 multipliers on a
+#: brick take 0.5 and 0.65 times the time if A is computed as a matrix.
 BODY_SHARE, MOST_ON_BODY = 0.25, 200
 
 #: Approximate minimum fill, a value of MUMPS's ICNTL(7). For a matrix of 5,005 bricks it takes 0.76
@@ -37,10 +36,10 @@ BLOCK = 32
 
 
 def sparse_model(operator: DualOperator) -> SparseModel | None:
-    """Return A of many small bodies, or None if it does not pay or is not possible. Collective.
+    """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
 
-    It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). It is not
-    possible with an iterative solver for K or a mixed space.
+    It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The result is
+    also None with an iterative solver for K or a mixed space, for which the method does not work.
 
     K is block diagonal, with a block K_b for each body, also with the springs that fix floating
     bodies. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of
@@ -58,7 +57,7 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
         return None
     label = label_bodies(jump.system.V)
     bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-    if BODY_SHARE * bodies < 1.0:  # each multiplier acts on a body: one has a larger share
+    if BODY_SHARE * bodies < 1.0:  # some body has a larger share of the multipliers
         return None
     forces = _BodyForces.of(jump, label, bodies)
     size = jump.matrix.getSize()[0]
@@ -129,9 +128,10 @@ class _BodyForces:
     Attributes:
         jump: B.
         row: (m,) multiplier of each force, a local number.
-        body: (m,) body that it acts on.
-        members: (bodies, count) the multipliers that act on each body, global numbers; -1 for none.
-        place: (m,) column of `members` in which the body's row has the multiplier.
+        body: (m,) body on which each force acts.
+        members: (bodies, count) global numbers of the multipliers that act on each body; -1 where
+            there are no more.
+        place: (m,) column of `members` in which each force's multiplier is, in its body's row.
         unknowns: (n,) global numbers of the unknowns that this rank's rows of B couple, ascending.
         weights: (m, n) for each force the entries of its multiplier's row of B on its body.
     """
@@ -178,13 +178,13 @@ class _BodyForces:
         return cls(jump, row, body, members, place[mine], unknowns, weights)
 
     def responses(self, operator: DualOperator, some: range) -> Array:
-        """Return the bodies' parts of the jumps (m, len(some)), for unit forces. Collective.
+        """Return for each force the jump (m, len(some)) of its body alone. Collective.
 
-        In each column one unit force acts on each body.
+        In each column one multiplier on each body is 1, and acts on this body alone.
 
         Args:
             operator: A, whose solver for K is used; each column counts as a product.
-            some: positions in `members` of the multipliers with a unit force, one on each body.
+            some: columns of `members` with the multipliers that are 1.
         """
         operator.products += len(some)
         forces, displacements = (operator.solver.several(len(some)) for _ in range(2))
@@ -212,7 +212,7 @@ class _BodyForces:
 
 
 def _fetched(unknowns: Indices) -> Callable[[PETSc.Vec], Array]:
-    """Return a collective function that returns the values of a vector at unknowns of any rank.
+    """Return a collective function that reads a vector's values at unknowns of any rank.
 
     Args:
         unknowns: (n,) global numbers of unknowns.

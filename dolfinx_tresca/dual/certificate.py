@@ -1,4 +1,4 @@
-"""A bound of the error that needs no further solve with K."""
+"""A bound of the iteration's error in the displacement, without a further solve with K."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 class EnergyBound(PetscOwner):
     """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
 
-    Weak duality: with the primal energy J, the dual energy D, and any v that does not penetrate,
+    Here u* is the exact solution of the discrete problem. Weak duality: with the primal energy J,
+    the dual energy D, and any displacement v without penetration,
 
         1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,
 
     a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
-    slip since the last step, here and below. The displacement v is u + w, where w moves contact
-    nodes alone, weighted by the diagonal of K, such that the jump at every node takes its best
-    value with the neighbours fixed. Nodes that should close or stick do so. If K also has rows for
-    a pressure, w moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone,
-    with the pressure eliminated. There is no bound for a tangent with such rows: the factorisation
-    for `SaddleLift` would double the cost of a Newton step.
+    slip since the last step, here and below. The displacement v is u + w. The lift w moves contact
+    nodes alone (`Lift`), such that the jump at every node takes its best value with the neighbours
+    fixed: nodes that should close or stick do so. If K also has rows for a pressure, w moves all
+    nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the pressure
+    eliminated. If such a K is the tangent of a Newton step, there is no bound: the factorisation
+    for `SaddleLift` would double the cost of the step.
 
     Owns PETSc objects: call `destroy()`.
     """
 
     def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
-        """Prepare lifts. Collective.
+        """Prepare the lifts w. Collective.
 
         Args:
             jump: B, and the system with K.
@@ -66,11 +67,11 @@ class EnergyBound(PetscOwner):
         Args:
             feasible_set: Lambda.
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient at x, for u: d - N u and -T u.
-            error: a bound of |u - K^-1 (f - B'x)|_K.
+            r: (size,) the gradient at x, from the computed displacement u: d - N u and -T u.
+            error: a bound of the error of u, |u - K^-1 (f - B'x)|_K.
 
         Returns:
-            the bound of |u - u*|_K; infinite if there is none, or rows of B are dependent.
+            the bound of |u - u*|_K; infinite if there is none, or if rows of B are dependent.
         """
         if self._lift is None:
             return np.inf
@@ -80,10 +81,10 @@ class EnergyBound(PetscOwner):
         return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
 
     def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
-        """Return d - N v and -T v (size,), and this rank's duality gap without the lift.
+        """Return d - N v and -T v (size,), and this rank's duality gap without 1/2 |v - u|_K^2.
 
-        The displacement v is chosen node by node: each node gets the jump for which the duality gap
-        is smallest if its neighbours are fixed.
+        The jumps of v are chosen node by node: each node gets the jump for which the duality gap is
+        smallest if its neighbours are fixed.
         """
         local = self._local_stiffness
         normal, tangential = feasible_set.normal, feasible_set.tangential

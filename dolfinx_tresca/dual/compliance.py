@@ -1,4 +1,4 @@
-"""The compliance of the contact surfaces: all that belongs to one stiffness matrix K."""
+"""The compliance of the contact surfaces, with all data that follow from one matrix K."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Number of products with the near field that are kept: each slows down all algebra with the model,
-#: and more of them save few products with A (slender strip: 4.3 instead of 4.6 a step).
+#: and more of them save few products with A (slender strip: 4.3 instead of 4.6 per load step).
 NEAR_CAPACITY = 40
 
-#: Largest share of the degrees of freedom in the near field with which it costs less than the
-#: products with A that it saves. The first number is for a direct solver and a single solve from
-#: zero with this K (two bricks: as fast as without near field at N = 26, slower at N = 16), the
-#: second for all other cases (multigrid, plate 6 cells thick, share 0.43: 1.3 times slower;
-#: Cholesky, refined meshes, start from the tractions of the previous mesh: 60 -> 14, 29 -> 12,
-#: 24 -> 12 products, in 0.83, 1.0, 1.03 of the time).
+#: Share of the near field in all degrees of freedom up to which the near field is used: with larger
+#: shares it costs more than the products with A that it saves. The first number is for a direct
+#: solver and a single solve from zero with this K (two bricks: as fast as without near field at
+#: N = 26, slower at N = 16), the second for all other cases (multigrid, plate 6 cells thick, share
+#: 0.43: 1.3 times slower; Cholesky, refined meshes, start from the tractions of the previous mesh:
+#: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 times the time).
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 
 
@@ -54,7 +54,7 @@ class ContactCompliance(PetscOwner):
         operator: A.
         nodal_stiffness: (size,) force per jump of a node whose neighbours are fixed, the same for
             all directions of a friction disc.
-        floating: the floating bodies; None if no body floats.
+        floating: the floating and softly held bodies; None if there are none.
     """
 
     def __init__(
@@ -69,13 +69,13 @@ class ContactCompliance(PetscOwner):
         Args:
             jump: B.
             solver: solver for the system's K plus the springs.
-            springs: springs that fix floating bodies; None if no body floats.
+            springs: springs that fix floating and softly held bodies; None if there are none.
             before: an earlier compliance for a similar K, and for the same B or another B of the
                 same pairs; its products give the first model of A. None: there is none.
 
         Raises:
-            StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
-                destroyed.
+            StiffnessError: a solve failed, or rows of B depend on the incompressibility in K; the
+                solver is destroyed.
         """
         self.jump = jump
         with destroyed_on_error(solver):
@@ -115,8 +115,9 @@ class ContactCompliance(PetscOwner):
         self.operator.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
-        """Return the compliance for another B, with the same solver. Collective.
+        """Return the compliance for another B, such as that of displaced surfaces. Collective.
 
+        The solver is the same, and the model of A begins with the far field of this compliance.
         PETSc objects of this compliance are destroyed, except the solver.
 
         Raises:
@@ -130,8 +131,8 @@ class ContactCompliance(PetscOwner):
     def _begin_with_products_of(self, before: ContactCompliance) -> None:
         """Begin the model of A with the far field of another compliance. Collective.
 
-        The far field is the part of A that bodies away from the contact contribute, see `FarField`.
-        If the other compliance has no known products it has no far field, and nothing is done.
+        The far field is the contribution to A of the bodies away from the contact, see `FarField`.
+        Without known products the other compliance has no far field, and nothing is done.
         """
         store, near = before._store, before._near_store
         if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
@@ -157,17 +158,17 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def certificate(self) -> EnergyBound:
-        """Bounds energy errors. Collective."""
+        """The object that bounds errors in the energy norm. Collective."""
         return EnergyBound(self.jump, self._local_stiffness)
 
     @cached_property
     def near_field(self) -> NearField:
-        """The near field, an approximation of A for rough tractions. Collective."""
+        """The near field, an approximation of A for oscillating tractions. Collective."""
         return NearField(self.jump, self.operator.solver)
 
     @cached_property
     def estimator(self) -> DiscretisationError:
-        """Estimates the error of the mesh. Collective."""
+        """The object that estimates the error of the mesh. Collective."""
         system = self.jump.system
         return DiscretisationError(system.form, system.V, system.axisymmetric)
 
@@ -191,7 +192,7 @@ class ContactCompliance(PetscOwner):
     def expect_start(self) -> None:
         """Prepare for a solve that starts near the solution. Not collective.
 
-        Products with affine tractions, which describe the bodies as a whole, are not needed then.
+        Seed products with affine tractions, which show how whole bodies respond, are then left out.
         """
         self._starts_from_zero = False
 

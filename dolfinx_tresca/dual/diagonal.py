@@ -12,9 +12,9 @@ from dolfinx_tresca.dual.jump import JumpOperator
 
 
 def rademacher_vector(jump: JumpOperator) -> Array:
-    """Return a vector (size,) of random signs, the same for any number of ranks.
+    """Return a vector (size,) of random signs for `estimate_diagonal`, equal on all partitions.
 
-    The sign depends on the node's number in the mesh file, through a mixing of its bits.
+    The sign depends on the node's number in the mesh file, through a mixing of the number's bits.
     """
     file_number = numbers_in_file(jump.system.V).astype(np.uint64)
     signs = []
@@ -62,7 +62,8 @@ def rescaled_diagonal(
         compliance: (size,) compliance of nodes whose neighbours are fixed.
         before: an earlier B, of the same pairs.
         diagonal: (size before,) diag(A) for the earlier B.
-        before_compliance: (size before,) compliance of nodes for the earlier B and K.
+        before_compliance: (size before,) compliance of nodes whose neighbours are fixed, for the
+            earlier B and K.
     """
     parts = [part for slices in before.slices for part in slices]
     sums = [(diagonal[part].sum(), before_compliance[part].sum()) for part in parts]
@@ -72,7 +73,7 @@ def rescaled_diagonal(
     result = np.empty_like(compliance)
     after = [part for slices in jump.slices for part in slices]
     for part, (energy, size) in zip(after, totals, strict=True):
-        # few nodes may give a poor mean, even a negative one: the mean of all replaces it
+        # the sum over few nodes may even be negative: the mean over all pairs then replaces theirs
         factor = energy / size if energy > 0.0 else mean
         result[part] = factor * compliance[part]
     return result

@@ -25,14 +25,14 @@ from dolfinx_tresca._base.vertices import entities_per_cell
 #: Cells whose gradients are evaluated together, to bound the memory.
 CELLS_AT_ONCE = 50_000
 
-#: Least ratio of the stiffnesses of different materials, and the largest number of materials: each
-#: has a recovery of its own, which costs as much as the first.
+#: Least ratio of the stiffnesses of different materials, and the largest number of materials. Each
+#: material has a recovery of its own, which costs as much as the recovery for a single material.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
-#: Approximate ratio of the error to the difference of gradients, by the degree of the displacement
-#: and whether cells are simplices. Only for degree 1 has the mean gradient a higher order than the
-#: gradient, and singular edges lower their difference by up to a third; factors are mid-range
-#: values of benchmarks/estimate.py.
+#: Approximate ratio of the error to the difference between the gradient and its mean, both in the
+#: energy norm, by the degree of the displacement and whether cells are simplices. It is not 1,
+#: since the mean has a higher order than the gradient only for degree 1, and since singular edges
+#: lower the difference by up to a third. Factors are mid-range values of benchmarks/estimate.py.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -42,27 +42,28 @@ class DiscretisationError:
     The gradient of a finite element displacement jumps from cell to cell; the mean at the nodes,
     weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
     difference of the two is an estimate of the error. The energy of this difference follows from
-    the form `a`, in which it replaces the gradient, for any cell and material. Means are taken of
-    the gradient at the Gauss points of order 2 (degree - 1), where it is most accurate (Barlow,
-    1976), continued to the nodes. Taken directly at a node of a quadrilateral or hexahedron, the
-    derivative along an edge would depend on that edge alone, and on a boundary with its singular
-    edges the difference would be zero.
+    the form `a`, in which it replaces the gradient, for any cell and material. The gradient is
+    evaluated at the Gauss points of order 2 (degree - 1), where it is most accurate (Barlow, 1976),
+    and extrapolated to the nodes, where means are taken. If it were evaluated at a node of a
+    quadrilateral or hexahedron, the derivative along an edge would depend on that edge alone, and
+    on a boundary with its singular edges the difference would be zero.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
     singular edges and Poisson's ratios of up to 0.49. It is not a bound. For ratios closer to 0.5
-    cells lock; the error spreads from its origin, and the estimate is lower. At the corners of
-    inclusions that are 1000 times stiffer it is up to 1.7 times the error for degree 2. If the
-    material inside a body changes abruptly, the true gradient jumps too: each material then has
-    means of its own, for up to `MOST_MATERIALS` materials. If the material varies from cell to cell
-    without gaps between the stiffnesses, the estimate is too large.
+    cells lock: the error spreads from its origin, and its ratio to the estimate is larger. At the
+    corners of inclusions that are 1000 times stiffer than the rest the estimate is up to 1.7 times
+    the error for degree 2. If the material inside a body changes abruptly, the true gradient jumps
+    too: each material then has means of its own, for up to `MOST_MATERIALS` materials. If the
+    material varies from cell to cell without gaps between the stiffnesses, the estimate is too
+    large.
 
     For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
-    polynomial P_2, which is equal on both sides of a node if neighbouring cells are alike. Where a
-    smooth solution varies along one direction of such a mesh, gradients hardly jump, and the ratio
-    of the estimate to the error falls with h; where the solution varies in two directions, the
-    ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator for
-    biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). Edges of
-    contact have no such symmetry.
+    polynomial P_2. This difference is equal on both sides of a node if neighbouring cells are
+    alike. Where a smooth solution varies along one direction of such a mesh, gradients therefore
+    hardly jump, and the ratio of the estimate to the error falls with h; where the solution varies
+    in two directions, the ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a
+    posteriori error estimator for biquadratic elements: errors of even degree are in the cells'
+    interiors, not in jumps). Edges of contact areas have no such symmetry.
 
     In bodies of revolution the error of the hoop strain u_r / r counts as zero: it is of higher
     order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would
@@ -117,8 +118,9 @@ class DiscretisationError:
     def products(self, u: fem.Function, z: fem.Function) -> Array:
         """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
-        Here e_u and e_z are the errors of the displacements u and z. The values have signs. They
-        follow from the squared estimates for u + z and u - z, with u and z scaled to unit size.
+        Here e_u and e_z are the errors of the displacements u and z. The values may be negative.
+        They follow from the squared estimates for u + z and u - z, with u and z scaled to unit
+        size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
@@ -148,12 +150,13 @@ class DiscretisationError:
 
         Collective.
 
-        Materials are groups of stiffnesses with gaps between them; gradual variation is one group.
+        A material is a group of cells whose stiffnesses have no large gap between them: a stiffness
+        that varies gradually makes one group.
 
         Args:
             energy: the form that gives each cell's energy [energy] under the same gradient.
-            volume: the form that gives each cell's volume, or the volume of its ring up to a
-                factor.
+            volume: the form that gives each cell's volume, or for bodies of revolution the volume
+                of the cell's ring up to a constant factor.
         """
         volumes = self._assembled(volume)
         stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
@@ -201,14 +204,14 @@ class DiscretisationError:
 
 
 def total(cells: fem.Function) -> float:
-    """Return the norm [energy^(1/2)] of the errors of all cells together. Collective."""
+    """Return the root of the sum of squares of all cells' errors [energy^(1/2)]. Collective."""
     space = cells.function_space
     squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
     return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
 
 
 def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
-    """Return the matrix (m, n) that continues values at points of a cell to nodes by a polynomial.
+    """Return the matrix (m, n) that extrapolates from points of a cell to nodes by a polynomial.
 
     Args:
         cell: `basix.CellType` of the cell.

@@ -17,7 +17,7 @@ STEP_ACCURACY = 0.05
 
 
 class FollowedDisplacement:
-    """The displacement z with K z = f - B'y while an iteration changes y.
+    """The displacement z with K z = f - B'y while the iteration for adjoint or tangent changes y.
 
     This class is for a direct solver for K: each product is one solve, and z is computed once, at
     the end. `ImprovedDisplacement` is for iterative solvers.
@@ -70,7 +70,7 @@ class FollowedDisplacement:
         Args:
             y: (size,) present multipliers.
             step: (size,) s.
-            size: the energy norm of s, approximately.
+            size: the energy norm sqrt(s'A s), approximately.
 
         Returns:
             the product (size,), and the norm sqrt(e'A^-1 e) of its error e; 0 with a direct solver.
@@ -80,7 +80,8 @@ class FollowedDisplacement:
     def combine(self, factors: Array, scale: float) -> None:
         """Orthogonalise the last step: subtract kept steps, scale the result and keep it.
 
-        A direct solver keeps no steps. Not collective.
+        The iteration does the same with its steps of y. A direct solver keeps no steps. Not
+        collective.
 
         Args:
             factors: (kept steps,) factors of the kept steps in the sum that is subtracted.
@@ -88,7 +89,7 @@ class FollowedDisplacement:
         """
 
     def advance(self, length: float) -> None:
-        """Add the last step times its length to z, unless z is computed at the end."""
+        """Add `length` times the last step to z, unless z is computed at the end."""
 
     def end_at(self, y: Array, rtol: float) -> None:
         """Solve for multipliers y (size,) near the present ones. Collective.
@@ -105,10 +106,10 @@ class ImprovedDisplacement(FollowedDisplacement):
     """The displacement z by an iterative solver for K, which starts from the last z.
 
     The solver stops at an error that is a part of the step: as steps become smaller z becomes more
-    accurate, and all steps together cost little more than one accurate solve. (Where each product
-    of a gradient has the accuracy of the gradient instead, a gradient of the two bricks with N = 16
-    takes 90 to 117 iterations of the solver for K in place of 33 to 40.) The product A s of a step
-    s is the difference of two jumps B z. Changes of z are kept for each step.
+    accurate, and all steps together cost little more than one accurate solve. (If each product had
+    the accuracy of the result instead, the derivatives of a goal on the two bricks with N = 16
+    would take 90 to 117 iterations of the solver for K in place of 33 to 40.) The product A s of a
+    step s is the difference of two jumps B z. The change of z in each step is kept.
     """
 
     def __init__(self, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> None:
@@ -138,5 +139,5 @@ class ImprovedDisplacement(FollowedDisplacement):
         self._steps.append(self._step)
 
     def advance(self, length: float) -> None:
-        """Add the last step times its length to z. Not collective."""
+        """Add `length` times the last step to z. Not collective."""
         self._z.array += length * self._step

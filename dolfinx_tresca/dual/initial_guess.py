@@ -12,17 +12,18 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 
-#: Number of points that are kept: the start and the ends of the last two steps.
+#: Number of multipliers whose displacements are kept: the start and the ends of the last two steps.
 KEPT = 3
 
 
 class InitialGuess(PetscOwner):
-    """The displacement u = K^-1 (f - B'x) without contact (x = 0), and at a few other points x.
+    """First guesses of u = K^-1 (f - B'x) from displacements at a few multipliers x, called points.
 
-    u is affine in x: between the points it is known up to their errors. This includes all points
-    along a step if the iteration gives its start (`begin_at`). PETSc's `KSPGuess` (Fischer 1998)
-    would project onto earlier right-hand sides instead, which costs a product with K for each; here
-    the multipliers are projected.
+    The displacement without contact (x = 0) is kept, too. u is affine in x: at affine combinations
+    of the points it is known up to the errors of the kept displacements. These combinations include
+    all x along a step if the iteration gives the start of the step (`begin_at`). PETSc's `KSPGuess`
+    (Fischer 1998) would project onto earlier right-hand sides instead, which costs a product with K
+    for each of them; here the multipliers are projected.
 
     Owns PETSc objects: call `destroy()`.
 
@@ -31,7 +32,7 @@ class InitialGuess(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Begin with no load, whose displacement is zero. Collective."""
+        """Begin without load: u = 0 at x = 0. Collective."""
         self.load = jump.matrix.createVecRight()
         self._inner, self._agreed = jump.reductions.inner, jump.reductions.from_first_rank
         self._points: list[tuple[Array, PETSc.Vec]] = []
@@ -62,7 +63,11 @@ class InitialGuess(PetscOwner):
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
-        At the newest point u changes by the same difference, with unchanged multipliers.
+        Of the other points only the newest is kept: its u changes by as much as the displacement
+        without contact, at the same multipliers.
+
+        Args:
+            load: the new u at x = 0.
         """
         self._keep(1)
         for _, u in self._points:
@@ -94,7 +99,10 @@ class InitialGuess(PetscOwner):
             self._drop(1)
 
     def near(self, x: Array) -> PETSc.Vec:
-        """Return u at x, or a guess, as a vector that the caller owns. Collective."""
+        """Return u at the affine combination of the points that is nearest to x. Collective.
+
+        The caller owns the vector. At x = 0 it is the displacement without contact.
+        """
         if not self._points or self._square(x) == 0.0:
             return self.load.copy()
         points = list(self._points)

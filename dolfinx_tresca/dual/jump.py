@@ -28,9 +28,10 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class JumpOperator(PetscOwner):
-    """B, with each row times the square root of its node's area, and the data of its rows.
+    """The jump operator B with scaled rows, and the data of its rows.
 
-    Tangential rows are also stretched such that friction ellipses become discs.
+    A row is multiplied by the square root of its node's area. Tangential rows are also stretched
+    such that friction ellipses become discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
     multipliers, then its tangential ones. Physical tractions are `stress_scale` times multipliers.
@@ -39,15 +40,15 @@ class JumpOperator(PetscOwner):
 
     Attributes:
         system: linear system of the displacements.
-        pairs: the pairs.
+        pairs: rows, nodes and gaps of each pair.
         slices: the positions of each pair's normal and tangential multipliers.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
         length_scale: (size,) length per residual: 1 / sqrt(area), divided by the stretch.
         gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
         unbounded: Lambda with infinite slip bounds: all tangential rows of a node share its disc.
-        discs: like `unbounded`, but frictionless rows of nodes whose other row has friction have
-            discs of their own, after the discs of all nodes.
+        discs: like `unbounded`, except at nodes with friction in one of two tangential rows: the
+            frictionless row has a disc of its own. These discs come after the discs of all nodes.
         reductions: sums over the ranks.
     """
 
@@ -94,7 +95,7 @@ class JumpOperator(PetscOwner):
         return result
 
     def set_distances(self, pairs: Sequence[PairOperators]) -> None:
-        """Replace the pairs by copies with other distances of the surfaces. Not collective."""
+        """Replace the pairs by copies with other surface distances; update gaps. Not collective."""
         self.pairs = list(pairs)
         self.gap = self._gaps()
 
@@ -130,7 +131,7 @@ class JumpOperator(PetscOwner):
         )
 
     def _separated(self) -> FeasibleSet:
-        """Return `unbounded` with an infinite disc for each frictionless row. Not collective."""
+        """Return `discs`: `unbounded` with a disc for each frictionless row. Not collective."""
         frictionless = [
             discs.frictionless
             for pair, discs in zip(self.pairs, self._friction_discs, strict=True)
@@ -176,9 +177,12 @@ class JumpOperator(PetscOwner):
         return FrictionCones(self.discs, normal_of, constant, coefficient, limit, functions)
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
-        """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.
+        """Return B with tangents along the axes of each node's friction ellipse. Collective.
 
         The result is self if all tangents stay the same, else a new operator that the caller owns.
+
+        Args:
+            slip_bounds: for each pair the slip bounds at its nodes, with their ellipses.
 
         Raises:
             InputError: the direction of two bounds is not finite, is zero, or is normal to the
@@ -235,7 +239,7 @@ class JumpOperator(PetscOwner):
         return self._force
 
     def net_force(self, x: Array) -> PETSc.Vec:
-        """Return f - B'x [force]; the next call, or one of `contact_force`, overwrites it."""
+        """Return f - B'x [force]; the next call of this or of `contact_force` overwrites it."""
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force

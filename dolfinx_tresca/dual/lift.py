@@ -1,4 +1,4 @@
-"""A displacement with given jumps that moves contact nodes alone: cheap and nearly optimal."""
+"""A displacement with given jumps that moves contact nodes alone, with nearly least energy."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ MOST_FACTORED = 300_000
 #: Limit on steps of conjugate gradients.
 MOST_ITERATIONS = 1000
 
-#: Euclidean |B w - jump| / |jump| of a lift w above which the rows of B count as dependent: between
-#: rounding and 1, the value for a jump outside the range of B.
+#: Euclidean |B w - jump| / |jump| of a lift w above which the rows of B count as dependent. It is
+#: between rounding and 1, the order of the ratio for a jump outside the range of B.
 DEPENDENT_ROWS = 1e-6
 
 
 class Lift(PetscOwner):
     """w = D B' (B D B')^-1 jump with D = diag(K)^-1: the least w with B w = jump in the D^-1 norm.
 
-    B D B' is sparse, with a row for each row of B. If it is large, it is solved by conjugate
-    gradients preconditioned by a factorisation of each rank's own rows: memory and work depend on
-    these rows alone. Conjugate gradients take 10 to 40 steps, but more on more ranks if a fine,
-    stiff secondary side touches a coarse primary side that is 1e6 times softer: 288, 1124 and 2108
-    on 2, 3 and 5 ranks. They stop after `MOST_ITERATIONS`; the norm is infinite if B w then misses
-    the jump by more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
+    `EnergyBound` closes gaps with it. B D B' is sparse, with a row for each row of B. If it has
+    more than `MOST_FACTORED` rows, systems with it are solved by conjugate gradients preconditioned
+    by a factorisation of each rank's own rows: memory and work of a rank depend on these rows
+    alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff secondary side touches a coarse
+    primary side that is 1e6 times softer, the number grows with the number of ranks: 288, 1124 and
+    2108 steps on 2, 3 and 5 ranks. They stop after `MOST_ITERATIONS`; the energy norm of w counts
+    as infinite if B w then misses the jump by more than `DEPENDENT_ROWS`. A factorisation of all
+    rows has none of these limits.
 
     Owns PETSc objects: call `destroy()`. B and K stay the caller's.
     """

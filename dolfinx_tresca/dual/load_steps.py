@@ -54,7 +54,7 @@ class LoadSteps:
         u: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which solves
             start and end, owned by the caller; None for linear bodies.
         multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
-            it returns to the accepted ones.
+            it returns to those of the last accepted step.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
         accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
@@ -101,12 +101,17 @@ class LoadSteps:
         self._continues = False
 
     def begin(self, history: SlipHistory) -> None:
-        """Begin the next step after the steps of a history. Not collective."""
+        """Let the next step follow the steps of a history. Not collective."""
         self.history = history
         self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
 
     def begin_at(self, u: fem.Function | None) -> None:
-        """Begin with the slip of a displacement [length]; None: undeformed bodies. Collective."""
+        """Begin as after an accepted step with the displacement u. Collective.
+
+        Args:
+            u: displacement [length], whose tangential jump is the slip so far; None: undeformed
+                bodies.
+        """
         jump = self.jump
         self.accepted_u = None if u is None else u.copy()
         self.begin_with(
@@ -215,7 +220,7 @@ class LoadSteps:
         self._set_start(stress / self.jump.stress_scale)
 
     def _carry_over(self, jump: JumpOperator) -> JumpOperator:
-        """Replace B and express the multipliers by it; return the previous B. Not collective."""
+        """Replace B, and convert the multipliers to it; return the previous B. Not collective."""
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
             carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
@@ -292,7 +297,7 @@ class LoadSteps:
         state.write(path, self.jump, self.accepted_motions)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
-        """Continue from the file that `save` wrote, and return its step. Collective.
+        """Continue from the file that `save` wrote, and return the number of its step. Collective.
 
         Obstacles keep their present places.
 

@@ -14,7 +14,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
-    """Return 1 / diag(K), zero at prescribed values; owned by the caller. Collective."""
+    """Return 1 / diag(K), zero except at free displacements; owned by the caller. Collective."""
     compliance = system.K.getDiagonal()
     compliance.array = np.divide(
         1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))

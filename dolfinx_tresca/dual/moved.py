@@ -27,11 +27,11 @@ def moved_jump(
 ) -> JumpOperator:
     """Return B of displaced surfaces, owned by the caller. Collective.
 
-    The gap is the distance of the displaced surfaces plus N u, since it is compared with N of the
-    total displacement. For curved edges of the secondary side the gap keeps the height over their
-    chords that it had for the previous B: further bending is in N u. Bent edges of the primary side
-    may now face other nodes, and the distance is measured to these bent edges; so the N u in the
-    gap includes their bending. Bonded pairs stay the same.
+    The gap is the distance of the displaced surfaces plus N u, since it is compared with N times
+    the total displacement. For curved edges of the secondary side the gap keeps the heights over
+    chords of the previous B: further bending is in N u. Bent edges of the primary side may now face
+    other nodes, and the distance is measured to these bent edges; so their bending is included in
+    the N u that is added. Bonded pairs stay the same.
 
     Args:
         before: the previous B.
@@ -102,7 +102,8 @@ def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) ->
 def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Array:
     """Return tractions or jumps (size,) at the same nodes, for another B. Not collective.
 
-    Of a tangential vector the part that is still tangential remains. Values at new nodes are zero.
+    A tangential vector loses its part that is normal to the new tangents. Values at new nodes are
+    zero.
 
     Args:
         values: (size before,) or (size before, k) multipliers times `stress_scale`, or residuals
@@ -157,7 +158,8 @@ def _components(nodes: Indices | LocalNumbers, vectors: Array, count: int) -> cs
 def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
     """Return the position (n,) of each node among others; len(others) if it is missing.
 
-    A node on an edge occurs once for each of its normals: these are matched in order.
+    A node on a sharp edge occurs once for each of its normals: its occurrences are matched in
+    order.
     """
     known = {key: k for k, key in enumerate(_numbered(others))}
     return np.array([known.get(key, len(others)) for key in _numbered(nodes)], dtype=np.intp)

@@ -16,21 +16,22 @@ from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.schwarz import Schwarz
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Layers of cells around the contact nodes that may move: with a direct solver for K, and with
-#: multigrid, whose coarse level represents the rest. (Two bricks with a direct solver: a load step
-#: takes up to 10 products with one layer, 8 with two, more with none. With multigrid a solve takes
-#: 33 Krylov iterations with one layer, and 30 with two layers, which cost twice as much.)
+#: Number of layers of cells around the contact, whose nodes may move: with a direct solver for K,
+#: and with multigrid, whose coarse level represents the rest of the bodies. (Two bricks with a
+#: direct solver: a load step takes up to 10 products with one layer, 8 with two, more with none.
+#: With multigrid a solve takes 33 Krylov iterations with one layer, and 30 with two layers, which
+#: cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
 
 class NearField(PetscOwner):
-    """D = B S B', where S approximates K^-1 near the contact, and for bodies as a whole.
+    """The approximation D = B S B' <= A, where S approximates K^-1 near the contact.
 
-    D <= A. The effect of rough tractions decays within a few cells: nodes further away may be
-    clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped one clamps all nodes
-    except those of the interface, and the Dirichlet preconditioner clamps none: Farhat, Mandel and
-    Roux 1994.) Further away the effect of tractions is smooth: a coarse level of
-    multigrid represents most of it, and a few products with A represent the rest; without
+    Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
+    may be clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped one clamps all
+    nodes except those of the interface, and the Dirichlet preconditioner clamps none: Farhat,
+    Mandel and Roux 1994.) Further away the effect of tractions is smooth: with multigrid, a coarse
+    level in S represents most of it, and a few products with A represent the rest; without
     multigrid, products with A represent all of it. On two bricks (N = 10) 0.02 A <= D without the
     coarse level, and 0.4 A <= D with it.
 
@@ -79,7 +80,7 @@ class NearField(PetscOwner):
 
 
 def _near(jump: JumpOperator, layers: int) -> Mask:
-    """Return which of this rank's nodes are within some layers of the contact. Collective."""
+    """Return which owned nodes are within some layers of cells from the contact. Collective."""
     V = jump.system.V
     nodes, cells = V.dofmap.index_map, V.dofmap.list
     near = la.vector(nodes, 1, np.float64)

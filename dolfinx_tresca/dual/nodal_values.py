@@ -54,10 +54,15 @@ class NodalValues:
             self._interpolations.popitem()[1][1].destroy()
 
     def at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present values at nodes of this rank. Collective.
+        """Return the present values of a scalar at nodes of this rank. Collective.
+
+        Args:
+            bound: the scalar, such as a slip bound or a gap.
+            nodes: (n,) local numbers of the nodes.
+            name: name of the scalar in error messages.
 
         Raises:
-            InputError: the bound is on another mesh, or a function returns neither a number nor
+            InputError: the scalar is on another mesh, or a function returns neither a number nor
                 one number for each point.
         """
         if isinstance(bound, fem.Expression):
@@ -82,7 +87,7 @@ class NodalValues:
     ) -> Array | None:
         """Return the derivative of a weighted sum of nodal values with respect to a control.
 
-        Collective.
+        The adjoint gives the weights. Collective.
 
         Args:
             field: the scalar.
@@ -118,7 +123,7 @@ class NodalValues:
     def pushed_forward(
         self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
-        """Return the derivative (n,) of nodal values along a direction of a control. Collective.
+        """Return the derivative (n,) of nodal values for a given change of a control. Collective.
 
         Args:
             field: the scalar.
@@ -141,7 +146,7 @@ class NodalValues:
         return slopes[:, 0] * self.at(direction, nodes, name)
 
     def _slopes(self, field: ScalarField, control: Any, nodes: LocalNumbers, name: str) -> Array:
-        """Return the derivatives (n, components) of a scalar by a control's values. Collective.
+        """Return derivatives (n, components) of a scalar with respect to a control. Collective.
 
         Raises:
             InputError: the control is a Function with components, or on another mesh.
@@ -199,8 +204,8 @@ class NodalValues:
         """Return the values (components, n) of a function at the nodes. Not collective.
 
         Raises:
-            InputError: the function returns an array of another shape, or of another type than
-                real numbers.
+            InputError: the function returns neither one value nor one for each node, or values that
+                are no real numbers.
         """
         n = len(nodes)
         if n == 0:
@@ -224,7 +229,7 @@ class NodalValues:
         """Check that a Function or an expression is on the mesh of the space. Not collective.
 
         Raises:
-            InputError: its mesh is another one.
+            InputError: it is on another mesh.
         """
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
@@ -267,7 +272,7 @@ class NodalValues:
 
     @cached_property
     def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
-        """A scalar Function, and the degree of freedom in it of each node of V. Collective."""
+        """A scalar Function, and for each node of V its degree of freedom there. Collective."""
         scalar, dofs = collapse(self._V.sub(0))
         dofs //= self._V.dofmap.index_map_bs
         position = np.empty(len(dofs), dtype=np.int32)

@@ -52,7 +52,7 @@ class DualOperator(PetscOwner):
         """Return A x to the accuracy in the solver's options; counted in `products`. Collective.
 
         Args:
-            x: (size,).
+            x: (size,) multipliers.
         """
         product, error = self.product(x)
         if error > 0.0:
@@ -64,8 +64,9 @@ class DualOperator(PetscOwner):
         """Return A x and its error; counted in `products`. Collective.
 
         Args:
-            x: (size,).
-            rtol: relative residual of an iterative solver; None: as in its options.
+            x: (size,) multipliers.
+            rtol: relative error in the energy norm at which an iterative solver stops; None: as in
+                its options.
 
         Returns:
             the product (size,), and the norm sqrt(e'A^-1 e) of its error e, as estimated by the

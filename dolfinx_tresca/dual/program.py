@@ -42,7 +42,7 @@ class DualProgram:
         compliance: A, and all data that depend on K only.
         response: the displacements caused by multipliers and the present load.
         admissible: all multipliers that the present laws of friction allow.
-        equilibrium: equilibrium conditions of floating bodies; None if no body floats.
+        equilibrium: equilibrium of floating and softly held bodies; None if there are none.
         constraints: linear equations of the multipliers: the equilibrium of floating bodies.
         history: slip and dissipation of the accepted load steps.
         is_first: whether no product with A was known before.
@@ -75,7 +75,7 @@ class DualProgram:
             history: slip of the accepted load steps; None if there is none.
 
         Raises:
-            InputError: a body floats and contact cannot hold it.
+            MechanismError: contact cannot hold a floating body.
         """
         jump = compliance.jump
         history = SlipHistory.none(jump) if history is None else history
@@ -96,12 +96,12 @@ class DualProgram:
         return self.admissible.section(np.zeros(self.admissible.size))
 
     def at(self, x: Array, r: Array, rho: float) -> DualProgram:
-        """Return the program with coefficients of friction at pressures and slips of a point.
+        """Return the program with the coefficients of friction at the pressures and slips of x.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
-            rho: step length that slips are determined with; see `FrictionCones.at`.
+            rho: step length with which slips are determined; see `FrictionCones.at`.
         """
         cones = self.admissible.at(x, r, rho)
         return self if cones is self.admissible else dataclasses.replace(self, admissible=cones)
@@ -112,12 +112,13 @@ class DualProgram:
         return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
 
     def relaxed(self, part: float, softness: float, c: Array) -> DualProgram:
-        """Return the program with reduced coefficients of friction and softer constraints.
+        """Return the program with scaled coefficients of friction and softer constraints.
 
         Args:
-            part: factor of the coefficients of friction, in (0, 1].
+            part: factor of the coefficients of friction, not negative.
             softness: number that is added to the diagonal of the constraints' matrix S.
-            c: (k,) multipliers of the constraints for which the softer constraints are unchanged.
+            c: (k,) multipliers of the constraints with which both versions of the constraints have
+                the same solutions x.
         """
         return dataclasses.replace(
             self,
@@ -127,7 +128,7 @@ class DualProgram:
 
     @property
     def is_load_step(self) -> bool:
-        """Whether a load step was accepted before."""
+        """Whether this is a load step of a process: a step was accepted before."""
         return self.history.begun
 
     @property
@@ -160,7 +161,10 @@ class DualProgram:
         return self.compliance.known_products()
 
     def near_products(self) -> ProductStore | None:
-        """Return known products with the near field; None if that does not pay. Collective."""
+        """Return known products with the near field; None if the near field does not pay.
+
+        Collective.
+        """
         return self.compliance.near_products(self.is_first)
 
     def apply(self, x: Array) -> Array:
@@ -168,7 +172,10 @@ class DualProgram:
         return self.compliance.operator.apply(x)
 
     def near_field(self, x: Array) -> Array:
-        """Return D x: the near field D has bodies clamped some cells from contact. Collective."""
+        """Return D x for the near field D, which clamps bodies some cells from the contact.
+
+        Collective.
+        """
         return self.compliance.near_field.apply(x)
 
     @property
@@ -183,9 +190,11 @@ class DualProgram:
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
 
+        Here u* is the exact solution of the discrete problem.
+
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient, from u.
+            r: (size,) the gradient, computed from u.
             error: error of r in the norm of `ElasticResponse.gradient`.
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
@@ -203,7 +212,7 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` divided by the largest traction; 0 for rounding. Collective.
+        """Return `local_change` divided by the largest traction; 0 if it is rounding. Collective.
 
         If springs alone carry the loads, the tractions and their changes are rounding of the jumps.
 
@@ -221,7 +230,9 @@ class DualProgram:
         return change / traction if traction > 0.0 else float(change > 0.0)
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
-        """Return the largest change of tractions from x to `decoupled_minimiser`. Collective.
+        """Return the largest change of tractions from x to the nodes' own minimisers. Collective.
+
+        These are the projection of `decoupled_minimiser` onto Lambda.
 
         Args:
             x: (size,) in Lambda.

@@ -23,8 +23,8 @@ LOAD_ACCURACY = 1e-6
 #: 1e28, is less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
 
-#: Energy norm below which a displacement is rounding, relative to the displacement without contact:
-#: a square root, since its energy is a difference of energies.
+#: Energy norm of a displacement below which it is rounding, divided by the energy norm of the
+#: displacement without contact. It is a square root, since the energy is a difference of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
 #: Relative error of one operation in double precision.
@@ -75,8 +75,8 @@ class ElasticResponse(ABC):
     def solve_load(self) -> None:
         """Compute b from the displacement without contact: one solve with K. Collective.
 
-        An iterative solver computes b to `LOAD_ACCURACY`: the scale of residuals and the reported q
-        depend on b, gradients do not.
+        An iterative solver computes b to `LOAD_ACCURACY`: only the scale of residuals and the
+        reported q depend on this b, while gradients do not.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
@@ -122,14 +122,16 @@ class ElasticResponse(ABC):
         """Return r = A x - b, and an estimate of its error. Collective.
 
         An iterative solver for K starts from a known displacement near x and solves to the
-        requested accuracy only. This counts as a product, unless that displacement is accurate. The
-        error includes the rounding of r: products are differences of gradients, and for steps that
-        are small compared with the gaps these differences may be pure rounding.
+        requested accuracy only. This counts as a product, unless the known displacement is already
+        accurate enough. The error includes the rounding of r: products are differences of
+        gradients, and for steps that are small compared with the gaps these differences may be pure
+        rounding.
 
         Args:
             x: (size,) multipliers.
-            origin: (size,) start of the step to x; u, which is affine, is then known at all points
-                between origin and x afterwards. None: x is not the end of a step.
+            origin: (size,) start of the step to x. Its displacement is kept, so that u, which is
+                affine in x, is known along the whole step afterwards. None: x is not the end of a
+                step.
             accuracy: requested error of the displacement in the energy norm; the returned error is
                 larger if the solver does not reach it.
         """
@@ -141,15 +143,15 @@ class ElasticResponse(ABC):
     def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
-        A displacement from which an iterate was judged is returned unchanged. The error bound of a
-        more accurate one may be larger, by more than the displacement changes in the energy norm:
-        bounds close gaps by moving contact nodes alone, which takes much energy if the change is
-        smooth and cells are flat.
+        A displacement with which the convergence of the multipliers was checked is returned
+        unchanged. The error bound of a more accurate displacement may be larger, by more than the
+        two displacements differ in the energy norm: bounds close gaps by moving contact nodes
+        alone, which takes much energy if the difference is smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.
             u: vector for the result.
-            accuracy: largest error of u in the energy norm, which has no effect on a direct solver;
+            accuracy: largest error of u in the energy norm, without effect on a direct solver;
                 None: the accuracy in the solver's options.
         """
         self._solver.solve(self._jump.net_force(x), u)
@@ -160,7 +162,7 @@ class ElasticResponse(ABC):
         """Set u to the displacement that the gradient at x was computed from. Collective."""
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
-        """Solve like `displacement`, and let the next solve start from there. Collective."""
+        """Solve like `displacement`, and let the next solve start from the result. Collective."""
         error = self.displacement(x, u, accuracy)
         self._guess.forget()
         self._guess.add(x, u.copy())
@@ -171,7 +173,7 @@ class ElasticResponse(ABC):
         return self._solver.error(self._jump.net_force(x), u)
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
+        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if less than its error.
 
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve
         with K, if forces act and displacements are prescribed. Collective.
@@ -184,23 +186,23 @@ class ElasticResponse(ABC):
         energy, jump = self._solved_load_terms()
         inner = self._jump.reductions.inner
         square = energy + float(inner(x, r + self.b - 2.0 * jump))
-        # the square is a difference, which an error e of u changes by 2 e |K^-1 f|_K
+        # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
 
     def energy_resolution(self) -> float:
         """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
-        Such a displacement is the difference of K^-1 f and K^-1 B'x, and both have the norm of
-        K^-1 f. The first call may need a solve with K, as in `energy_norm`.
+        Such a displacement is the small difference of K^-1 f and K^-1 B'x, which both have about
+        the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
         """
         energy, _ = self._solved_load_terms()
         return max(ENERGY_ROUNDING * float(np.sqrt(energy)), self.b_error)
 
     def _solved_load_terms(self) -> tuple[float, Array]:
-        """Return a(u, u) without contact, and the jump due to forces alone. Collective.
+        """Return a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
 
-        The first call computes them, with a solve if forces act and displacements are prescribed.
+        The first call computes both, with a solve if forces act and displacements are prescribed.
         """
         if self._load_terms is None:
             self._load_terms = self._solve_load_terms()
@@ -270,7 +272,7 @@ class IterativeResponse(ElasticResponse):
         self._guess.add(x, u)
         r = self.gradient_of(u)
         terms = np.abs(self.offset) + np.abs(self.offset - r)
-        # e'A^-1 e, estimated by nodes whose neighbours are fixed: they are at least as stiff
+        # e'A^-1 e is estimated from above: nodes whose neighbours are fixed are at least as stiff
         inner = self._jump.reductions.inner
         square = float(inner(terms, self._compliance.nodal_stiffness * terms))
         return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))

@@ -30,7 +30,7 @@ class SaddleLift(PetscOwner):
     def __init__(self, jump: JumpOperator) -> None:
         """Factor (K, B'; B, 0). Collective.
 
-        If rows of B depend on each other and the factorisation fails, all energy norms are inf.
+        If it fails because rows of B depend on each other, `energy_norm` returns inf for any jump.
 
         Args:
             jump: B, and the system with K.

@@ -26,7 +26,9 @@ from dolfinx_tresca.errors import InputError
 
 
 def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the rows of the file for this rank's own nodes. Collective.
+    """Return name -> rows of the file for this rank's own nodes, to be written. Collective.
+
+    These are the values, and the `surroundings` of the nodes.
 
     Args:
         V: the space of the displacement.
@@ -36,7 +38,12 @@ def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str, Array]:
-    """Return the rows of the file for Functions of a kind, `MATERIAL` or `UNKNOWN`. Collective."""
+    """Return name -> rows of the file for Functions, to be written. Collective.
+
+    Args:
+        functions: the Functions, on any spaces.
+        kind: `MATERIAL` or `UNKNOWN`.
+    """
     rows = {}
     for number, function in enumerate(functions):
         rows[f"{kind}{number}"] = values_of(function)
@@ -47,7 +54,7 @@ def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str,
 def read_functions(
     path: Path, functions: Sequence[fem.Function], comm: Any, kind: str
 ) -> list[Array]:
-    """Return the values that a file has for Functions of a kind. Collective.
+    """Return for each Function its values in a file, ghosts included. Collective.
 
     Args:
         path: path of the file.
@@ -113,9 +120,9 @@ def read_displacements(
 
 
 def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) -> dict[str, Array]:
-    """Return the values (nodes, k) that a file holds for this rank's own nodes. Collective.
+    """Return name -> values (nodes, k) in a file for this rank's own nodes. Collective.
 
-    See `read_displacements`.
+    Arrays that the file lacks are left out. Arguments and errors are those of `read_displacements`.
     """
     comm, file, columns = V.mesh.comm, {}, {}
     with errors_on_all_ranks(comm):
@@ -136,7 +143,7 @@ def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) 
 
 
 def _rows(path: Path, known: Array, nodes: Array) -> Indices:
-    """Return the row (n,) of each node in a file. Not collective.
+    """Return for each node its row (n,) in a file. Not collective.
 
     Args:
         path: path of the file, for the message.
@@ -158,17 +165,19 @@ def _rows(path: Path, known: Array, nodes: Array) -> Indices:
 
 
 def values_of(u: fem.Function) -> Array:
-    """Return the values (n, d) at this rank's own nodes. Not collective."""
+    """Return a view of a Function's values (n, d) at this rank's own nodes. Not collective."""
     dim = u.function_space.dofmap.index_map_bs
     values: Array = u.x.array.reshape(-1, dim)[: u.function_space.dofmap.index_map.size_local]
     return values
 
 
 def surroundings(V: Any) -> Array:
-    """Return positions (n, 2 d) of this rank's own nodes or points, and of their cells. Collective.
+    """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
 
-    The second position is the mean over the nodes of the cells, which distinguishes nodes of two
-    bodies that touch. Neither partition nor refinement changes them, up to rounding.
+    The first position is that of the node. The second is the mean of the midpoints of the cells
+    around the node, which distinguishes nodes of two bodies that touch. Both identify a node on any
+    partition, up to rounding, also on refined meshes, where numbers of nodes depend on the
+    partition.
 
     Args:
         V: the space of a displacement, or of values at points of quadrature.
@@ -186,7 +195,7 @@ def surroundings(V: Any) -> Array:
 
 
 def same_nodes(known: Array, asked: Array, accuracy: float) -> Indices | None:
-    """Return the row of each node; None if the nodes differ. Not collective.
+    """Return for each node its row in a file; None if the nodes differ. Not collective.
 
     Args:
         known: (n, 2 d) `surroundings` in the file.

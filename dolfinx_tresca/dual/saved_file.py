@@ -1,4 +1,4 @@
-"""The file of a state, as the first rank reads it."""
+"""The contents of the file of a state, and reading it on the first rank."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FORMAT = "dolfinx_tresca state 4"
 #: Arrays in every file.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
-#: Name of the array with the positions of displacements: `surroundings` of their nodes.
+#: Name of the array with the `surroundings` of the nodes, which locate the rows of displacements.
 SURROUNDINGS = "surroundings"
 
 #: Prefixes of the names of arrays that have positions of their own: arrays of the material's

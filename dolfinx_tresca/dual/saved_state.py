@@ -100,7 +100,9 @@ class SavedState:
 
     @classmethod
     def read(cls, path: Path, jump: JumpOperator) -> SavedState:
-        """Return the values of a file at the contact nodes of B. Collective.
+        """Read multipliers, history and step from a file, at the contact nodes of B. Collective.
+
+        The displacements and other Functions in the file are not read.
 
         Raises:
             InputError: the file cannot be read, or belongs to another mesh, other pairs or other
@@ -142,7 +144,7 @@ class SavedState:
 
 
 def _slipped(pair: int) -> str:
-    """Return the name of the slip of all steps of a pair."""
+    """Return the name of the array with the slip of all steps of a pair."""
     return f"slipped {pair}"
 
 
@@ -177,7 +179,8 @@ def _laws(jump: JumpOperator) -> list[str]:
 def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
     """Return keys (n, 3) and coordinates (n, 3) of this rank's contact nodes of all pairs.
 
-    A key has the pair, the node's number in the mesh file, and the number of its smooth patch.
+    A key has the pair, the node's number in the mesh file, and the number of the smooth patch of
+    the surface: a node on a sharp edge belongs to several patches.
     """
     V = jump.system.V
     in_file, x = numbers_in_file(V), V.tabulate_dof_coordinates()
@@ -211,7 +214,7 @@ def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> Non
 def _rows_of(
     path: Path, file: dict[str, npt.NDArray[Any]], keys: GlobalNumbers, points: Array, columns: int
 ) -> Indices:
-    """Return the row in a file of each contact node. Not collective.
+    """Return for each contact node its row (n,) in a file. Not collective.
 
     Args:
         path: path of the file.

@@ -16,8 +16,8 @@ from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 
-#: Largest number of groups of pairs for which tractions vary linearly over each group; for more
-#: groups they are constant on each.
+#: Largest number of groups of pairs for which the seed tractions vary linearly over each group; for
+#: more groups they are constant on each group.
 FEW_GROUPS = 4
 
 #: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
@@ -28,7 +28,8 @@ def affine_tractions(jump: JumpOperator) -> Array:
     """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
 
     On each group of pairs these are the pressures, and the tangential parts of the force densities,
-    that are affine functions of the position: nine on a flat surface in 3D.
+    that are affine functions of the position: nine on a flat surface in 3D. If there are more than
+    `FEW_GROUPS` groups, only the constant ones are returned.
     """
     V = jump.system.V
     dim = V.mesh.geometry.dim
@@ -68,9 +69,9 @@ def affine_tractions(jump: JumpOperator) -> Array:
 def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
     """Return the numbers of the pairs in each group. Collective.
 
-    A few pairs are groups of their own. Of many pairs, those that join the same bodies are one
-    group: a body with 50 strips of surface responds to forces on the strips as it responds to
-    forces on one surface.
+    If there are few pairs (`FEW_GROUPS`), each is a group of its own. Otherwise the pairs that join
+    the same bodies are one group: a body with 50 strips of surface responds to forces on the strips
+    as it responds to forces on one surface.
     """
     if len(jump.pairs) <= FEW_GROUPS:
         return [[k] for k in range(len(jump.pairs))]
@@ -116,8 +117,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the probe comes last: the newest pair sets the scale of the model, and it is arbitrary
-        # which affine traction would be the newest
+        # the probe comes last, since the newest product sets the scale of the model: the order of
+        # the affine tractions is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

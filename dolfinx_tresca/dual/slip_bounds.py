@@ -30,19 +30,19 @@ from dolfinx_tresca.scene.scalar_field import ScalarField
 #: rounding and means zero.
 BOUND_ROUNDING = 1e-12
 
-#: Names of the terms of a bound in errors; laws have their own name for the constant term.
+#: Names of the terms of a bound in error messages; laws have their own name for the constant term.
 TERMS = {
     "constant": DryFriction.constant_name,
     "coefficient": "the coefficient of friction",
     "limit": "the limit of the slip bound",
 }
 
-#: Name of the direction of an ellipse in errors.
+#: Name of the direction of a friction ellipse in error messages.
 DIRECTION = "the direction of the slip bound"
 
 
 def _name(friction: Friction, term: str) -> str:
-    """Return the name of a term of a law's bound, for errors."""
+    """Return the name of a term of a law's bound, for error messages."""
     if term == "constant" and isinstance(friction, DryFriction):
         return friction.constant_name
     return TERMS[term]
@@ -57,13 +57,14 @@ def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
 
 @dataclass(frozen=True)
 class NodalBounds:
-    """Slip bounds c + min(F p, l) at the nodes of a pair on this rank.
+    """Slip bounds c + min(F p, l) under the pressure p, at the nodes of a pair on this rank.
 
     Attributes:
         constant: (n,) c [stress].
         coefficient: (n,) F.
         limit: (n,) l [stress].
-        ellipses: ellipses whose longer semi-axes these bounds are; None: circles.
+        ellipses: friction ellipses, whose longer semi-axes are these bounds; None: the bounds are
+            the radii of circles.
         curve: F as a function of pressure and slip; None: F is the coefficient.
     """
 
@@ -87,13 +88,13 @@ class SlipBounds:
         self.values = NodalValues(V)
 
     def check(self, friction: Friction, nodes: LocalNumbers) -> None:
-        """Check that bounds can be evaluated at nodes of this rank, whatever the values.
+        """Check that bounds can be evaluated at nodes of this rank, whatever their values.
 
         Collective.
 
         Raises:
-            InputError: the bound or the direction is on another mesh, or a function returns
-                neither a number or vector nor one for each point; or there is a direction in 2D.
+            InputError: the bound or the direction is on another mesh; a function returns neither a
+                number (or vector) nor one for each point; or a direction is given in 2D.
         """
         if not isinstance(friction, DryFriction):
             return
@@ -114,7 +115,7 @@ class SlipBounds:
     def check_numbers(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
     ) -> None:
-        """Check bounds that are plain numbers, which cannot change before a solve. Collective.
+        """Check bounds that are plain numbers: they are known already before a solve. Collective.
 
         Args:
             friction: the law.
@@ -139,12 +140,12 @@ class SlipBounds:
         Args:
             friction: the law.
             nodes: contact nodes of this rank.
-            stress_rounding: negative values up to this size are zero [stress], whatever the values
-                at other nodes.
+            stress_rounding: largest size of negative values that count as zero [stress], in
+                addition to `BOUND_ROUNDING`, which is relative to values at other nodes.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
-                infinite; only one of the two values of a bound is infinite; or see `check`.
+                infinite; only one of the two values of a bound is infinite; or `check` raises it.
         """
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
         found: dict[str, Array] = {}
@@ -209,7 +210,7 @@ class SlipBounds:
         return shape
 
     def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values at nodes of this rank, none of them negative. Collective.
+        """Return values at nodes of this rank; negative rounding becomes zero. Collective.
 
         Raises:
             InputError: a value is negative by more than rounding, or a coefficient of friction is

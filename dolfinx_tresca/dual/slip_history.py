@@ -27,7 +27,8 @@ class SlipHistory:
         slipped: for each pair (owned nodes of V, d + 1) the sum of the slip vectors of all steps,
             and the sum of their lengths [length]; kept at nodes that have no partner at present.
         dissipation: dissipation of all steps [energy].
-        begun: whether a step was accepted; if not, slips are total, as in a static problem.
+        begun: whether a step was accepted; if not, slips count from the undeformed bodies, as in a
+            static problem.
     """
 
     origin: Array
@@ -56,7 +57,7 @@ class SlipHistory:
     def from_slip(
         cls, jump: JumpOperator, slips: Sequence[Array], dissipation: float
     ) -> SlipHistory:
-        """Return the history of a single step. Not collective.
+        """Return the history of a single accepted step with given slips. Not collective.
 
         Args:
             jump: B.
@@ -73,7 +74,7 @@ class SlipHistory:
     def carried_over(
         self, u: fem.Function, before: JumpOperator, jump: JumpOperator
     ) -> SlipHistory:
-        """Return the history for displaced surfaces, with the same slip of the step. Collective.
+        """Return the history for displaced surfaces; the slip of the step stays. Collective.
 
         Args:
             u: displacement at which B changes [length].
@@ -89,7 +90,7 @@ class SlipHistory:
     def with_origin_at(
         self, u: fem.Function | None, jump: JumpOperator, of_pairs: Sequence[bool] | Mask
     ) -> SlipHistory:
-        """Return the history with the slip origin of some pairs at a displacement. Collective.
+        """Return the history in which slips of some pairs count from a displacement. Collective.
 
         Args:
             u: displacement of the last accepted step [length]; None: the undeformed state.

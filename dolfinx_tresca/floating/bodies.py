@@ -23,7 +23,7 @@ class Bodies:
 
     Attributes:
         number: number of bodies.
-        tag_names: for each body the name of the tag of all its cells; "" if there is none.
+        tag_names: for each body the name of the tag that all its cells have; "" if there is none.
         label: (owned nodes of V,) the body of each node, in 0, ..., number - 1.
         bounds: (number, 6) bounding box of each body: least x, y, z, then largest [length].
         nodes: (number,) number of nodes of V in each body.
@@ -60,9 +60,9 @@ class Bodies:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Unique names: the name of the tag, with the body's number if several bodies share it.
+        """Unique names: the name of the tag, with the body's number if bodies share the tag.
 
-        The name of a body without a tag name is its number.
+        A body without a tag name is named by its number.
         """
         count = Counter(self.tag_names)
         return tuple(
@@ -72,7 +72,7 @@ class Bodies:
 
     @property
     def mean_nodes(self) -> float:
-        """The mean number of nodes of a body, with the numbers of nodes as weights."""
+        """The mean number of nodes of a body, weighted by these numbers: large bodies decide."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
     def describe(self, index: int) -> str:
@@ -89,7 +89,7 @@ class Bodies:
 def _tag_names(
     V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: NamedTags | None
 ) -> tuple[str, ...]:
-    """Return for each body the name of the tag of all its cells, or "" if none. Collective.
+    """Return for each body the name of the tag that all its cells have, else "". Collective.
 
     Args:
         V: the space of the displacement.
@@ -113,6 +113,6 @@ def _tag_names(
 
 
 def _point(x: Array, size: float) -> str:
-    """Return coordinates as text, with zero for rounding relative to a body's size."""
+    """Return coordinates as text; those that are rounding relative to a body's size are zero."""
     shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

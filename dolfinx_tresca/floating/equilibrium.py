@@ -26,23 +26,24 @@ from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Unbalanced load, divided by the size of the loads, up to which it is rounding.
+#: Unbalanced load, divided by the size of the loads, up to which the unbalance is rounding.
 UNBALANCED_PART = 1e-8
 
-#: Relative increase of the loads that contact must still balance: at the limit of friction itself
-#: the rigid displacement is not determined.
+#: Relative increase of the loads with which contact must still balance them: exactly at the limit
+#: of friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
 
 #: Squared jump of a rigid body mode, divided by the largest squared jump of the body's modes, up to
 #: which contact does not resist the mode.
 UNRESISTED_SQUARE = 1e-6
 
-#: Eigenvalue of the Gram matrix of unit modes of hundreds of bodies up to which it is rounding.
+#: Eigenvalue of the Gram matrix of the jumps of hundreds of bodies' modes, with 1 on its diagonal,
+#: up to which the eigenvalue is rounding.
 ROUNDING_SQUARE = 1e-13
 
 #: Number of motions that are computed if contact does not resist some motions of many bodies; the
-#: message names the body that moves most in these. To compute all motions of hundreds of bodies
-#: would take a dense eigenvalue problem. It changes nothing but the message.
+#: message names the body that moves most in these. All motions of hundreds of bodies would take a
+#: dense eigenvalue problem. The number changes nothing but the message.
 MOST_NAMED = 6
 
 
@@ -75,17 +76,19 @@ class Equilibrium:
 
         Args:
             x: (size,) multipliers.
-            u: K_p^-1 (f - B'x).
+            u: K_p^-1 (f - B'x), which is changed.
             c: (k,) multipliers of the constraints.
 
         Returns:
-            the energy norm of rigid displacements that u lacks for equilibrium.
+            the energy norm of the rigid displacements that u then lacks for equilibrium.
         """
         u.array += self.modes @ c
         return self.constraints.violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return U'f (k,), and the largest of the sums of its terms' absolute values. Collective.
+        """Return the resultants U'f (k,), and the largest sum of their terms' absolute values.
+
+        Collective.
 
         Args:
             f: forces on all unknowns.
@@ -96,7 +99,7 @@ class Equilibrium:
         return result, float(sizes.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
-        """Return in words which body slides under its loads, and by how much. Collective."""
+        """Return in words which body slides, and how much friction is exceeded. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
             f"Nothing holds {self.describe(deficit.motion)}. The loads along this motion are "
@@ -129,7 +132,9 @@ class FloatingBodies:
     def under(
         self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
     ) -> Equilibrium:
-        """Return the equilibrium under a load. Collective.
+        """Return the equilibrium under a load, after a check that contact can hold the bodies.
+
+        Collective.
 
         Args:
             load: f on this rank.
@@ -173,29 +178,33 @@ def equilibrium_constraints(
     reductions: Reductions,
     describe: Callable[[Array], str],
 ) -> tuple[EqualityConstraints, Array]:
-    """Return the equations of equilibrium, and check that a solution is in Lambda. Collective.
+    """Return the equations of equilibrium, after a check that some x in Lambda satisfies them.
+
+    Collective.
 
     Args:
         feasible_set: Lambda.
         jumps: (size, k) B U, the jumps of k rigid body modes, sparse.
-        stiffness: (k, k) stiffness of K against the modes; zero rows for modes K does not resist.
-        resultants: (k,) U'f.
-        sizes: (k,) sums of the sizes of the terms of the resultants.
+        stiffness: (k, k) stiffness of K against the modes; zero rows for modes that K does not
+            resist.
+        resultants: (k,) U'f, the resultants of the loads along the modes.
+        sizes: (k,) size of the terms of each resultant, see `SpringResponse.resultants`.
         bodies: (k,) the body of each mode.
         reductions: sums over the ranks.
-        describe: function that names the motion of components (k,) or (k, columns) of the modes.
+        describe: function that names the motion with given components (k,) or (k, columns) of the
+            modes.
 
     Returns:
         the equations, and the factors (k,) that scale the modes in them.
 
     Raises:
-        MechanismError: neither K nor contact resists a mode, or nothing balances the loads;
-            `motion` has its components (k,) of the modes.
+        MechanismError: neither K nor contact resists a motion, or nothing balances the loads; the
+            error's `motion` has the components (k,) of the motion in the modes.
     """
     carrying = diags_array(feasible_set.carrying.astype(np.float64), format="csr") @ jumps
     gram = reductions.sparse_inner(carrying, carrying)
     length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
-    # for each body: the jumps of its modes depend on its size and mesh
+    # compared for each body by itself, since jumps depend on the size and the mesh of a body
     largest = _largest_of_group(length, bodies)
     length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
     resisted = stiffness.diagonal()
@@ -229,11 +238,11 @@ def equilibrium_constraints(
 
 
 def _unresisted(gram: csr_array, bodies: Indices) -> Array:
-    """Return m modes (k, m) that contact does not resist; m may be zero.
+    """Return m motions that contact does not resist, by their components (k, m) in the modes.
 
-    They are modes of single bodies or, if there are none, of all bodies together. The resistance of
-    bodies that lean on each other falls with their number n: the least eigenvalue of a stack of n
-    bodies is about 1 / n^4.
+    The number m may be zero. In each motion a single body moves while all others rest; if there is
+    no such motion, all bodies move together. The resistance of bodies that lean on each other falls
+    with their number n: the least eigenvalue of a stack of n bodies is about 1 / n^4.
 
     Args:
         gram: (k, k) products of the modes' jumps, sparse, 1 on the diagonal.
@@ -260,7 +269,7 @@ def _unresisted(gram: csr_array, bodies: Indices) -> Array:
 
 
 def _held_together(gram: csr_array, bodies: Indices) -> Indices:
-    """Return a group number (k,) for each mode, the same for bodies that contact couples."""
+    """Return a group number (k,) for each mode: equal for modes of bodies that contact couples."""
     k, body = len(bodies), np.unique(bodies, return_inverse=True)[1]
     of_body = csr_array((np.ones(k), (np.arange(k), body)), shape=(k, k))
     graph = abs(gram) + of_body @ of_body.T
@@ -269,7 +278,7 @@ def _held_together(gram: csr_array, bodies: Indices) -> Indices:
 
 
 def _largest_of_group(sizes: Array, group: Indices) -> Array:
-    """Return for each of sizes (k,) the largest one in its group (k,)."""
+    """Return for each of the sizes (k,) the largest size in the same group (k,)."""
     largest = np.zeros(int(group.max(initial=-1)) + 1)
     np.maximum.at(largest, group, sizes)
     result: Array = largest[group]
@@ -293,7 +302,8 @@ def _solvable(
         describe: function that names the motion with given components (k,) of the modes.
 
     Raises:
-        MechanismError: nothing balances the loads; `motion` has its components (k,) of the modes.
+        MechanismError: nothing balances the loads along a motion; the error's `motion` has the
+            components (k,) of the motion in the modes.
     """
     found = constraints.balance(feasible_set, LOAD_RESERVE)
     if found.satisfied:

@@ -22,18 +22,18 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: Approximate number of a body's nodes on which springs act.
 FIXING_NODES = 20
 
-#: Relative accuracy, in the energy norm, of the response of soft springs by iterative solvers.
+#: Relative accuracy, in the energy norm, to which iterative solvers compute a `SpringResponse`.
 RESPONSE_ACCURACY = 1e-10
 
 
 @dataclass(frozen=True)
 class FixingSprings:
-    """Springs Z on a few nodes of each floating body: K_p = K + Z Z' is well conditioned.
+    """Springs Z on a few nodes of each body with weak modes: K_p = K + Z Z' is well conditioned.
 
-    K_p replaces K. The equilibrium of the bodies (`floating/equilibrium.py`) removes the effect of
-    the springs again: springs on floating bodies then have no force; the effect of springs on
-    softly held bodies is in `response`. (Fixing nodes, as in Brzobohaty et al. 2011, but with
-    springs.)
+    Solves use K_p in place of K. The equilibrium of the bodies (`floating/equilibrium.py`) removes
+    the effect of the fixing springs again. On floating bodies they then have no force; on softly
+    held bodies, which soft springs of the scene hold, the displacements of the `response` cancel
+    their effect. (Fixing nodes, as in Brzobohaty et al. 2011, but with springs.)
 
     Attributes:
         modes: the rigid body modes R that the springs resist.
@@ -45,9 +45,10 @@ class FixingSprings:
     def columns(self) -> csr_array:
         """Z (owned degrees of freedom, k), sparse. Collective.
 
-        The springs act on a few nodes of each body, spread over it, and make it about as stiff
-        against its modes as the body itself is. The nodes are few, since springs couple each of
-        them with all others, but more than one for each mode, since single nodes would yield.
+        The springs act on a few nodes of each body, spread over it, and make the body about as
+        stiff against its rigid modes as it is against deformation. The nodes are few, since springs
+        couple each of them with all others, but more than one for each mode, since single nodes
+        would yield.
         """
         modes = self.modes
         dim = modes.dim
@@ -137,7 +138,7 @@ class FixingSprings:
         soft = np.flatnonzero(~modes.floats)
         if len(soft) == 0:
             return SpringResponse(modes, modes.basis, csr_array((k, k)))
-        # K has a block for each body: one mode of every body, all in one solve
+        # K couples no two bodies, so that one solve serves one mode of every body
         body = modes.body[soft]
         place = np.arange(len(soft)) - np.searchsorted(body, body)
         answers = []
@@ -146,7 +147,7 @@ class FixingSprings:
             some = soft[place == number]
             mode.array = modes.basis[:, some].sum(axis=1)
             K.mult(mode, force)
-            # equal forces on all bodies: the relative accuracy is that of the whole answer
+            # forces of equal size on all bodies, since the accuracy is relative to the whole answer
             forces = modes.split(force.array, some)
             sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
             sizes[sizes == 0.0] = 1.0
@@ -157,7 +158,7 @@ class FixingSprings:
         for owned in (mode, force, answer):
             owned.destroy()
         V = csr_array(sum(answers[1:], start=answers[0]))
-        # R'ZZ'V, since R'KR - (KR)'V would be a small difference of large terms
+        # the stiffness as R'ZZ'V, since R'KR - (KR)'V would be a small difference of large terms
         sums = RankReductions(modes.comm)
         of_modes, of_answers = (
             sums.sparse_inner(self.columns, one) for one in (modes.basis * ~modes.floats, V)
@@ -168,12 +169,14 @@ class FixingSprings:
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
-    """Return springs that fix floating bodies, or None if no body floats. Not collective.
+    """Return springs that fix floating and softly held bodies; None if no body needs springs.
+
+    Not collective.
 
     Args:
         modes: rigid body modes that K resists little or not at all.
         system: the `LinearSystem`. In a mixed space K is factored with pivots of any sign, and
-            needs no springs for softly held bodies.
+            softly held bodies need no springs.
 
     Raises:
         InputError: a body of a mixed space floats.
@@ -191,12 +194,12 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
 
 def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:
-    """Return pseudorandom integers, each different, for integers (n,), also for zero."""
+    """Return pseudorandom integers (n,) for integers (n,), equal only for equal integers."""
     return splitmix64(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
 
 
 def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the k least values of each row of two arrays (n, k), ascending."""
+    """Return the k least values in each row of two arrays (n, k) together, ascending."""
     return np.sort(np.concatenate([a, b], axis=1), axis=1)[:, : a.shape[1]]
 
 
@@ -204,10 +207,12 @@ def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
 class SpringResponse:
     """The displacements U = K_p^-1 Z Z'R, where K_p = K + Z Z' has the fixing springs.
 
-    Under K_p, forces of the springs alone cause them. U equals R for modes that K does not resist.
+    In a system with the matrix K_p, forces Z Z'R of the fixing springs alone cause U. `Equilibrium`
+    combines these displacements such that the springs have no effect. U equals R for modes that K
+    does not resist.
 
     Attributes:
-        modes: R.
+        modes: the rigid body modes R.
         displacements: U (owned degrees of freedom, k), sparse.
         stiffness: (k, k) stiffness of K against U, sparse.
     """
@@ -217,10 +222,10 @@ class SpringResponse:
     stiffness: csr_array
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
-        """Return U'f (k,) of loads f on this rank, and sizes (k,) of its terms. Collective.
+        """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
 
-        The sizes are sums of |U| |f| over the nodes, independent of the axes. Resultants that are
-        rounding relative to them are zero.
+        The size of a resultant is the sum of |U| |f| over the nodes, with lengths of vectors, which
+        do not depend on the axes. A resultant that is rounding relative to its size is set to zero.
         """
         U, dim = self.displacements, self.modes.dim
         nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")

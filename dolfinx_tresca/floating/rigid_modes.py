@@ -12,12 +12,12 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
-#: Least share of a translation or rotation in a motion, and least motion of another body divided by
-#: the largest motion, that an error message mentions; and singular value of a body's motions,
-#: divided by the largest one, up to which a motion is rounding of the others.
+#: An error message mentions translations and rotations whose share in a motion exceeds NAMED_PART,
+#: and counts bodies that move more than NAMED_PART of the largest motion. A body's motions whose
+#: singular value, divided by the largest one, is not above MOVED_PART are left out as rounding.
 NAMED_PART, MOVED_PART = 0.1, 1e-3
 
-#: Rigid body modes by the dimension of space.
+#: Names of the rigid body modes, by the dimension of space.
 MODES = {
     2: ("translation along x", "translation along y", "rotation"),
     3: ("translation along x", "translation along y", "translation along z",
@@ -32,14 +32,15 @@ class RigidBodyModes:
     Attributes:
         comm: communicator of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) approximate stiffness of the body itself, for modes of length 1.
+        stiffness: (k,) approximate stiffness of the mode's body against deformation, per unit
+            length of a mode.
         floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
             springs.
         body: (k,) the body of each mode, ascending.
         label: (owned nodes,) the body of each node.
         name: function that describes a body in words.
-        parts: (k, 3 or 6) components of each mode in the modes of `MODES`, whose rotations have
-            lever arms divided by the body's size.
+        parts: (k, 3 or 6) components of each mode in the order of `MODES`. Lever arms of rotations
+            are divided by the body's size.
     """
 
     comm: Any
@@ -64,12 +65,14 @@ class RigidBodyModes:
         ) + f", {len(soft)} of them held softly" * (len(soft) > 0)
 
     def split(self, u: Array, some: Indices) -> csr_array:
-        """Return the values u (n,) on this rank as a sparse matrix with a column for each mode (k).
+        """Return the parts of u on single bodies as a sparse matrix with a column for each mode.
+
+        This splits the answer of a solve that treats one mode of every body at once.
 
         Args:
-            u: values at the owned degrees of freedom.
+            u: (n,) values at the owned degrees of freedom.
             some: numbers of modes, at most one for each body. The column of such a mode has the
-                values on its body; other columns are zero.
+                values of u on the mode's body; other columns are zero.
         """
         mode = np.full(max(self.label.max(initial=-1), self.body.max(initial=-1)) + 1, -1)
         mode[self.body[some]] = some

@@ -19,8 +19,8 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
 #: Stiffness against a rigid body mode, divided by the body's largest diagonal entry of K, up to
-#: which it is rounding: the product of K with the mode sums up to some hundred entries of a row,
-#: which cancel each other.
+#: which it is rounding: the product of K with the mode adds some hundred entries of each row, which
+#: cancel each other.
 NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
 
 #: Stiffness against a rigid body mode, divided by the stiffness of the body itself, up to which a
@@ -36,7 +36,7 @@ DEPENDENT_MODES = 1e-10
 
 
 def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
-    """Find the rigid motions of bodies that supports and K resist little. Collective.
+    """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
 
     Args:
         system: a `LinearSystem` with K assembled.
@@ -55,7 +55,8 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective.
 
     Raises:
-        StiffnessError: the diagonal of K has negative entries.
+        StiffnessError: the diagonal of K has negative entries, or K has a negative stiffness
+            against a rigid motion.
     """
     body, number, where = bodies.label, bodies.number, bodies.describe
     owned = len(body)
@@ -75,7 +76,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
             f"{softest.min():.3g}, in {where(int(softest.argmin()))}. Check Young's moduli, "
             "Poisson ratios (below 0.5) and signs."
         )
-    stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
+    stiffest[stiffest == 0.0] = 1.0  # bodies that are wholly prescribed, or without stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
     weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
     forces = np.empty_like(modes)
@@ -155,7 +156,7 @@ def _weak_modes(
     Args:
         square: (bodies, k, k) inner products of the modes on free degrees of freedom.
         energy: (bodies, k, k) products R'K R with the modes R.
-        limit: (bodies,) largest resistance of modes of length 1.
+        limit: (bodies,) stiffness against a mode of length 1 up to which the mode is returned.
     """
     values, vectors = np.linalg.eigh(square)
     independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last ones
@@ -193,7 +194,7 @@ def _products(
 
 
 def _rigid_body_modes(arm: Array, dim: int) -> Array:
-    """Return rigid body modes (3 or 6, n, dim) at points (n, 3), relative to their centre."""
+    """Return rigid body modes (3 or 6, n, dim) at points (n, 3) relative to a body's centre."""
     translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
     axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
     rotations = np.cross(axes[:, None], arm[None])[:, :, :dim]

@@ -27,10 +27,10 @@ DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 #: phi is flat; and if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
-#: The part t of a step s is too long if (t - l) s'g(t), where l is the longest part known to be too
-#: short, exceeds the first number times the larger one of slope^2 / curvature and -l s'g(l), a
-#: lower bound of the descent at l. A step that was cut is too short if the slope at its end is
-#: steeper than the second number times the slope at its start.
+#: Line search for the part t of a step s. Let l be the longest part known to be too short. A part t
+#: is too long if (t - l) s'g(t) exceeds OVERSHOOT times the larger one of slope^2 / curvature and
+#: -l s'g(l), a lower bound of the descent at l. A shortened step is too short if the slope at its
+#: end is steeper than SLOPE_LEFT times the slope at its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 

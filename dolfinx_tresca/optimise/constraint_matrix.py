@@ -12,7 +12,7 @@ from scipy.sparse import csc_array, csr_array, eye_array, issparse
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Number of equations from which on sparse matrices are faster than dense ones.
+#: Number of equations at and above which sparse matrices are faster than dense matrices.
 MANY = 100
 
 
@@ -23,7 +23,7 @@ def stored(matrix: csr_array) -> Matrix:
 
 @dataclass(frozen=True)
 class ConstraintMatrix:
-    """The matrix G of the equations G'x + S c = e. A row has entries for few bodies only.
+    """The matrix G of `EqualityConstraints`, G'x + S c = e. A row has entries for few bodies only.
 
     Attributes:
         columns: (size, k) G, sparse or dense, whose columns have length 1 or less.
@@ -63,6 +63,8 @@ class ConstraintMatrix:
 
     def hessian(self, derivative: Callable[[Array], Array]) -> Array | csc_array:
         """Return G'D G, (k, k), the same on all ranks. Collective.
+
+        This is the Hessian of exact equations in `constrained_projection`.
 
         Args:
             derivative: applies D to (size, columns); D is symmetric and couples the multipliers of

@@ -110,11 +110,12 @@ class EqualityConstraints:
         rho: float,
         guess: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Return the point of Lambda nearest to y that satisfies the equations, and the change dc.
+        """Return the point x of Lambda nearest to y that satisfies the equations, and a change dc.
 
-        The point minimises |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that
-        x = P_Lambda(y + rho G dc) with the change dc of c. For y = z - rho r with the gradient r at
-        z, this is the gradient projection step from z.
+        The multipliers of the equations become c + dc. The point and dc minimise
+        |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that x is
+        P_Lambda(y + rho G dc). For y = z - rho r with the gradient r at z, this is the gradient
+        projection step from z.
 
         Args:
             feasible_set: Lambda.
@@ -154,8 +155,8 @@ class EqualityConstraints:
         """Return whether the last projection had the same arguments. Collective.
 
         Residual, multipliers and errors of an iterate need the same projection; most projections
-        are repetitions. If a projection should start from zero, one that started from a guess does
-        not count as the same.
+        are repetitions. If a projection should start from zero, a projection that started from a
+        guess does not count as the same.
         """
         same = False
         if self._last:
@@ -175,10 +176,10 @@ class EqualityConstraints:
     def balance(
         self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0
     ) -> ConstrainedProjection:
-        """Search for multipliers in Lambda that satisfy the equations, with a standard softness.
+        """Search for multipliers in Lambda that satisfy the equations: they balance the loads.
 
-        S is replaced by the projector onto its range: all soft equations are equally soft, and the
-        result does not depend on their stiffness. Exact equations stay exact.
+        S is replaced by the projector onto its range: all soft equations are then equally soft, and
+        the result does not depend on their softness. Exact equations stay exact.
 
         Args:
             feasible_set: Lambda.
@@ -201,7 +202,7 @@ class EqualityConstraints:
         """Return P_Lambda(x - rho (r - G c)), and the c (k,) with which it satisfies the equations.
 
         The search for c begins at the c of the last call. For the equations of a body that nothing
-        presses, c is not unique; the c that `multipliers` returns is.
+        presses, c is not unique and depends on this start, unlike the c of `multipliers`.
 
         Args:
             feasible_set: Lambda.
@@ -217,7 +218,7 @@ class EqualityConstraints:
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> Array:
-        """Return the c (k,) of the gradient projection step from x that a search from zero finds.
+        """Return the c (k,) of the gradient projection step from x, by a search from zero.
 
         The values S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x if S
         is small.
@@ -231,7 +232,10 @@ class EqualityConstraints:
         return self.project(feasible_set, x - rho * r, np.zeros(len(self)), rho)[1]
 
     def violation(self, x: Array, c: Array) -> float:
-        """Return sqrt(d'S d) for the change d of c that satisfies the soft equations at x."""
+        """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
+
+        For floating bodies it is the energy norm of the rigid displacements that equilibrium lacks.
+        """
         missing = self.residual(x, c)
         return float(np.sqrt(missing @ self._inverse @ missing))
 

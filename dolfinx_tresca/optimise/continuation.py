@@ -13,7 +13,7 @@ from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: First and least step of the path parameter, which goes from 0 to 1.
+#: First and least step of the path parameter, which goes from 0 to 1 along the path.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
 #: Limit on halvings of a step of Newton's method that does not reduce the residual.
@@ -132,9 +132,9 @@ def _nearest_fixed_point(
     """Return the iterate of Newton's method with the least residual.
 
     A step is shortened if it does not reduce the residual. If no part of it reduces the residual,
-    the contact of the face may hold some bodies hardly or not at all: with exact constraints the
-    step is then repeated with softened ones; with softened constraints the part with the least
-    residual is taken.
+    the contact of the face may hardly hold some bodies, or not at all: with exact constraints the
+    step is then repeated with softened constraints; with softened constraints the part with the
+    least residual is taken.
 
     Args:
         newton: method and problem.
@@ -142,7 +142,7 @@ def _nearest_fixed_point(
         tolerance: requested natural residual.
         softness: softness of the constraints in the first step.
         growth: factor on the softness after a step that fails; after a step that reduces the
-            residual to less than `GOOD_STEP` of it the softness is divided by the factor.
+            residual to less than `GOOD_STEP` of its value the softness is divided by this factor.
     """
     best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
     iterate = at.multipliers, at.c, at.gradient

@@ -17,13 +17,13 @@ from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
 #: The product rho D in the active sets (38.12), (38.13), with the diagonal D of the model. With 1
-#: each node would take the set of its minimiser for fixed neighbours; with a smaller value nodes
-#: change their sets less often.
+#: each node would take the state of its minimiser for fixed neighbours; with a smaller value nodes
+#: change their states less often.
 RHO_DIAGONAL = 0.2
 
-#: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
-#: has not decreased. Doubled it changes no number of products of benchmarks/ablation.py; with 0.1
-#: a cube held by springs of 1e-6 of its stiffness takes 160 products in place of 20.
+#: Natural residual, divided by the tolerance, at which a point is accepted even if the model of q
+#: has not decreased. With twice the value no number of products of benchmarks/ablation.py changes;
+#: with 0.1 a cube held by springs of 1e-6 of its stiffness takes 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
 
 
@@ -81,7 +81,10 @@ class FaceNewton:
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto cones and constraints; c and the gradient r at z change accordingly."""
+        """Return the projection of multipliers z onto cones and constraints, with its residual.
+
+        The multipliers c of the constraints and the gradient r, given at z, change accordingly.
+        """
         admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho
         # Open nodes stay open unless c closes them: rounding of c would cause pressures there whose
@@ -97,10 +100,11 @@ class FaceNewton:
         return Point(projected, c + step_c, r - G @ step_c, residual)
 
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto the friction cones only; the residual contains the constraints' residual.
+        """Return the projection of multipliers z onto the friction cones only, with its residual.
 
-        In contrast to `point`, which projects onto the constraints as well, this method is cheap,
-        and does not require that the section of z contains a point that satisfies the constraints.
+        The residual contains the residual of the constraints. This costs less than `point`, which
+        projects onto the constraints as well, and does not require that the section of z contains a
+        point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.at(z, r, self._rho).project(z)
@@ -113,7 +117,10 @@ class FaceNewton:
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints so that steps on ill-posed faces remain short."""
+        """Softness to add to the constraints after a step that failed; 0: none.
+
+        It keeps steps short on faces whose system is nearly singular.
+        """
         return self._model.proximal_softness
 
     def step(
@@ -188,10 +195,10 @@ def minimise(
     """Return an approximate minimiser in Lambda of the model of q.
 
     The model is gradient'd + 1/2 d'M d with the step d from `multipliers`. If the active sets of
-    Newton's method do not settle, an interior-point method (`interior_point`) provides points from
-    which they do. Near the minimiser the interior-point method is less accurate than the start: a
-    strip of 150 nodes that is pulled to and fro ends with STAGNATED if that method takes over after
-    two idle steps.
+    Newton's method do not settle, an interior-point method (`interior_point`) provides other points
+    to start from, from which they settle. Near the minimiser the interior-point method is less
+    accurate than the start: a strip of 150 nodes that is pulled to and fro ends with STAGNATED if
+    the interior-point method takes over after two idle steps.
 
     Collective. Needs no product with A.
 

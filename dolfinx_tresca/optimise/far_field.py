@@ -1,4 +1,4 @@
-"""The far field, an earlier A minus its cheap approximation: the next model begins with it."""
+"""The far field, an earlier A minus its cheap approximation: the model of the next A adds it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Least ratio of x'(A - D) x to x'A x with which a vector x of the far field is kept. Smaller
-#: ratios are errors of inexact products and of the known products with the near field. Twice or
-#: half the value needs the same number of products (benchmarks/ablation.py).
+#: ratios may be errors of inexact products, or of the model of the near field. Twice or half the
+#: value needs the same number of products (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
 
@@ -53,11 +53,11 @@ class FarField:
     def carried_over(
         self, multipliers: Callable[[Array], Array], products: Callable[[Array], Array]
     ) -> FarField:
-        """Return the far field for other constraints on the same bodies. Collective.
+        """Return the far field for another pairing of the same bodies. Collective.
 
         Args:
-            multipliers: maps multipliers (size, k) to multipliers of the other constraints.
-            products: maps products A x (size, k) to products with the other constraints.
+            multipliers: maps multipliers (size, k) to multipliers of the other pairing.
+            products: maps products A x (size, k) to products with A of the other pairing.
         """
         W, Z = multipliers(self.W), products(self.root)
         return FarField(self._reductions, W, Z @ self._inner(Z, W), W.shape[1])
@@ -65,8 +65,8 @@ class FarField:
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
         """Scale F so that w'(D + F) w = w'A w for W's columns, by least squares. Collective.
 
-        Vectors that are nearly orthogonal to F are left out: the scale would follow from rounding
-        errors, and could be so large that no step changes the multipliers.
+        Vectors that are nearly orthogonal to F are left out: with them alone the scale would follow
+        from rounding errors, and could be so large that no step changes the multipliers.
 
         Args:
             W: (size, k) vectors with W'A W = I for the present A.

@@ -13,7 +13,7 @@ from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 
-#: Largest stiffness of a circle, which takes the place of larger and infinite values.
+#: Largest `circle_stiffness`, which takes the place of larger and infinite values.
 STIFFEST = 1e150
 
 
@@ -27,7 +27,8 @@ class Face:
         stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside.
         slip: (n_discs,) discs whose multiplier is on the circle.
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
-            of (38.12), tangential multipliers of sticking nodes, and all of bonded nodes.
+            of (38.12), tangential multipliers of sticking nodes, and all multipliers of bonded
+            nodes.
         free: (size,) active multipliers, and tangential multipliers of slipping nodes, which may
             move along their circles.
         radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
@@ -73,7 +74,7 @@ class FeasibleSet:
         normal: (n_normal,) positions of the normal multipliers lambda_nu.
         tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
-        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau [stress].
+        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in its units.
     """
 
     size: int
@@ -108,7 +109,7 @@ class FeasibleSet:
         return False
 
     def at(self, x: Array, r: Array, rho: float | Array) -> FeasibleSet:
-        """Return the set itself: its bounds do not depend on pressures (size,) or slips (size,)."""
+        """Return the set itself: its bounds depend neither on pressures nor on slips."""
         return self
 
     def slip_along(self, face: Face) -> Array:
@@ -118,7 +119,7 @@ class FeasibleSet:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return a function that returns its first vector: slip bounds do not change with steps."""
+        """Return the function (s, v) -> s: slip bounds do not change with steps s."""
         return lambda step, v: step
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
@@ -229,7 +230,7 @@ class FeasibleSet:
 
         Such a gradient is zero at pressed and at sticking nodes, not negative at open nodes, and
         opposite to the multiplier at slipping nodes. Tangential parts of nodes without friction
-        are arbitrary and stay as they are.
+        are arbitrary and stay as they are. A path of loads starts with this gradient.
         """
         result = np.zeros_like(r)
         open_ = x[self.normal] <= 0.0
@@ -244,13 +245,24 @@ class FeasibleSet:
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v (size,) or (size, k), tangential parts times their disc's factor (n_discs,)."""
+        """Return v (size,) or (size, k) with tangential parts multiplied by factors of discs.
+
+        Args:
+            v: vectors.
+            factor: (n_discs,) factor for the tangential parts of each disc.
+        """
         result = v.copy()
         result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
         return result
 
     def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
-        """Return v (size,) or (size, k), tangential parts of `where` times radius / norms."""
+        """Return v (size,) or (size, k) with tangential parts times radius / norms.
+
+        Args:
+            v: vectors.
+            norms: (n_discs,) norms by which tangential parts are divided.
+            where: (n_discs,) discs whose tangential parts change; other parts stay.
+        """
         factor = np.ones_like(self.radius)
         np.divide(self.radius, norms, out=factor, where=where)
         return self.scaled_discs(v, factor)

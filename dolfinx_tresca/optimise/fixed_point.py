@@ -27,8 +27,8 @@ from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Limit on the number of sweeps, Tresca problems with the bounds of the previous solution; and
-#: softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
+#: Limit on the number of sweeps, which are Tresca problems with the bounds of the last solution;
+#: and softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
 #: Factor that makes slip bounds practically infinite.
@@ -42,8 +42,9 @@ WORSE = 2.0
 #: steps: with 0.5 and with 0.03, steps end with NO_FIXED_POINT.)
 REDUCTION = 0.003
 
-#: Number of consecutive iterations with too weak friction on the model after which the solve ends.
-#: (For a bolted joint beyond its limit, friction is too weak on the model after the first product.)
+#: Number of consecutive iterations after which the solve ends if in each of them, with the model in
+#: place of A, friction is too weak to hold a body. (For a bolted joint beyond its limit this is so
+#: from the first product on.)
 FAILURES = 2
 
 
@@ -52,14 +53,15 @@ def solve(
 ) -> DualSolution:
     """Find the multipliers that minimise q over the section of the cones at their own pressures.
 
-    They are the fixed point g = G(lambda_nu(g)), where lambda(g) is the solution of Tresca's
-    problem with the bounds g (Haslinger 1983, Approximation of the Signorini problem with friction,
-    obeying the Coulomb law). A, b and the gradient do not depend on g. In each iteration, the fixed
-    point is computed on the model of A (see `projected_newton`), which costs no products, by
-    Newton's method (Alart and Curnier 1991), which requires no contraction; the product of A with
-    the step to this point then improves the model. All iterates lie in the cones, hence each in its
-    own section: the natural residual, the energy bound and the nodes' states are those of Tresca's
-    problem with the bounds G(lambda_nu) of the same lambda.
+    Their slip bounds are the fixed point g = G(lambda_nu(g)), where lambda(g) is the solution of
+    Tresca's problem with the bounds g, and G(p) are the bounds at the pressures p (Haslinger 1983,
+    Approximation of the Signorini problem with friction, obeying the Coulomb law). A, b and the
+    gradient do not depend on g. In each iteration, the fixed point is computed on the model of A
+    (see `projected_newton`), which costs no products, by Newton's method (Alart and Curnier 1991),
+    which requires no contraction; the product of A with the step to this point then improves the
+    model. All iterates lie in the cones, hence each in its own section: the natural residual, the
+    energy bound and the nodes' states are those of Tresca's problem with the bounds G(lambda_nu) of
+    the same lambda.
 
     No quantity is guaranteed to decrease. A step that more than doubles the residual is not taken,
     and its product only improves the model; if residuals stop decreasing, the iteration ends with
@@ -191,7 +193,7 @@ def fixed_point_of_model(
 ) -> tuple[Array, Point | None]:
     """Return an approximate fixed point of the model's Tresca problems, in the cones.
 
-    Newton's method is started from one initial guess after the other until it converges:
+    Newton's method is started from the following initial guesses in turn until it converges:
 
     * the present point;
     * in a load step of a process, continuation in the load (`along_load`) from the last step;
@@ -290,7 +292,8 @@ def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
         x: (size,) multipliers whose pressures determine the slip bounds.
 
     Returns:
-        None if some multipliers with the bounds of x satisfy the constraints.
+        the motion, with the work of the loads and of friction; None if some multipliers with the
+        bounds of x satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.admissible.section(x)
     if len(constraints) == 0:  # no body floats

@@ -38,7 +38,8 @@ class FrictionCones:
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip; None: there are none.
-        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated.
+        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; None:
+            zeros.
         part: factor of the curves' coefficients.
     """
 
@@ -71,16 +72,17 @@ class FrictionCones:
     def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        Where the bound g decreases with the slip v, v is |r|. Elsewhere v >= 0 is the solution of
-        g(v) + rho v = |x - rho r|, which means: x - rho r has the distance rho v from the circle
-        with radius g(v). At a solution of the problem this v equals |r|. At other points it depends
-        less on r than |r| does, and bounds that grow steeply with the slip stay moderate.
+        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere it is
+        evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
+        distance rho v from the circle with radius g(v). At a solution of the problem this v equals
+        |r|. At other points it depends less on r than |r| does, and bounds that grow steeply with
+        the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints; its tangential
                 part is minus the slip.
-            rho: step length of the projection, a number or one for each multiplier (size,).
+            rho: step length of the projection: a number, or (size,) a number for each multiplier.
         """
         if self.curves is None:
             return self
@@ -106,7 +108,7 @@ class FrictionCones:
         return dataclasses.replace(self, coefficient=coefficient, part=part * self.part)
 
     def slip_along(self, face: Face) -> Array:
-        """Return the slips of the curves (size,) along the unit vectors of slipping nodes."""
+        """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
         if self.slip is None:
             return np.zeros(self.size)
         return face.along_radius(self.slip)
@@ -114,7 +116,7 @@ class FrictionCones:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return the function of (s, v) with the value s + Q s + S v.
+        """Return the function of (s, v) with the value s + Q s + S v, for Newton steps.
 
         Here s is a step along the face, and v the right-hand side of its equation: for example
         s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
@@ -236,7 +238,7 @@ class FrictionCones:
     def _slips(self, pressure: Array, length: Array, rho: Array) -> Array:
         """Return v >= 0 (n_discs,) with g(v) + rho v = length, or 0 if g(0) >= length.
 
-        The method is Newton's, with bisection where it leaves the interval that contains v.
+        The method is Newton's, with bisection where a step leaves the interval that contains v.
 
         Args:
             pressure: (n_discs,) normal multiplier, on which g depends as well.
@@ -273,7 +275,7 @@ class FrictionCones:
         return result
 
     def _pressures(self, x: Array) -> Array:
-        """Return the normal multiplier that each bound depends on; 0 if there is none.
+        """Return the normal multiplier on which each bound depends; 0 if there is none.
 
         Args:
             x: (size,) or (size, k) multipliers.
@@ -340,8 +342,8 @@ class _Nearest:
         pressure: (n_discs,) normal multiplier.
         ratio: (n_discs,) norm of the tangential multiplier, divided by its norm before the
             projection; 1 if that norm is zero.
-        jacobian: (n_discs, 2, 2) derivative of (pressure, radius) by their values before the
-            projection.
+        jacobian: (n_discs, 2, 2) derivative of (pressure, radius) with respect to their values
+            before the projection.
     """
 
     pressure: Array

@@ -30,7 +30,7 @@ class History:
         residual: natural residual and its scale.
         stopping: criterion of convergence.
         residuals: relative natural residual of each iterate.
-        q: q(lambda) of each iterate, minus its value at the origin.
+        q: q(lambda) of each iterate, minus its value at the origin of `NaturalResidual`.
     """
 
     def __init__(
@@ -103,9 +103,11 @@ class History:
     def check_convergence_of_projection(
         self, x: Array, r: Array
     ) -> tuple[ContactStatus | None, Array, Array]:
-        """Check the convergence of P(x); return the status, P(x) and its gradient. Collective.
+        """Check the convergence of the projection P(x) of an iterate onto Lambda. Collective.
 
-        The gradient costs a product if P(x) differs from x.
+        Returns:
+            the status, or None if the iteration goes on; P(x); and the gradient at P(x), which
+            costs a product if P(x) differs from x.
         """
         problem = self._problem
         projected = problem.feasible_set.project(x)
@@ -148,7 +150,7 @@ class History:
 
 
 def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
-    """Return an estimate of the error of r = A x - b, computed by `apply`. Collective.
+    """Return an estimate of the error of r = A x - b if `apply` has computed A x. Collective.
 
     The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
     """

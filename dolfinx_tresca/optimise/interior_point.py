@@ -13,19 +13,20 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.model import Model, NodalMaps
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Part that is taken of the largest step inside Lambda and its dual (the customary 0.99).
+#: Part taken of the largest step that stays inside Lambda and its dual (the customary 0.99).
 TO_BOUNDARY = 0.99
 
 #: Largest norm of a friction disc's multiplier at the start, divided by the radius of the disc.
 INITIAL_RADIUS = 0.9
 
-#: Barrier after short and after nearly whole steps, divided by the mean product of multipliers and
-#: duals; and the part from which a step counts as nearly whole. They determine the number of steps,
-#: but not the point to which the steps converge.
+#: Barrier after shortened and after nearly whole steps, divided by the mean product of multipliers
+#: and duals; and the part of a step above which it counts as nearly whole. These numbers determine
+#: the number of steps, but not the point to which the steps converge.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0: s is the
-#: larger one of |x| and |r| / D, the change of x to its minimiser for fixed other multipliers.
+#: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0. Here s is
+#: the larger one of |x| and |r| / D, and |r| / D is the change of a multiplier x to its minimiser
+#: with all other multipliers fixed.
 INITIAL_BARRIER = 1.0
 
 
@@ -55,11 +56,11 @@ def central_path(
 
         r - z - G c = 0 (normal), r - s - G c = 0 (tangential),   G'lambda + S c = e
 
-    with lambda z = mu, (g, lambda) o (t, s) = (mu, 0), mu going to zero, in the scaling of Nesterov
-    and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone program solvers). Each step
-    costs one solve with M and a diagonal. There are no active sets that could cycle, and the number
-    of steps hardly depends on condition, size, or start. The iteration ends when, by rounding, the
-    point or its dual is no longer strictly inside.
+    with lambda z = mu and the Jordan product (g, lambda) o (t, s) = (mu, 0), where mu goes to zero,
+    in the scaling of Nesterov and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone
+    program solvers). Each step costs one solve with M and a diagonal. There are no active sets that
+    could cycle, and the number of steps hardly depends on condition, size, or start. The iteration
+    ends when, by rounding, the point or its dual is no longer strictly inside.
 
     Collective. Needs no product with A.
 
@@ -77,7 +78,7 @@ def central_path(
 
 
 class _CentralPath:
-    """The state of the iteration.
+    """The state of the iteration in `central_path`.
 
     Attributes:
         x: (size,) multipliers.
@@ -89,7 +90,7 @@ class _CentralPath:
     """
 
     def __init__(self, problem: DualProblem, model: Model, x: Array, r: Array) -> None:
-        """Start near the minimiser for the diagonal of M."""
+        """Start near the minimiser with the diagonal of M in place of M."""
         self.problem, self.model = problem, model
         feasible_set: FeasibleSet = problem.feasible_set
         self.set = feasible_set
@@ -125,7 +126,7 @@ class _CentralPath:
         self.dual, self.t = self.on_path()
 
     def move_to(self, x: Array) -> None:
-        """Go to a point."""
+        """Go to multipliers x, and update the gradient there."""
         self.x = x
         self.r = self.first + self.model.apply(x - self.origin)
         self.square = self.in_cone(self.g, x)

@@ -27,12 +27,13 @@ class KnownProducts(ABC):
         """Add the product of x (size,), with its error in the norm sqrt(e'A^-1 e).
 
         Returns:
-            True if the new part of the product exceeds its error.
+            True if the new part of the product, which known products do not give, exceeds its
+            error.
         """
 
     @abstractmethod
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x with an unknown product, and A times the other part."""
+        """Return the part of x whose product is not known, and A times the rest of x."""
 
     @abstractmethod
     def product(self, x: Array) -> tuple[Array, float]:
@@ -50,7 +51,7 @@ class KnownProducts(ABC):
         """Scale the far field of an earlier A, if there is one, to fit the known products.
 
         Args:
-            base: model that replaces the diagonal; None: the diagonal.
+            base: model of the near field, in place of the diagonal; None: the diagonal.
         """
         return
 

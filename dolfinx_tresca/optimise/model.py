@@ -11,7 +11,8 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.feasible_set import Face
 
-#: Least softness of equality constraints, divided by the compliance of the multipliers.
+#: Least softness of equality constraints, divided by the compliance of the multipliers: systems
+#: then have a solution even if the constraints have none.
 LEAST_SOFTNESS = 1e-10
 
 
@@ -19,7 +20,9 @@ LEAST_SOFTNESS = 1e-10
 class NodalMaps:
     """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
 
-    Each couples the multipliers of a node only, and maps (size,) or (size, columns).
+    Here M is the model of A, and G c the contribution of equality constraints. Such equations give
+    Newton steps on a face, and steps to an adjoint. Each map couples the multipliers of a node
+    only, and takes (size,) or (size, columns).
 
     Attributes:
         test: T, with P T = T.
@@ -49,7 +52,8 @@ class NodalMaps:
             face: face with the projector P.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
             stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc.
-            with_bound_change: maps P s and the vector v of `FrictionCones.with_bound_change` to s.
+            with_bound_change: the function of (P s, v) that `FrictionCones.with_bound_change`
+                returns.
         """
         weight = 1.0 / (diagonal + stiffness)
         return cls(
@@ -72,7 +76,10 @@ class Model(ABC):
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints so that Newton steps on ill-posed faces stay short."""
+        """Softness to add to the constraints after a Newton step that failed; 0: none.
+
+        It keeps steps short on faces whose system is nearly singular.
+        """
         return 0.0
 
     @property
@@ -110,11 +117,12 @@ class Model(ABC):
         missing: Array,
         with_bound_change: Callable[[Array, Array], Array],
     ) -> tuple[Array, Array]:
-        """Return the solution along a face of P (M + C) s - P G c = P right, G's + S c = missing.
+        """Return a Newton step s on a face, and the step c of the constraints' multipliers.
 
-        The step is s = (I + Q) P s, where Q is the change of slip bounds with the pressure. For
-        fixed bounds Q = 0 and the system is symmetric. Along the radius of a disc whose bound
-        depends on the slip, the step solves s = Q s + h (right - M s + G c), with the slope h.
+        They satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s, where Q
+        is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the system is
+        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves
+        s = Q s + h (right - M s + G c), with the slope h.
 
         Args:
             face: face with the projector P.
@@ -124,7 +132,8 @@ class Model(ABC):
             G: (size, k) columns of length 1.
             softness: (k, k) S.
             missing: (k,) right-hand side of the second equation.
-            with_bound_change: maps P s and the vector v of `FrictionCones.with_bound_change` to s.
+            with_bound_change: the function of (P s, v) that `FrictionCones.with_bound_change`
+                returns.
         """
         maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
         return self.solve_between(maps, right, G, softness, missing)

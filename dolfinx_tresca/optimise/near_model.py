@@ -29,20 +29,20 @@ def solve(
 ) -> Array:
     """Return an approximate solution of the dual problem with the model M in place of A.
 
-    M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where the basic model has a
-    diagonal. Its error is smaller by an order of magnitude, but there is no formula for its inverse
-    on a face. Hence the near field is itself approximated: by D~, a low-rank model made of known
-    products with D. Each iteration solves the problem for M with D~ in place of D, and then
-    computes a product with D, which gives the residual for M and improves D~. A product with D
-    costs a solve with a small matrix, and none with K. Products with D are kept as long as the
-    products with A. Collective.
+    With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
+    the basic model has a diagonal. Its error is smaller by an order of magnitude, but there is no
+    formula for its inverse on a face. Hence the near field is itself approximated: by D~, a
+    low-rank model made of known products with D. Each iteration solves the problem for M with D~ in
+    place of D, and then computes a product with D, which gives the residual for M and improves D~.
+    A product with D costs a solve with a small matrix, and none with K. Products with D are kept as
+    long as the products with A. Collective.
 
     Args:
         problem: Lambda, D, and the known products with D and A.
         solve_model: solves the problem for M with D~ in place of D.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
-        residual: natural residual.
+        residual: the natural residual, with its step length.
         tolerance: requested natural residual, with the model in place of A.
     """
     store, near = problem.known_products(), problem.near_products()

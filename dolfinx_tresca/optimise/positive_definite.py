@@ -15,16 +15,16 @@ from dolfinx_tresca._base.arrays import Array, Matrix
 
 
 def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
-    """Return the function that solves with a matrix, or None if it is not positive definite.
+    """Return the function that solves with a matrix; None if the matrix is not positive definite.
 
-    Sparse matrices are factored as L U without pivoting, which is as stable as Cholesky's method
-    for positive definite ones, but only notices pivots that are zero, not negative ones.
+    Sparse matrices are factored as L U without pivoting, which for positive definite matrices is as
+    stable as Cholesky's method. For others it fails only at a pivot of zero, not at a negative one.
     """
     try:
         if issparse(matrix):
             return _sparse_factors(matrix).solve  # type: ignore[no-any-return]
         return partial(cho_solve, cho_factor(matrix, check_finite=False))
-    except (RuntimeError, np.linalg.LinAlgError):  # a pivot is zero; or negative
+    except (RuntimeError, np.linalg.LinAlgError):  # a zero pivot in L U, a negative one in L L'
         return None
 
 

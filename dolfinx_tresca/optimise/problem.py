@@ -1,4 +1,4 @@
-"""Input and result of the algorithms."""
+"""Input and result of the algorithms: the dual problem as protocols, and its solution."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Response(Protocol):
 
     @property
     def b_error(self) -> float:
-        """Error of b in the norm of `gradient`; it is the error of the gradient at zero."""
+        """Error of b, and of the gradient at zero multipliers, in the norm of `gradient`."""
         ...
 
     def refine_b(self) -> None:
@@ -89,12 +89,12 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def at(self, x: Array, r: Array, rho: float) -> DualProblem:
-        """Return the program with coefficients of friction at pressures and slips of a point.
+        """Return the program with the coefficients of friction at the pressures and slips of x.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
-            rho: step length that slips are determined with; see `FrictionCones.at`.
+            rho: step length with which slips are determined; see `FrictionCones.at`.
         """
         ...
 
@@ -106,18 +106,21 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def relaxed(self, part: float, softness: float, c: Array) -> DualProblem:
-        """Return the program with a part of the coefficients of friction, and softer constraints.
+        """Return the program with scaled coefficients of friction and softer constraints.
+
+        The fixed points of such programs lead to the fixed point of the given one.
 
         Args:
-            part: factor of the coefficients of friction, in (0, 1].
+            part: factor of the coefficients of friction, not negative.
             softness: number that is added to the diagonal of the constraints' matrix S.
-            c: (k,) multipliers of the constraints for which the softer constraints are unchanged.
+            c: (k,) multipliers of the constraints with which both versions of the constraints have
+                the same solutions x.
         """
         ...
 
     @property
     def is_load_step(self) -> bool:
-        """Whether this is a load step, whose solution continues that of the last step."""
+        """Whether this is a load step, whose solution continues the solution of the last step."""
         ...
 
     @property
@@ -130,7 +133,10 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def near_products(self) -> ProductStore | None:
-        """Return the known products with the near field; None if it is not used. Collective."""
+        """Return known products with the near field; None if the near field is not used.
+
+        Collective.
+        """
         ...
 
     @property
@@ -163,6 +169,8 @@ class DualProblem(InnerProduct, Protocol):
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 
+        Here u* is the displacement of the exact solution.
+
         Args:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
@@ -187,7 +195,8 @@ class DualProblem(InnerProduct, Protocol):
 
         Args:
             x: (size,) multipliers; an approximate solution is sufficient.
-            rho: step length.
+            rho: step length of the projection with which slip bounds and the multipliers of the
+                constraints at x are found.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""The store of known products with A, as A-orthonormal pairs."""
+"""The store of known products with A, as pairs (w, A w) of A-orthonormal vectors w."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Least part of the energy x'A x of a vector that must be new for its product to be kept: rounding
-#: of a pair is divided by the root of this part.
+#: Least energy of the new part of a vector x, which no known pair gives, divided by x'A x, with
+#: which the product of x is kept: rounding of a pair is divided by the root of this ratio.
 NEW_ENERGY = 1e-10
 
-#: Rayleigh quotient x'A x / x'x of the new part, divided by the largest so far, up to which it
-#: counts as rounding: A is singular if constraints are linearly dependent.
+#: Rayleigh quotient x'A x / x'x of a new part, divided by the largest quotient so far, up to which
+#: the quotient counts as rounding: A is singular if rows of B are linearly dependent.
 NULL_ENERGY = 1e-12
 
 #: Least energy norm of a product's new part, divided by its error, with which the product is kept.
 RESOLVED = 1.5
 
-#: A known pair is removed if its error in a new product's known part, in the norm sqrt(e'A^-1 e),
-#: exceeds this number times the new product's error and hides the new part.
+#: A known pair is removed if the error that it brings into the known part of a new product, in the
+#: norm sqrt(e'A^-1 e), hides the new part and exceeds this number times the new product's error.
 WORSE_ERROR = 2.0
 
 #: Largest error of a pair, in the norm sqrt(e'A^-1 e) and divided by the pair's energy norm, with
@@ -40,7 +40,7 @@ LASTING_ERROR = 0.15
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
 #: Rounding error of a product, divided by the product's norm, or of q, divided by |lambda| |r|
-#: (Euclidean norms). Doubled or halved it changes no status and no number of products
+#: (Euclidean norms). Doubling or halving it changes no status and no number of products
 #: (benchmarks/ablation.py).
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
@@ -48,8 +48,8 @@ PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 class ProductStore(KnownProducts):
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
 
-    A does not change between Newton steps, load steps or slip bounds, so that pairs remain valid.
-    After a change of the stiffness they are not valid, but still approximate the new A: see
+    Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
+    same. After a change of the stiffness they are not valid, but still approximate the new A: see
     `successor`.
 
     Attributes:
@@ -94,15 +94,15 @@ class ProductStore(KnownProducts):
         base: BlockBFGSModel | None = None,
         carry: Callable[[FarField], FarField] | None = None,
     ) -> ProductStore:
-        """Return a store for another A, without pairs but with the far field of this one.
+        """Return a store for another A, without pairs but with the far field of this A.
 
         Collective.
 
         Args:
             diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
-            base: model of this A's near field, which then replaces the diagonal; None: the
-                diagonal. The other A has its own near field.
-            carry: maps the far field to other constraints; None: the constraints are the same.
+            base: model of the near field of this A, which is subtracted from A in place of the
+                diagonal; None: the diagonal is subtracted. The other A has its own near field.
+            carry: maps the far field to another pairing; None: the pairing is the same.
         """
         result = ProductStore(self._reductions, diagonal, self.capacity)
         W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
@@ -151,7 +151,7 @@ class ProductStore(KnownProducts):
         return False
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x that is A-orthogonal to all pairs, and A times the other part."""
+        """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
         known = np.zeros_like(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
@@ -177,11 +177,11 @@ class ProductStore(KnownProducts):
         return known, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
-        """Return c (k,), x - W c without parts along the pairs, and the product with x - W c.
+        """Return c (k,) such that x - W c has no parts along the pairs, x - W c, and A (x - W c).
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
-        errors of the first. Pairs with errors are not orthonormal and need more passes: the parts
-        along them that two passes leave would be added as new pairs, more than there are unknowns.
+        errors of the first. Pairs with errors are not orthonormal and need more passes: after two,
+        parts along them would remain and be added as new pairs, more than there are unknowns.
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
@@ -204,7 +204,7 @@ class ProductStore(KnownProducts):
         self._limit_to_capacity()
 
     def _limit_to_capacity(self) -> None:
-        """Reduce the pairs to half the capacity if there are more than the capacity."""
+        """Reduce the number of pairs to half the capacity if it exceeds the capacity."""
         if len(self) > self.capacity:
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
             kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
@@ -237,13 +237,13 @@ class ProductStore(KnownProducts):
         """Scale the far field of an earlier A so that it fits the pairs. Collective.
 
         Args:
-            base: model that replaces the diagonal; None: the diagonal.
+            base: model of the near field, in place of the diagonal; None: the diagonal.
         """
         if self.far is not None and len(self) > 0:
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x, (size,), for the model whose D is given as a function. Collective.
+        """Return M x (size,) for the model M of `updated_model`, with D as a function. Collective.
 
         Args:
             x: (size,) vector.
@@ -263,7 +263,7 @@ class ProductStore(KnownProducts):
         """Return the model of A: diagonal and far field, updated with all pairs. Collective.
 
         Args:
-            base: model that replaces the diagonal; None: the diagonal.
+            base: model of the near field, in place of the diagonal; None: the diagonal.
         """
         if self.far is not None:
             base = (self._diagonal_model() if base is None else base).plus(self.far.root)

@@ -46,9 +46,9 @@ def solve(
     preconditioner; changes of the face need no products.
 
     A step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which bounds the value
-    of q after the gradient projection step p = P_Lambda(lambda - rho r) - lambda; otherwise that
-    step is taken first. The proof of Theorem 38.1 needs no more, and its part (i) holds with
-    eta = 1 - rho sigma_min for the rho of the result.
+    of q after the gradient projection step p = P_Lambda(lambda - rho r) - lambda; otherwise the
+    gradient projection step is taken first. The proof of Theorem 38.1 needs no more, and its part
+    (i) holds with eta = 1 - rho sigma_min for the rho of the result.
 
     Collective.
 
@@ -103,8 +103,8 @@ class ProjectedNewton:
     def compute_first_products(self) -> None:
         """Compute first products to bound sigma_max, unless some are known. Collective.
 
-        For a new A, `known_products` computes the seed products. If no product is known then, b is
-        multiplied by the near field if there is one, and otherwise by A.
+        For a new A, `known_products` computes the seed products. If no product is known after this
+        call, b is multiplied by the near field if there is one, and otherwise by A.
         """
         self.store = store = self.problem.known_products()
         store.drop_inaccurate_pairs()
@@ -124,7 +124,7 @@ class ProjectedNewton:
     def begin_at(self, start: Array) -> None:
         """Begin at the start, or at the origin if the residual is larger at the start.
 
-        The gradients at both are computed. Collective.
+        The gradients at both points are computed. Collective.
         """
         problem, rho = self.problem, self.proposed_rho()
         self.at = at = Iterate.of(problem, self.store)

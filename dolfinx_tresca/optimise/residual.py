@@ -112,5 +112,5 @@ class NaturalResidual:
         return residual <= EXHAUSTED * size
 
     def relative(self, residual: float) -> float:
-        """Return a natural residual over its scale. Not collective."""
+        """Return a natural residual divided by its scale. Not collective."""
         return residual / self.scale if self.scale > 0.0 else residual

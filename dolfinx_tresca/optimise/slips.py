@@ -11,11 +11,11 @@ from dolfinx_tresca.optimise.problem import DualProblem
 def cones_at(
     problem: DualProblem, x: Array, r: Array, rho: float
 ) -> tuple[FeasibleSet | FrictionCones, Array]:
-    """Return the admissible set with the slips at x, and multipliers c (k,) of the constraints.
+    """Return the admissible set with coefficients of friction at the slips of x, and c (k,).
 
-    The multipliers c are those of the gradient projection step. The slips lack the motion of
-    floating bodies, which follows from c: bounds that depend on the slip are not allowed for such
-    bodies. Collective.
+    The multipliers c of the constraints are those of the gradient projection step. The slips lack
+    the motion of floating bodies, which follows from c: bounds that depend on the slip are not
+    allowed for such bodies. Collective.
 
     Args:
         problem: the dual problem.

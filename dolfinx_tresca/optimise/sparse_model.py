@@ -18,17 +18,17 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: 1e-4, 18 with 1e-5; with 1e-10 Newton's method on the model fails.
 SHIFT = 1e-4
 
-#: Softness of the equality constraints, divided by the compliance of the multipliers, in Newton
-#: steps after one that failed, and least softness in later ones. With 1e-10 a wall of 1,104 bricks
-#: is not solved.
+#: Softness that is added to the equality constraints when a Newton step has failed, and least added
+#: softness in later steps, divided by the compliance of the multipliers. With 1e-10 a wall of 1,104
+#: bricks is not solved.
 PROXIMAL = 1e-4
 
 
 class SparseModel(Model):
     """The model M = A + s I of A, sparse since A couples only multipliers of the same body.
 
-    A is singular if constraints are linearly dependent, as at corners of bricks that touch two
-    other bricks; the shift s makes M positive definite. Since gradients are computed with A, the
+    A is singular if rows of B are linearly dependent, as at corners of bricks that touch two other
+    bricks; the shift s makes M positive definite. Since gradients are computed with A, the
     iteration with M is a proximal point method (Rockafellar 1976): its solution is the solution for
     A, and the error falls by the factor s / (s + sigma) in each iteration, where sigma is the least
     positive eigenvalue of A.
@@ -75,7 +75,7 @@ class SparseModel(Model):
 
     @property
     def proximal_softness(self) -> float:
-        """Softness to add to the constraints so that Newton steps on ill-posed faces stay short."""
+        """Softness to add to the constraints after a Newton step that failed, see `PROXIMAL`."""
         return float(PROXIMAL / self._unit)
 
     @property
@@ -146,7 +146,7 @@ class SparseModel(Model):
 
 
 def _groups(nodes: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return the pairs of multipliers of the same node, and multipliers' numbers in their node.
+    """Return all pairs of multipliers of the same node, and numbers of multipliers in their node.
 
     Returns:
         row (m,) and column (m,) of all pairs; and (size,) a number 0, 1, ... for each multiplier

@@ -106,8 +106,8 @@ class Stopping:
     def tolerable_error(self, x: Array, r: Array) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
 
-        The error is small compared with the error of the multipliers, since the local error of the
-        nodes is computed from the gradient.
+        It is small compared with the error of the multipliers, since the local errors of the nodes
+        are computed from the gradient.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -125,7 +125,10 @@ class Stopping:
 
     @property
     def residual_error(self) -> float:
-        """The error of a gradient, in the norm sqrt(e'A^-1 e), equal to the requested residual."""
+        """Norm sqrt(e'A^-1 e) up to which errors e of the gradient are sufficiently small.
+
+        Their Euclidean norm |e| is then not larger than the requested residual.
+        """
         rtol = UNPROVEN if self._rtol is None else self._rtol
         # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
         rho = self._residual.rho

@@ -19,14 +19,14 @@ StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
 
 class CholeskyLimits(NamedTuple):
-    """Most degrees of freedom of a body for which factoring K is the faster choice.
+    """Largest numbers of degrees of freedom of a body for which K is factored by default.
 
-    The cost of factors grows with the square of the size of a body, not of all bodies together.
+    The cost of factors grows with the square of the size of each body, not of all bodies together.
 
     Attributes:
-        once: limit for one contact solve.
+        once: limit for one contact solve; above it multigrid is faster.
         further: increase of the limit for each further solve.
-        most: limit by memory.
+        most: limit for any number of solves, since factors take memory.
     """
 
     once: int
@@ -35,7 +35,8 @@ class CholeskyLimits(NamedTuple):
 
 
 #: Limits by the dimension of space and the degree of displacements. K of degree 2 has more entries
-#: than K of degree 1, but its factors have hardly more; p-multigrid is set up faster.
+#: than K of degree 1, but its factors have hardly more; its multigrid is set up faster, since a
+#: level of degree 1 is below it.
 CHOLESKY_LIMITS = {
     (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
     (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
@@ -43,8 +44,9 @@ CHOLESKY_LIMITS = {
     (3, 2): CholeskyLimits(40_000, 25_000, 300_000),
 }
 
-#: Limits for meshes that were refined where the error is: cells along edges and surfaces have small
-#: separators, so that factors are sparse, while singular edges cost multigrid iterations.
+#: Limits for meshes that were refined where the error is large. Most of their cells are along edges
+#: and surfaces: few unknowns separate such cells, so factors are sparse, while multigrid needs more
+#: iterations at singular edges.
 REFINED_LIMITS = CHOLESKY_LIMITS | {(3, 2): CholeskyLimits(200_000, 25_000, 300_000)}
 
 
@@ -87,15 +89,14 @@ def choose(
     saddle: bool = False,
     refined: bool = False,
 ) -> tuple[Literal["cholesky", "multigrid"], str]:
-    """Return the solver for K, and the reason for the choice.
+    """Return the name of the solver for K, and the reason for the choice. Not collective.
 
-    A choice that the user leaves to "auto" is logged. Not collective. `check_choice` checks the
-    arguments.
+    The choice is logged if the method is "auto". The arguments must have passed `check_choice`.
 
     Args:
         method: the requested method.
-        size: mean number of degrees of freedom of a body, where each body is weighted by its own
-            number.
+        size: number of degrees of freedom of a body: a mean with these numbers themselves as
+            weights, so that large bodies decide.
         dim: dimension of space.
         degree: degree of the displacements.
         expected_solves: expected number of contact solves with the same K.
@@ -130,7 +131,7 @@ def solver_for(
     """Return the chosen solver. Collective.
 
     Args:
-        method: the chosen method.
+        method: name of the solver, see `choose`.
         K: the system's matrix, with the springs of floating bodies, if there are any.
         system: the linear system of K.
         petsc_options: PETSc options in addition to the defaults.

@@ -25,14 +25,14 @@ DEFAULTS = {
     # for small matrices CHOLMOD's default is LDL', which accepts negative pivots
     "mat_cholmod_factor": "SUPERNODAL",
     "mat_cholmod_print": 0,  # PETSc reports errors
-    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which gives the
-    # sparsest factors of volumes among Debian's orderings (AMD, AMF, QAMD, PORD)
+    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among the
+    # orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D bodies
     "mat_mumps_icntl_7": 5,
     "mat_mumps_icntl_14": SPARE_WORKSPACE,
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
 }
 
-#: For saddle points: L D L' with pivots of size 1 and 2, all of which must be counted.
+#: Options for saddle-point matrices: L D L' with pivots of size 1 and 2, whose signs are counted.
 SADDLE = {
     **{name: value for name, value in DEFAULTS.items() if name != "mat_mumps_cntl_1"},
     "mat_mumps_icntl_13": 1,  # the last front is not factored by ScaLAPACK, which counts no signs
@@ -41,12 +41,17 @@ SADDLE = {
 
 
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
-    """Return a factorised K. Collective.
+    """Return a solver with the Cholesky factors of K. Collective.
 
     On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If it fails,
     MUMPS factors K, or gives the reason of the failure: PETSc may be built without CHOLMOD, factors
     may have more entries than its 32-bit integers count, and CHOLMOD reports only the first bad
     pivot of a K that is not positive definite. The user's options may choose another package.
+
+    Args:
+        K: the matrix.
+        petsc_options: PETSc options in addition to the defaults.
+        prefix: prefix of the user's options in PETSc's database; None: there is none.
 
     Raises:
         StiffnessError: K is not positive definite, or the factorisation failed.
@@ -63,7 +68,7 @@ def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None)
 def saddle_cholesky(
     K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None
 ) -> StiffnessSolver:
-    """Return the factorised saddle-point matrix K = (A, B'; B, -C). Collective.
+    """Return a solver with the factors of the saddle-point matrix K = (A, B'; B, -C). Collective.
 
     Args:
         K: the matrix.

@@ -17,7 +17,10 @@ from dolfinx_tresca.stiffness.nested import is_nested, nested
 
 
 def has_levels(V: Any) -> bool:
-    """Return whether a space has levels below it. Not collective."""
+    """Return whether a space has multigrid levels below: degree 1, or coarser meshes.
+
+    Not collective.
+    """
     return V.element.basix_element.degree > 1 or is_nested(V)
 
 
@@ -36,9 +39,9 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     """Set up a preconditioner as multigrid with the spaces below V as its levels. Collective.
 
     The matrices of the levels are P'KP, with the interpolation P between the spaces. They need no
-    further compiled forms, and include additions to K, such as the springs of floating bodies. They
-    equal the matrices of the form, since each space is a part of the finer space, except at nodes
-    that were moved to curved surfaces.
+    further compiled forms, and include additions to K, such as the springs of floating bodies.
+    Apart from such additions, P'KP equals the matrix of the form on the coarser space, since the
+    coarser space is a subspace, except at nodes that were moved to curved surfaces.
 
     Args:
         pc: preconditioner of a KSP whose matrix is K.
@@ -78,9 +81,14 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
-    """Restrict values at the nodes of a space to the nodes of the coarse space. Collective.
+    """Return values at the nodes of a coarse space from values at the nodes of a finer space.
 
-    P has ones in the rows of these nodes, and smaller entries elsewhere.
+    The nodes of the coarse space are nodes of the finer space, too. Collective.
+
+    Args:
+        P: interpolation from the coarse space to the finer one, with ones in the rows of the common
+            nodes and smaller entries elsewhere.
+        values: values at the nodes of the finer space.
     """
     ones = P.copy()
     ones.chop(0.99)
@@ -92,10 +100,10 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
 
 
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
-    """Make the rigid body modes the near-nullspace of a matrix on a space. Collective.
+    """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
 
-    The modes are motions of the whole space, and so rigid motions of each body: one set serves any
-    number of bodies.
+    The modes are motions of all bodies together, and so rigid motions of each body: one set serves
+    any number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = PETSc.Vec().createMPI(

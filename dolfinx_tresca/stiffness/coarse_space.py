@@ -10,14 +10,16 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 
-#: Most unknowns of the level: a factorisation takes a hundredth of a second, a solve a millisecond.
-#: (Two bricks, N = 16, Krylov iterations of a contact solve: 63 with 42 unknowns, 58 with 306, 54
-#: with 2244.)
+#: Largest number of unknowns of the level. A factorisation takes a hundredth of a second, a solve a
+#: millisecond. (Two bricks, N = 16, Krylov iterations of a contact solve: 63 with 42 unknowns, 58
+#: with 306, 54 with 2244.)
 MOST_UNKNOWNS = 3000
 
 
 class CoarseSpace(PetscOwner):
-    """P (P'KP)^-1 P', where the columns of P are the basis displacements of a multigrid level.
+    """The approximation P (P'KP)^-1 P' of K^-1 by a multigrid level with few unknowns.
+
+    The columns of P are the basis displacements of the level: they move bodies as a whole.
 
     Owns PETSc objects: call `destroy()`. The multigrid hierarchy keeps its own objects.
     """
@@ -44,7 +46,10 @@ class CoarseSpace(PetscOwner):
 
     @classmethod
     def of(cls, pc: PETSc.PC) -> CoarseSpace | None:
-        """Return the largest level of a preconditioner that is small enough. Collective.
+        """Return the largest level that is small enough (`MOST_UNKNOWNS`). Collective.
+
+        Args:
+            pc: a preconditioner, whose multigrid levels are searched.
 
         Returns:
             the level; None if the preconditioner is not multigrid, if no level is small enough, or
@@ -76,7 +81,7 @@ class CoarseSpace(PetscOwner):
             owned.destroy()
 
     def correct(self, residual: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Add the coarse-space part of K^-1 residual to u. Collective."""
+        """Add P (P'KP)^-1 P' residual to u. Collective."""
         above = residual
         for P, level in zip(self._interpolations, self._levels, strict=True):
             P.multTranspose(above, level)

@@ -31,7 +31,7 @@ class Component(PetscOwner):
     """
 
     def __init__(self, space: Any, index: int) -> None:
-        """Number the sub-space. Collective.
+        """Collapse the sub-space, which numbers its degrees of freedom anew. Collective.
 
         Args:
             space: the mixed space.
@@ -62,9 +62,9 @@ class Component(PetscOwner):
         self._parts.destroy()
 
     def of(self, w: fem.Function) -> fem.Function:
-        """Return the component of a Function on the mixed space, whose ghosts are up to date.
+        """Return this component of a Function w on the mixed space. Not collective.
 
-        Not collective.
+        The ghost values of w must be up to date.
         """
         part = fem.Function(self.V)
         part.x.array[:] = w.x.array[self._dofs]
@@ -84,7 +84,7 @@ class Component(PetscOwner):
         return parts
 
     def compose(self, w: fem.Function, u: fem.Function, others: Sequence[fem.Function]) -> None:
-        """Set all components of a Function on the mixed space. Collective."""
+        """Set this component of w to u, and the others to those of `other_parts`. Collective."""
         w.x.array[self._dofs] = u.x.array
         for part, (_, dofs) in zip(others, self._others, strict=True):
             w.x.array[dofs] = part.x.array

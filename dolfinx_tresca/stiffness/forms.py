@@ -31,9 +31,16 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
 
     Compiled forms, matrices and None are returned unchanged.
 
+    Args:
+        name: name of the form in errors.
+        form: UFL form, compiled form, matrix or None.
+        mesh: mesh of the problem.
+        maps: argument `entity_maps` for `fem.form`, by its name; empty: there are no entity maps.
+
     Raises:
         InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
-            an entity map, or its integrals are over another mesh or over tags on another mesh.
+            an entity map, or an integral is over another mesh or over tagged entities of another
+            mesh.
     """
     if not isinstance(form, ufl.Form):
         return form
@@ -71,7 +78,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
     """Return this rank's present values of the coefficients and constants of a UFL form.
 
-    The list is empty for other objects. Not collective.
+    For other objects than UFL forms the list is empty. Not collective.
     """
     if not isinstance(form, ufl.Form):
         return []

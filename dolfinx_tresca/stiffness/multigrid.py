@@ -20,24 +20,24 @@ KRYLOV = {
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
 }
 
-#: Symmetric block Gauss-Seidel: errors fall in the energy norm for any positive definite K, so that
-#: the preconditioner is positive definite, without an estimate of eigenvalues.
+#: Smoother on one rank, symmetric block Gauss-Seidel. Errors fall in the energy norm for any
+#: positive definite K: the preconditioner is positive definite without an estimate of eigenvalues.
 GAUSS_SEIDEL = {
     "mg_levels_ksp_type": "richardson",
     "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
 }
 
-#: On several ranks each rank has its own Gauss-Seidel, M = diag(M_i): the largest eigenvalue of
-#: M^-1 K may approach the number of ranks that meet, and errors grow if it exceeds 2 (on three and
-#: more ranks the preconditioner was seen indefinite). Chebyshev's polynomial, made for this largest
-#: eigenvalue, avoids the growth.
+#: Smoother on several ranks. Each rank has a Gauss-Seidel of its own rows, M = diag(M_i): the
+#: largest eigenvalue of M^-1 K may approach the number of ranks that meet at a node, and errors
+#: grow if it exceeds 2 (on three and more ranks the preconditioner was seen to be indefinite).
+#: Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "sor",
     "mg_levels_ksp_max_it": 1,
-    # the smoother is indefinite if its largest eigenvalue is underestimated: with stiffnesses that
-    # differ by 1e5 ten steps were seen to miss the eigenvalue of a block diagonal
+    # steps that estimate the largest eigenvalue: if the estimate is too low, the smoother is
+    # indefinite. For a block diagonal with stiffnesses that differ by 1e5, ten steps were too few
     "mg_levels_esteig_ksp_max_it": 30,
 }
 
@@ -69,13 +69,13 @@ def multigrid(
     petsc_options: Mapping[str, Any],
     prefix: str | None,
 ) -> StiffnessSolver:
-    """Return a solver for K. Collective.
+    """Return a solver for K by conjugate gradients with multigrid. Collective.
 
     The level below degree 2 is degree 1 on the same mesh; the levels below a mesh from
     `adapt.refine` are the coarser meshes. Errors are smoothed on each of these spaces, and GAMG is
     applied to the matrix P'KP of the coarsest space, or to K if there are no levels below. If the
-    options name a `pc_type`, GAMG or another, it is applied to K; if they name a smoother,
-    `CHEBYSHEV` completes its options.
+    options name a `pc_type`, GAMG or another, this preconditioner is applied to K; if they name a
+    smoother, `CHEBYSHEV` completes its options.
 
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
@@ -83,8 +83,8 @@ def multigrid(
         V: the space.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
-            apply to all levels; with `mg_coarse_` before their names, from the coarsest space
-            downwards.
+            apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
+            from the coarsest space downwards.
         prefix: prefix of the options in PETSc's database.
 
     Raises:

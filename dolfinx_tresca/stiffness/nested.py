@@ -26,15 +26,16 @@ COARSENING = 3.0
 
 @dataclass(frozen=True)
 class Bisection:
-    """The refinement by which a mesh was made of a coarser one.
+    """The refinement by which a mesh was made from a coarser mesh.
 
-    Nodes are numbered as at the creation of their mesh; no partition changes these numbers.
+    Nodes have the numbers that they got when their mesh was made; no partition changes them.
 
     Attributes:
         coarse: the coarser mesh, with straight edges.
-        first: number of the node of the finer mesh in this rank's first row of `ends`.
-        ends: (n, 2) numbers of the two nodes of the coarser mesh midway between which the node
-            `first`, `first` + 1, ... was put; twice the same number for a node of the coarser mesh.
+        first: number of the node of the finer mesh that belongs to this rank's first row of `ends`.
+        ends: (n, 2) row i has the numbers of the two nodes of the coarser mesh between which the
+            node `first` + i of the finer mesh lies midway, or twice the number of one node if the
+            node `first` + i is this node.
     """
 
     coarse: Any
@@ -46,14 +47,17 @@ _bisections: WeakKeyDictionary[Any, Bisection] = WeakKeyDictionary()
 
 
 def remember(mesh: Any, bisection: Bisection) -> None:
-    """Register the refinement of a mesh for the lifetime of the mesh. Not collective."""
+    """Register the refinement that made a mesh, for `nested`, while the mesh exists.
+
+    Not collective.
+    """
     _bisections[mesh] = bisection
 
 
 def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
     """Yield the spaces on coarser meshes, each with the interpolation to the previous, finer space.
 
-    Collective.
+    Meshes with too many nodes for the next level (`COARSENING`) are skipped. Collective.
 
     Args:
         V: space of degree 1, on any mesh.
@@ -87,7 +91,7 @@ def is_nested(V: Any) -> bool:
 
 
 def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
-    """Return the matrix from the coarse space to the fine one. Collective."""
+    """Return the matrix that interpolates from the coarse space to the fine one. Collective."""
     comm, dim = fine.mesh.comm, fine.dofmap.index_map_bs
     owned = fine.dofmap.index_map.size_local
     nodes = coarse.dofmap.index_map.local_to_global(
@@ -113,7 +117,7 @@ def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
 
 
 def _numbers(V: Any) -> npt.NDArray[np.int64]:
-    """Return the numbers of this rank's nodes of V, with ghosts. Not collective."""
+    """Return the numbers (see `Bisection`) of this rank's nodes, with ghosts. Not collective."""
     numbers = np.zeros(len(V.mesh.geometry.x), dtype=np.int64)
     numbers[V.dofmap.list] = V.mesh.geometry.input_global_indices[geometry_dofmap(V.mesh)]
     return numbers

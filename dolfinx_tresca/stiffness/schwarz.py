@@ -14,24 +14,25 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 class Schwarz(PetscOwner):
-    """An operator S <= K^-1 for forces on some degrees of freedom: local and coarse solves.
+    """An approximation S <= K^-1 for forces on some degrees of freedom, by small solves.
 
     A local system, with K on these degrees of freedom while all others are clamped, is solved
-    twice, and in between a system on a coarse level of multigrid; each right-hand side is the
-    remaining residual. With the projections P_1 and P_0 onto the local and the coarse space, which
-    are orthogonal in the energy, K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and
-    positive semidefinite (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for
-    K has no coarse level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
+    twice, and in between a system on a coarse level of multigrid; the right-hand side of each solve
+    is the remaining residual. With the projections P_1 and P_0 onto the local and the coarse space,
+    which are orthogonal in the energy, K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is
+    symmetric and positive semidefinite (Schwarz's method: Toselli and Widlund 2005, chapter 2). If
+    the solver for K has no coarse level, the local system is solved once, and
+    K^-1 - S = (1 - P_1) K^-1.
 
     Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
     """
 
     def __init__(self, solver: StiffnessSolver, dofs: Indices) -> None:
-        """Factor both matrices. Collective.
+        """Factor the matrices of the local and of the coarse system. Collective.
 
         Args:
             solver: solver for K.
-            dofs: (n,) this rank's degrees of freedom that may move.
+            dofs: (n,) owned degrees of freedom that may move in the local system.
 
         Raises:
             StiffnessError: a factorisation failed.
@@ -48,7 +49,7 @@ class Schwarz(PetscOwner):
             K_local.destroy()
         self._u, self._left = K.createVecs()
         self._coarse = CoarseSpace.of(solver.preconditioner)
-        # the rows of K that couple these degrees of freedom with all
+        # the rows of K that couple the local degrees of freedom with all degrees of freedom
         self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
         rows.destroy()
 
@@ -70,7 +71,7 @@ class Schwarz(PetscOwner):
         """Return S force, (owned degrees of freedom,). Collective.
 
         Args:
-            force: forces, zero on degrees of freedom that may not move.
+            force: forces, zero on degrees of freedom outside of the local system.
         """
         self._local_f.array = force.array[self._dofs]
         self._local.solve(self._local_f, self._local_u)

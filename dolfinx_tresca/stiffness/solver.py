@@ -15,7 +15,8 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
-#: Norm of a residual that counts as zero: near denormal numbers, which have no digits.
+#: Norm of a residual up to which it counts as zero: such numbers are nearly denormal numbers, which
+#: lack digits.
 ZERO_NORM = 1e-300
 
 #: Largest relative error in the energy norm at which rounding is taken as the cause of a breakdown
@@ -23,7 +24,7 @@ ZERO_NORM = 1e-300
 NEAR_SOLUTION = 1e-3
 
 #: Backward error |f - K u| / (|K| |u| + |f|), in the maximum norm, up to which a solve without
-#: iteration is exact to rounding. A factorisation leaves some 1e-16, whatever the condition of K.
+#: iteration is exact to rounding. A factorisation leaves about 1e-16, whatever the condition of K.
 BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
 
 #: Advice for breakdowns without a solution, by PETSc's reason.
@@ -145,7 +146,7 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def rtol(self) -> float:
-        """Relative error in the energy norm at which an iterative solver stops, by its options."""
+        """Relative error in the energy norm at which `solve` stops, for iterative solvers."""
         return float(self._ksp.getTolerances()[0])
 
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
@@ -161,7 +162,10 @@ class StiffnessSolver(PetscOwner):
         return self._solve(f, u)
 
     def several(self, count: int) -> PETSc.Mat:
-        """Return a dense matrix with `count` vectors as columns; the caller owns it. Collective."""
+        """Return a new dense matrix with `count` columns for `solve_several`. Collective.
+
+        The caller owns the matrix.
+        """
         K = self._ksp.getOperators()[0]
         columns = PETSc.Mat().createDense((K.getSizes()[0], (None, count)), comm=K.comm)
         columns.setUp()
@@ -186,9 +190,9 @@ class StiffnessSolver(PetscOwner):
         Args:
             f: right-hand side.
             u: first guess, from whose best multiple the iteration starts; on return the solution.
-            rtol: relative error in the energy norm at which to stop.
-            accuracy: absolute error in the energy norm, as `error` estimates it, at which to stop,
-                too. It has no effect on a direct solver.
+            rtol: relative error in the energy norm at which the iteration stops.
+            accuracy: absolute error in the energy norm, as `error` estimates it, at which the
+                iteration stops as well. Neither number has an effect on a direct solver.
 
         Returns:
             |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it but without rounding; 0 for a
@@ -216,7 +220,8 @@ class StiffnessSolver(PetscOwner):
         """Replace u by its multiple nearest to K^-1 f; return whether the multiple is not zero.
 
         The distance is in the energy norm. After a change of load a guess may be larger than the
-        solution by many orders of magnitude, and its rounding larger than the requested accuracy.
+        solution by many orders of magnitude; rounding of the guess then exceeds the requested
+        accuracy.
         """
         Ku = f.duplicate()
         self._ksp.getOperators()[0].mult(u, Ku)
@@ -301,16 +306,16 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def uncertainty(self) -> float:
-        """Ratio by which the energy norm of errors may exceed its estimate by the preconditioner M.
+        """Ratio by which an error in the energy norm may exceed sqrt(r'M^-1 r).
 
-        It is lambda_min(M^-1 K)^(-1/2), estimated by the Lanczos process in conjugate gradients:
-        the estimate is exact in the limit of many iterations and too small after few iterations. It
-        is 1 for direct solvers.
+        Here r is the residual and M the preconditioner. The ratio is lambda_min(M^-1 K)^(-1/2). It
+        is estimated by the Lanczos process in conjugate gradients: exactly in the limit of many
+        iterations, too low after few iterations. It is 1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 
     def error(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Return an estimate of |u - K^-1 f|_K, or 0 if exact. Collective.
+        """Return an estimate of |u - K^-1 f|_K, or 0 for a direct solver. Collective.
 
         The estimate is sqrt(|r'M^-1 r|) times `uncertainty`, with the residual r and the
         preconditioner M. It is a bound if `uncertainty` is large enough. If M is indefinite, the

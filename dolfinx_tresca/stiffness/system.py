@@ -37,7 +37,8 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 SYMMETRY = 1e-10
 
 
-#: Force of a radial translation, relative to K's largest diagonal entry, that counts as rounding.
+#: Force against a radial translation of length 1, divided by K's largest diagonal entry, up to
+#: which the force is rounding: then the form lacks the hoop strain.
 HOOP_ROUNDING = 1e-12
 
 #: Negative radius, relative to the largest radius, that counts as zero.
@@ -66,8 +67,9 @@ class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
     K has identity rows and columns for prescribed degrees of freedom, where f has the prescribed
-    values. The forces that these values cause elsewhere follow from the stiffness at the assembly
-    of K: all changes of the form's coefficients count from the next `assemble_stiffness` on.
+    values. The forces that these values cause elsewhere are computed with the stiffness that was
+    assembled last: changes of the form's coefficients have no effect before the next call of
+    `assemble_stiffness`.
 
     In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
     saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness
@@ -104,6 +106,14 @@ class LinearSystem(PetscOwner):
         axisymmetric: bool = False,
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
+
+        Args:
+            a: bilinear form; see `form_space`.
+            L: linear form, or None.
+            bcs: Dirichlet conditions.
+            entity_maps: entity maps of Functions on other meshes in the forms.
+            V: space of the displacement; see `form_space`.
+            axisymmetric: whether the mesh is the meridian of bodies of revolution.
 
         Raises:
             InputError: forms or conditions do not fit together, or the mesh is not a meridian.
@@ -160,7 +170,7 @@ class LinearSystem(PetscOwner):
 
     @property
     def form_of_displacement(self) -> bool:
-        """Whether the form is a UFL form of the displacement alone, which determines stresses."""
+        """Whether a is a UFL form of the displacement alone, from which stresses can be derived."""
         return self.form is not None and self.component is None
 
     @property
@@ -262,7 +272,10 @@ class LinearSystem(PetscOwner):
             )
 
     def _eliminate(self) -> None:
-        """Replace prescribed rows and columns of K by the identity's; store the old columns."""
+        """Replace prescribed rows and columns of K by those of the identity.
+
+        The old columns are stored: they give the forces that prescribed values cause. Collective.
+        """
         first, last = self.K.getOwnershipRange()
         rows = PETSc.IS().createStride(last - first, first, 1, comm=self.K.comm)
         prescribed = (first + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
@@ -277,16 +290,17 @@ class LinearSystem(PetscOwner):
         columns.destroy()
 
     def _couples_prescribed(self) -> bool:
-        """Return whether prescribed columns have entries off the diagonal. Collective."""
+        """Return whether prescribed columns have nonzero entries off the diagonal. Collective."""
         starts, _, values = self._columns.getValuesCSR()
         rows = np.repeat(np.arange(len(self.prescribed)), np.diff(starts))
         entries = np.bincount(rows[values != 0.0], minlength=len(self.prescribed))
         return bool(self.comm.allreduce(bool((entries > self.prescribed).any()), op=MPI.LOR))
 
     def _forces_of(self, values: Array) -> PETSc.Vec:
-        """Return K u [force] for u with this rank's prescribed `values`, else zero. Collective.
+        """Return the forces K u [force] that prescribed values cause. Collective.
 
-        The caller owns the vector.
+        Here u has the prescribed `values` (given for this rank) and is zero elsewhere, and K is the
+        matrix before the elimination. The caller owns the vector.
         """
         given, forces = self._columns.createVecs()
         given.array = values
@@ -304,7 +318,7 @@ class LinearSystem(PetscOwner):
         return bool(self.comm.allreduce(changed, op=MPI.LOR))
 
     def _check_symmetry(self) -> None:
-        """Compare x'K y with y'K x for two rough vectors: products instead of a transpose.
+        """Check that x'K y = y'K x for two oscillating vectors, which is cheaper than K - K'.
 
         Raises:
             StiffnessError: K is not symmetric.
@@ -357,7 +371,7 @@ class LinearSystem(PetscOwner):
 
     @contextmanager
     def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
-        """Yield K, or the block of displacements of a mixed space. Collective."""
+        """Yield K, or for a mixed space the block of displacements of K. Collective."""
         if self.component is None:
             yield self.K
             return
@@ -438,15 +452,17 @@ class LinearSystem(PetscOwner):
     def response_to_prescribed_values(
         self, solver: StiffnessSolver, u: fem.Function
     ) -> fem.Function:
-        """Return the displacement that a change of prescribed values causes by itself. Collective.
+        """Return the displacement that a change of prescribed values alone causes. Collective.
+
+        Contact forces and loads stay the same.
 
         Args:
             solver: solver for K.
             u: displacement [length] with the previous prescribed values.
 
         Returns:
-            the further displacement [length], which is to be added to u, to the accuracy `ROUGH`;
-            zero if the prescribed values are the same to rounding.
+            the displacement [length] that is to be added to u, with the relative error `ROUGH`;
+            zero if the prescribed values are the same up to rounding.
 
         Raises:
             StiffnessError: the solve failed.
@@ -496,7 +512,9 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and that only displacements are prescribed nonzero. Collective.
+        """Check that f is finite, and that other unknowns than displacements are prescribed zero.
+
+        Collective.
 
         Raises:
             InputError: a value is NaN or infinite, or a nonzero value is prescribed for an unknown

@@ -43,7 +43,7 @@ def solve(
         def feasible(step: Array, base: Array = projected) -> bool:
             moved = base + step
             outside = moved - feasible_set.project(moved)
-            # a node on its circle leaves it by rounding alone
+            # rounding alone may move a node off its circle
             return bool(
                 problem.inner(outside, outside)
                 <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)

@@ -14,7 +14,7 @@ from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import SolverOptions
 
-#: Inner residual of "exact" solves, over the outer residual at the start.
+#: Inner residual of "exact" solves, divided by the outer residual at the start.
 INNER_RESIDUAL = 1e-12
 
 
@@ -54,7 +54,10 @@ def _iterate(
     observe: Observe,
     precision: Callable[[History], Callable[[], float]],
 ) -> DualSolution:
-    """Run Steps 1 to 4; `precision(history)()` returns the next inner tolerance. Collective."""
+    """Run Steps 1 to 4 of the paper's algorithm. Collective.
+
+    The tolerance of the next inner iteration is `precision(history)()`.
+    """
     feasible_set = problem.feasible_set
     history, multipliers, r = begin(problem, start, options, observe)
     tolerance = precision(history)

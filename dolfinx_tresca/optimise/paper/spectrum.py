@@ -20,7 +20,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
 
     Args:
         problem: the dual problem (38.4), for A and b.
-        rtol: residual over the Ritz value at which the iteration ends.
+        rtol: residual of the Ritz vector, divided by the Ritz value, at which the iteration ends.
         most: limit on the number of products.
     """
     v, agreed = problem.b, problem.reductions.from_first_rank

@@ -15,10 +15,12 @@ from dolfinx_tresca.options import SolverOptions
 def begin(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> tuple[History, Array, Array]:
-    """Return the history, with rho from an estimate of sigma_max, the start, and its gradient.
+    """Begin a solve by an algorithm of the paper. Collective.
 
-    The start is zero if the residual there is smaller, for example after the load was removed.
-    Collective.
+    Returns:
+        the history, with rho from an estimate of sigma_max; the first multipliers (size,); and the
+        gradient at them. The first multipliers are the projected start, or zero if the residual at
+        zero is smaller, for example after the load was removed.
     """
     problem.response.refine_b()  # every gradient contains b
     rho = options.step_factor / largest_eigenvalue(problem)

@@ -20,10 +20,10 @@ from dolfinx_tresca.status import ContactStatus
 #: A method for Tresca's problem.
 Solve: TypeAlias = Callable[[DualProblem, Array, SolverOptions, Observe], DualSolution]
 
-#: Accuracy of each Tresca problem over that of the fixed point.
+#: Requested accuracy of each Tresca problem, divided by the requested accuracy of the fixed point.
 INNER = 0.3
 
-#: Least relaxation factor, which is halved after each sweep without `PROGRESS`.
+#: Least value of the relaxation factor, which is halved after each sweep without `PROGRESS`.
 LEAST_PART = 1.0 / 16.0
 
 #: Limit on the number of sweeps.
@@ -39,10 +39,10 @@ def solve(
 ) -> DualSolution:
     """Find the fixed point by sweeps: Tresca problems with the bounds g of the previous pressures.
 
-    The authors of the paper use this method. It serves algorithms for Tresca's problem;
-    `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed. The result
-    counts the iterations and products of all sweeps and has the residuals of all; the last residual
-    is measured with the bounds of its own pressures.
+    The authors of the paper use this method, which extends algorithms for Tresca's problem to
+    Coulomb's law; `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed.
+    The result counts the iterations and products of all sweeps and has the residuals of all; the
+    last residual is measured with the bounds of its own pressures.
 
     Collective.
     """
