@@ -30,15 +30,16 @@ from changed_stiffness import IN_A_ROW, form
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 
 from dolfinx_tresca import ContactError, ContactSolution, ContactStatus, Coulomb, Tresca
-from dolfinx_tresca.dual import compliance, seed_products
-from dolfinx_tresca.dual.diagonal import rademacher_vector
 from dolfinx_tresca.dual.initial_guess import InitialGuess
-from dolfinx_tresca.optimise import face_newton, fixed_point, iterate, near_model, products
-from dolfinx_tresca.optimise import projected_newton as newton
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.dual.products import compliance, seed_products
+from dolfinx_tresca.dual.products.diagonal import rademacher_vector
+from dolfinx_tresca.optimise.models import products
+from dolfinx_tresca.optimise.newton import face_newton, fixed_point, iterate, near_model
+from dolfinx_tresca.optimise.newton import projected_newton as newton
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from scenes import dense
 from scenes.random_blocks import RandomBlocks
 from scenes.scene import Scene
@@ -297,23 +298,23 @@ PARTS: dict[str, Patches] = {
 CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
-    "optimise.face_newton": "RHO_DIAGONAL GOOD_ENOUGH",
-    "optimise.interior_point": "TO_BOUNDARY INITIAL_RADIUS INITIAL_BARRIER BARRIER_AFTER_CUT "
-    "BARRIER_AFTER_WHOLE WHOLE_STEP",
+    "optimise.newton.face_newton": "RHO_DIAGONAL GOOD_ENOUGH",
+    "optimise.newton.interior_point": "TO_BOUNDARY INITIAL_RADIUS INITIAL_BARRIER "
+    "BARRIER_AFTER_CUT BARRIER_AFTER_WHOLE WHOLE_STEP",
     "_base.arrays": "ROUNDING",
-    "optimise.near_model": "MOST",
-    "optimise.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
-    "optimise.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
+    "optimise.newton.near_model": "MOST",
+    "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
+    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
     "PRODUCT_ROUNDING",
-    "optimise.far_field": "FAR_ENERGY",
-    "optimise.bfgs_model": "LEAST_SOFTNESS",
-    "optimise.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
-    "optimise.continuation": "FIRST_PART LEAST_PART",
-    "optimise.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
-    "optimise.constraints": "LARGEST_REACTION",
-    "dual.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
-    "dual.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.seed_products": "FEW_GROUPS INDEPENDENT",
+    "optimise.models.far_field": "FAR_ENERGY",
+    "optimise.models.bfgs_model": "LEAST_SOFTNESS",
+    "optimise.newton.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
+    "optimise.newton.continuation": "FIRST_PART LEAST_PART",
+    "optimise.sets.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
+    "optimise.sets.constraints": "LARGEST_REACTION",
+    "dual.products.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
+    "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
+    "dual.products.seed_products": "FEW_GROUPS INDEPENDENT",
     "dual.initial_guess": "KEPT",
     "dual.response": "LOAD_ACCURACY",
 }

@@ -28,7 +28,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx.mesh import locate_entities_boundary
 
-from dolfinx_tresca.dual.estimate import DiscretisationError, total
+from dolfinx_tresca.dual.bounds.estimate import DiscretisationError, total
 from scenes.clamped_square import clamped_square
 from scenes.elasticity import lame_constants, strain
 from scenes.manufactured import norm

@@ -6,8 +6,8 @@ Each problem has 1 to 8 nodes, a full A with a condition number of up to 1e4, an
 friction F at all nodes; a fixed point exists in all of them, by Brouwer's theorem. Counted are
 those that a solve to a relative residual of 1e-7 finds, where Newton's method on the model of A
 takes full steps from the present point; where it shortens steps that do not reduce the residual;
-with one of the other initial guesses of `optimise/fixed_point.py` beside these; and with all of
-them, as built.
+with one of the other initial guesses of `optimise/newton/fixed_point.py` beside these; and with all
+of them, as built.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise import continuation, fixed_point
-from dolfinx_tresca.optimise.face_newton import Point
+from dolfinx_tresca.optimise.newton import continuation, fixed_point
+from dolfinx_tresca.optimise.newton.face_newton import Point
 from scenes.dense import random_dry_problem, run
 
 #: Coefficients of friction.

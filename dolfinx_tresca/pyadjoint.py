@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
-from dolfinx_tresca.dual.load_steps import StepStart
+from dolfinx_tresca.dual.history.load_steps import StepStart
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
 from dolfinx_tresca.problem.tape import inputs_of_problem

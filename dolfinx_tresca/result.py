@@ -71,7 +71,7 @@ class ContactSolution(Evaluation, Tabulated):
         total_dissipation: dissipation of all accepted steps and this one [energy].
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
-            `dual/certificate.py`. Infinite if constraints are dependent.
+            `dual/bounds/certificate.py`. Infinite if constraints are dependent.
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
             factored. Else it includes an estimate of the error of iterative solves, from the
             smallest eigenvalue of the preconditioned K that conjugate gradients have found so far.
@@ -82,8 +82,8 @@ class ContactSolution(Evaluation, Tabulated):
             way, relative to the largest bound: the distance from the fixed point if bounds depend
             on the pressure, else 0. All other errors are for the present bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
-            [energy^(1/2)]; see `dual/estimate.py`. None if an `rtol`, or a number as `accuracy`,
-            was requested, as mixed spaces and matrices require.
+            [energy^(1/2)]; see `dual/bounds/estimate.py`. None if an `rtol`, or a number as
+            `accuracy`, was requested, as mixed spaces and matrices require.
         discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K; None
             without `cell_errors`.
         counts: numbers of nodes in each state.

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces

@@ -14,11 +14,11 @@ from scipy.sparse import csr_array, issparse
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise import methods
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.problem import DualSolution
-from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.options import Method
 
 METHODS = tuple(methods.METHODS)

@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.sparse import csc_array
 
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from scenes.dense import DenseProblem, OneRank, random_problem
 
 

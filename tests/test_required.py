@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from harness.factorisations import Factorisations
 
-import dolfinx_tresca.dual.compliance
+import dolfinx_tresca.dual.products.compliance
 from dolfinx_tresca import Bonded, ContactPair, Frictionless, RigidPlane, Tresca
 from scenes.patches import patch
 from scenes.two_bricks import bricks_problem, two_bricks
@@ -101,13 +101,13 @@ def test_one_factorisation_for_any_number_of_solves(comm):
 
 def test_the_mesh_error_is_prepared_when_it_is_asked_for(comm, monkeypatch):
     made = []
-    original = dolfinx_tresca.dual.compliance.DiscretisationError
+    original = dolfinx_tresca.dual.products.compliance.DiscretisationError
 
     def counting(*arguments):
         made.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(dolfinx_tresca.dual.compliance, "DiscretisationError", counting)
+    monkeypatch.setattr(dolfinx_tresca.dual.products.compliance, "DiscretisationError", counting)
     with bricks_problem(comm, 3) as problem:
         problem.solve(rtol=1e-6)
         problem.solve(accuracy=1e-3)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FULL_ACCURACY
-from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 
 #: Error of the displacement after a step, divided by the size of the step, both in the energy norm;
 #: the first step starts from zero. With twice the value, `FORCING`, derivatives of a rubbing block

@@ -17,19 +17,19 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
-from dolfinx_tresca.dual.compliance import ContactCompliance
-from dolfinx_tresca.dual.estimate import total
+from dolfinx_tresca.dual.bounds.estimate import total
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.response import ElasticResponse
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.equilibrium import Equilibrium
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.known_products import KnownProducts
-from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.optimise.models.known_products import KnownProducts
+from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FULL_ACCURACY, SLACK
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.errors import InputError
 
 #: Relative accuracy of the displacement without contact, in the energy norm.

@@ -14,7 +14,7 @@ from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.optimise.friction_curves import Curve
+from dolfinx_tresca.optimise.sets.friction_curves import Curve
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.scene.friction import (
     COEFFICIENT_ROUNDING,

@@ -17,14 +17,14 @@ from dolfinx_tresca._base.arrays import Array, Indices, dense
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.fixing import FixingSprings, SpringResponse
-from dolfinx_tresca.optimise.block_eigenpairs import eigenpairs
-from dolfinx_tresca.optimise.constraint_matrix import MANY, ConstraintMatrix, stored
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
+from dolfinx_tresca.optimise.sets.constraint_matrix import MANY, ConstraintMatrix, stored
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
 
 #: Unbalanced load, divided by the size of the loads, up to which the unbalance is rounding.
 UNBALANCED_PART = 1e-8

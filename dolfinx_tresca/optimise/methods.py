@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import fixed_point, projected_newton
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.history import Observe
+from dolfinx_tresca.optimise.newton import fixed_point, projected_newton
 from dolfinx_tresca.optimise.paper import gimssn, mssn, ssn, sweeps
 from dolfinx_tresca.optimise.paper.sweeps import Solve
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.record.history import Observe
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.options import Method, SolverOptions
 
 METHODS: dict[Method, Solve] = {

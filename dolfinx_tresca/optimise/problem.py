@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.known_products import KnownProducts
-from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.optimise.models.known_products import KnownProducts
+from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.reductions import InnerProduct, Reductions
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.status import ContactStatus
 
 

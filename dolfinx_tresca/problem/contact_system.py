@@ -16,15 +16,15 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
-from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.history.load_steps import LoadSteps
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.load_steps import LoadSteps
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.nodal_values import NodalValues
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs

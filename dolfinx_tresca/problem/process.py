@@ -17,11 +17,11 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.adjoint import EdgeState
+from dolfinx_tresca.dual.history.saved_displacement import read_displacements, read_functions
+from dolfinx_tresca.dual.history.saved_file import MATERIAL
+from dolfinx_tresca.dual.history.saved_state import read_motions
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.saved_displacement import read_displacements, read_functions
-from dolfinx_tresca.dual.saved_file import MATERIAL
-from dolfinx_tresca.dual.saved_state import read_motions
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated

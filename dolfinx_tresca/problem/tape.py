@@ -21,11 +21,11 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.dual.load_steps import StepStart
+from dolfinx_tresca.dual.history.load_steps import StepStart
+from dolfinx_tresca.dual.history.saved_state import SavedState
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.nodal_values import inputs_of
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.saved_state import SavedState
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem

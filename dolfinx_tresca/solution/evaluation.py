@@ -15,14 +15,14 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.adjoint import discs_at_edge
-from dolfinx_tresca.dual.estimate import total
+from dolfinx_tresca.dual.bounds.estimate import total
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.optimise.energy import energy_norm, relative_error
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.record.energy import energy_norm, relative_error
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
 from dolfinx_tresca.solution.resultants import (
     Resultant,

@@ -17,7 +17,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.obstacle import RigidObstacle

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import NonlinearContactProblem
-from dolfinx_tresca.dual import body_products, compliance
+from dolfinx_tresca.dual.products import body_products, compliance
 from scenes.scene import EPS
 from scenes.two_bricks import bricks_problem
 from scenes.wall import HEIGHT, wall

@@ -12,9 +12,9 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, RigidPlane, Tresca
 from dolfinx_tresca._base.forcing import ROUGH
-from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.seed_products import affine_tractions, seed_products
+from dolfinx_tresca.dual.products.diagonal import estimate_diagonal, rademacher_vector
+from dolfinx_tresca.dual.products.seed_products import affine_tractions, seed_products
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import dual_program, points_of
 from scenes.boxes import Body, boxes
@@ -119,7 +119,7 @@ def test_products_are_counted_and_each_is_one_solve(comm):
 
 def test_a_solution_counts_every_product(comm, monkeypatch):
     """Set-up included: solution.products is the number of vectors that A was applied to."""
-    from dolfinx_tresca.dual.operator import DualOperator
+    from dolfinx_tresca.dual.products.operator import DualOperator
 
     calls = []
     apply, apply_to_all = DualOperator.apply, DualOperator.apply_to_all

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import Tresca
+from dolfinx_tresca.dual.bounds.saddle_lift import SaddleLift
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.operator import DualOperator
-from dolfinx_tresca.dual.saddle_lift import SaddleLift
+from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.stiffness.cholesky import saddle_cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem

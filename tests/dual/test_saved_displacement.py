@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
-from dolfinx_tresca.dual.saved_displacement import _rows, same_nodes, surroundings, values_of
-from dolfinx_tresca.dual.saved_file import SAME_PLACE
-from dolfinx_tresca.dual.saved_state import _rows_of
+from dolfinx_tresca.dual.history.saved_displacement import (
+    _rows,
+    same_nodes,
+    surroundings,
+    values_of,
+)
+from dolfinx_tresca.dual.history.saved_file import SAME_PLACE
+from dolfinx_tresca.dual.history.saved_state import _rows_of
 from scenes.patches import patch
 
 

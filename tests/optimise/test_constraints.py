@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-import dolfinx_tresca.optimise.constraints as module
+import dolfinx_tresca.optimise.sets.constraints as module
 from dolfinx_tresca import ContactStatus, InputError, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.energy import best_part
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.iterate import Iterate
-from dolfinx_tresca.optimise.positive_definite import is_positive_definite
-from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
+from dolfinx_tresca.optimise.newton.iterate import Iterate
+from dolfinx_tresca.optimise.newton.projected_newton import ProjectedNewton
+from dolfinx_tresca.optimise.record.energy import best_part
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
 from scenes.dense import (
     DenseProblem,
     OneRank,

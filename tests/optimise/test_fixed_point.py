@@ -14,13 +14,13 @@ from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
-from dolfinx_tresca.optimise import continuation, fixed_point
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
-from dolfinx_tresca.optimise.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.residual import EXHAUSTED
+from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.newton import continuation, fixed_point
+from dolfinx_tresca.optimise.record.residual import EXHAUSTED
+from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from scenes.dense import (
     METHODS,
     DenseProblem,

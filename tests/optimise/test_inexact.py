@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.history import error_of_product
-from dolfinx_tresca.optimise.iterate import Iterate
-from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
+from dolfinx_tresca.optimise.models.products import LASTING_ERROR, ProductStore
+from dolfinx_tresca.optimise.newton.iterate import Iterate
+from dolfinx_tresca.optimise.record.history import error_of_product
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
 

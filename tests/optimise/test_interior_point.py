@@ -12,11 +12,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca._base.patience import MOST_STEPS
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
-from dolfinx_tresca.optimise.sparse_model import SparseModel
+from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.models.sparse_model import SparseModel
+from dolfinx_tresca.optimise.newton.interior_point import InteriorPoint, central_path
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from scenes.dense import DenseProblem, random_balanced_problem, random_problem
 from scenes.scene import EPS
 

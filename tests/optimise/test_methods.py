@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
 

@@ -9,9 +9,9 @@ import pytest
 from dense import clarabel_minimum
 
 from dolfinx_tresca import ContactStatus, FrictionCurve
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.friction_curves import NodalCurves
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sets.friction_curves import NodalCurves
 from scenes.dense import METHODS, DenseProblem, random_cone_problem, run
 from scenes.scene import EPS
 

@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import SolverOptions
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.history import History
+from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.paper.cg import conjugate_gradients
 from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.paper.spectrum import largest_eigenvalue
-from dolfinx_tresca.optimise.products import ProductStore
-from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.record.history import History
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.model import NodalMaps
-from dolfinx_tresca.optimise.sparse_model import SHIFT, SparseModel
+from dolfinx_tresca.optimise.models.model import NodalMaps
+from dolfinx_tresca.optimise.models.sparse_model import SHIFT, SparseModel
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from scenes.dense import random_problem
 from scenes.scene import EPS
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.stopping import UNPROVEN, Stopping
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
+from dolfinx_tresca.optimise.record.stopping import UNPROVEN, Stopping
 from dolfinx_tresca.options import SolverOptions
 from scenes.dense import METHODS, DenseProblem, random_problem, run
 

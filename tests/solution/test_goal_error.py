@@ -26,7 +26,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
-from dolfinx_tresca.dual.estimate import total
+from dolfinx_tresca.dual.bounds.estimate import total
 from dolfinx_tresca.solution.goal_error import CHANGING, DOUBT
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks

@@ -27,7 +27,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction, Friction

@@ -28,7 +28,7 @@ from dolfinx_tresca import (
     RigidSphere,
     SolverOptions,
 )
-from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.problem import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed

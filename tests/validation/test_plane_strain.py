@@ -9,9 +9,9 @@ import pytest
 from dense import clarabel_minimum
 
 from dolfinx_tresca import Bonded, ContactStatus, Frictionless, Tresca
-from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.stiffness.cholesky import cholesky

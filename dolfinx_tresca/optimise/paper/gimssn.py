@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.paper.cg import conjugate_gradients
 from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.record.history import Observe
 from dolfinx_tresca.options import SolverOptions
 
 

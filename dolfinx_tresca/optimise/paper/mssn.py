@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.paper.cg import conjugate_gradients
 from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.record.history import History, Observe
 from dolfinx_tresca.options import SolverOptions
 
 #: Inner residual of "exact" solves, divided by the outer residual at the start.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dolfinx_tresca.optimise.history import History
+from dolfinx_tresca.optimise.record.history import History
 from dolfinx_tresca.options import SolverOptions
 
 

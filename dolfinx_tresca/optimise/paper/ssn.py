@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.history import Observe, gradient
 from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.record.history import Observe, gradient
 from dolfinx_tresca.options import SolverOptions
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.history import History, Observe, gradient
 from dolfinx_tresca.optimise.paper.spectrum import largest_eigenvalue
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.record.history import History, Observe, gradient
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.options import SolverOptions
 
 

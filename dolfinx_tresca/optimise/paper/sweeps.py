@@ -10,10 +10,10 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.patience import PROGRESS
-from dolfinx_tresca.optimise.history import Observe, error_of_product, gradient
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.residual import EXHAUSTED, NaturalResidual
-from dolfinx_tresca.optimise.stopping import Stopping
+from dolfinx_tresca.optimise.record.history import Observe, error_of_product, gradient
+from dolfinx_tresca.optimise.record.residual import EXHAUSTED, NaturalResidual
+from dolfinx_tresca.optimise.record.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 

@@ -1,0 +1,1 @@
+"""Bounds and estimates of errors of the displacement."""

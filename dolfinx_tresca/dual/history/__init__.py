@@ -1,0 +1,1 @@
+"""Accepted load steps, their slip, and their files."""

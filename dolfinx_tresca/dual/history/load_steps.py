@@ -1,0 +1,335 @@
+"""The state of a process: the start of the next solve, and the accepted load steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca.dual.history.saved_displacement import read_functions
+from dolfinx_tresca.dual.history.saved_file import UNKNOWN
+from dolfinx_tresca.dual.history.saved_state import SavedState
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
+from dolfinx_tresca.status import ContactStatus
+
+
+@dataclass(frozen=True)
+class StepStart:
+    """The state of a process between two load steps, from which the next one begins.
+
+    Attributes:
+        history: slip and dissipation of the accepted steps.
+        multipliers: (size,) multipliers at which the next solve starts.
+        accepted_u: displacement of the last accepted step, or of the slip origin [length]; None:
+            the undeformed state, or not kept, as in the checkpoints of a `ProcessTape`.
+        accepted_motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) at the last
+            accepted step.
+    """
+
+    history: SlipHistory
+    multipliers: Array
+    accepted_u: fem.Function | None
+    accepted_motions: Array
+
+
+class LoadSteps:
+    """The state of a process between solves.
+
+    If friction depends on the pressure, the solution of a load step may depend on the tractions at
+    which its solve starts: these must be tractions of the last accepted step, not of a trial solve.
+    Otherwise the solution is unique, and the end of the last solve is the better start.
+
+    Attributes:
+        jump: B; each multiplier belongs to one of its rows.
+        u: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which solves
+            start and end, owned by the caller; None for linear bodies.
+        multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
+            it returns to those of the last accepted step.
+        history: slip and dissipation of the accepted steps.
+        accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
+        accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
+            has set it.
+        motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
+        accepted_motions: places at the last accepted step, from which the slip counts.
+        last: status, history and displacement of the last solve, with all unknowns of a mixed
+            space; None: there is nothing to accept.
+    """
+
+    def __init__(self, jump: JumpOperator, motions: Array, *, depends_on_start: bool) -> None:
+        """Begin with undeformed bodies. Not collective.
+
+        Args:
+            jump: B.
+            motions: (pairs, 3, 4) places of rigid obstacles.
+            depends_on_start: whether solutions of load steps may depend on the start of the solve.
+        """
+        self.jump, self._depends_on_start = jump, depends_on_start
+        self.u: fem.Function | None = None
+        self.accepted_u: fem.Function | None = None
+        self.accepted_w: fem.Function | None = None
+        self.motions = self.accepted_motions = motions
+        self.begin(SlipHistory.none(jump))
+        self.forget()
+
+    @property
+    def accepted_values(self) -> Array | float:
+        """Values of the displacement of the last accepted step [length]; 0 if there is none."""
+        return 0.0 if self.accepted_u is None else self.accepted_u.x.array
+
+    def forget(self) -> None:
+        """Let the next solve start from zero; accepted steps remain. Not collective."""
+        self._set_start(np.zeros(len(self.jump.gap)))
+
+    def _set_start(self, multipliers: Array) -> None:
+        """Start all solves from these multipliers until a step is accepted.
+
+        Not collective.
+        """
+        self.multipliers = self._accepted = multipliers
+        self._accepted_u = None if self.u is None else self.u.x.array.copy()
+        self._trial_u: Array | None = None
+        self._continues = False
+
+    def begin(self, history: SlipHistory) -> None:
+        """Let the next step follow the steps of a history. Not collective."""
+        self.history = history
+        self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
+
+    def begin_at(self, u: fem.Function | None) -> None:
+        """Begin as after an accepted step with the displacement u. Collective.
+
+        Args:
+            u: displacement [length], whose tangential jump is the slip so far; None: undeformed
+                bodies.
+        """
+        jump = self.jump
+        self.accepted_u = None if u is None else u.copy()
+        self.begin_with(
+            SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u)
+        )
+        self._set_start(self.multipliers)
+
+    def begin_with(self, history: SlipHistory) -> None:
+        """Begin with a slip history and the present places of obstacles. Not collective."""
+        self.accepted_motions = self.motions
+        self.begin(history)
+
+    def begin_solve(self) -> None:
+        """Return to the accepted state if the solution may depend on the start. Collective.
+
+        A displacement u that was changed since the last solve is the caller's choice, and stays.
+        """
+        self.multipliers, u = self._start()
+        self._continues = False
+        if self.u is not None and u is not None:
+            self.u.x.array[:] = u
+
+    def end_solve(self) -> None:
+        """Store the displacement u at which a solve has ended. Not collective."""
+        self._trial_u = None if self.u is None else self.u.x.array.copy()
+
+    def _start(self) -> tuple[Array, Array | None]:
+        """Return the multipliers and u at which the next solve starts. Collective.
+
+        If the returned u is None, the solve starts at the present displacement.
+        """
+        if not self._depends_on_start or not self.history.begun or self._continues:
+            return self.multipliers, None
+        is_trial = (
+            self.u is not None
+            and self._trial_u is not None
+            and np.array_equal(self._trial_u, self.u.x.array)
+        )
+        everywhere = self.jump.comm.allreduce(is_trial, op=MPI.LAND)
+        return self._accepted, self._accepted_u if everywhere else None
+
+    @property
+    def start(self) -> StepStart:
+        """The state from which the next solve begins. Collective."""
+        return StepStart(self.history, self._start()[0], self.accepted_u, self.accepted_motions)
+
+    @property
+    def end(self) -> StepStart:
+        """The state from which the next solve begins if the last one is accepted."""
+        assert self.last is not None
+        return StepStart(self.last[1], self.multipliers, self.last[2], self.motions)
+
+    def return_to(self, start: StepStart) -> None:
+        """Begin the next step at a state that belongs to the present B. Not collective."""
+        self.accepted_u, self.accepted_motions = start.accepted_u, start.accepted_motions
+        self.begin(start.history)
+        self._set_start(start.multipliers)
+
+    def accept(self, unconverged: bool) -> None:
+        """Make the last solution an accepted step. Not collective.
+
+        Args:
+            unconverged: whether to accept a solution that missed the requested accuracy.
+
+        Raises:
+            ContactError: nothing was solved since the last step.
+            ConvergenceError: the last solve failed.
+        """
+        history, w = self.acceptable(unconverged)
+        self.begin_with(history)
+        self.accepted_w = w.copy()
+        self.accepted_u = self.jump.system.displacement(self.accepted_w, w.name)
+        self._set_start(self.multipliers)
+
+    def acceptable(self, unconverged: bool) -> tuple[SlipHistory, fem.Function]:
+        """Return the slip history and the unknowns of the last solution. Not collective.
+
+        Args:
+            unconverged: see `accept`.
+
+        Raises:
+            ContactError: nothing was solved since the last step.
+            ConvergenceError: the last solve failed.
+        """
+        if self.last is None:
+            raise ContactError(
+                "there is no solution to accept: call solve() after each change of the loads, and "
+                "then accept()."
+            )
+        status, history, w = self.last
+        if status is not ContactStatus.CONVERGED and not unconverged:
+            raise ConvergenceError(
+                f"the last solve ended with {status.name}, and its errors would stay in all steps "
+                "that follow: raise_if_failed() of its solution says what to do. accept("
+                "unconverged=True) accepts the solution as it is."
+            )
+        return history, w
+
+    def set_last_status(self, status: ContactStatus) -> None:
+        """Replace the status of the last solve, which `accept` checks. Not collective."""
+        if self.last is not None:
+            self.last = status, *self.last[1:]
+
+    def start_at(self, stress: Array) -> None:
+        """Let the next solve start from (size,) tractions [stress]. Not collective."""
+        self._set_start(stress / self.jump.stress_scale)
+
+    def _carry_over(self, jump: JumpOperator) -> JumpOperator:
+        """Replace B, and convert the multipliers to it; return the previous B. Not collective."""
+        before, self.jump = self.jump, jump
+        self.multipliers, self._accepted = (
+            carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
+        )
+        return before
+
+    def rotate_tangents(self, jump: JumpOperator) -> None:
+        """Replace B by one with rotated tangents, before a solve. Not collective.
+
+        Components of the multipliers and of the slip history change with the tangents.
+        """
+        before = self._carry_over(jump)
+        origin = carried_residuals(self.history.origin, before, jump)
+        self.begin(replace(self.history, origin=origin))
+
+    def move(
+        self,
+        jump: JumpOperator,
+        u: fem.Function,
+        *,
+        continues: bool = False,
+        since_accepted: Sequence[bool] | Mask | None = None,
+    ) -> None:
+        """Continue with the B of displaced surfaces. Collective.
+
+        Args:
+            jump: B of the displaced surfaces.
+            u: displacement of the surfaces [length].
+            continues: whether u is the displacement of the last solve: the load step is still the
+                same, and the next solve continues from its tractions.
+            since_accepted: for each pair, True: slip is computed anew from the displacement since
+                the last accepted step, between nodes and their present partners; False: nodes keep
+                their slip so far. None: False for all pairs.
+        """
+        before = self._carry_over(jump)
+        history = self.history.carried_over(u, before, jump)
+        if since_accepted is not None:
+            history = history.with_origin_at(self.accepted_u, jump, since_accepted)
+        self.begin(history)
+        self._continues = continues
+
+    def save(
+        self,
+        path: str | Path,
+        step: int,
+        moved_by: fem.Function | None,
+        material: Sequence[fem.Function],
+    ) -> None:
+        """Write the state from which the next solve starts to a file. Collective.
+
+        Args:
+            path: path of the file; the first rank's path is used.
+            step: number of the step, which is stored, and which `load` returns.
+            moved_by: displacement [length] at which the surfaces were paired; None:
+                undeformed.
+            material: Functions of the material's history.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        path = Path(self.jump.comm.bcast(str(path)))
+        multipliers, accepted_u = self._start()
+        tractions, u = multipliers * self.jump.stress_scale, self.u
+        if u is not None and accepted_u is not None:
+            u = fem.Function(u.function_space)
+            u.x.array[:] = accepted_u
+        others: Sequence[fem.Function] = ()
+        component = self.jump.system.component
+        if u is not None and component is not None:
+            u, others = component.of(u), component.other_parts(u)
+        displacements = {"u": u, "moved_by": moved_by, "accepted_u": self.accepted_u}
+        known = {name: one for name, one in displacements.items() if one is not None}
+        state = SavedState(tractions, self.history, step, known, material, others)
+        state.write(path, self.jump, self.accepted_motions)
+
+    def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
+        """Continue from the file that `save` wrote, and return the number of its step. Collective.
+
+        Obstacles keep their present places.
+
+        Args:
+            path: path of the file, the same on all ranks.
+            u: the displacement in the file; None: there is none.
+            accepted_u: the displacement of the last accepted step in the file; None: there is none.
+
+        Raises:
+            InputError: the file cannot be read, belongs to another mesh, other pairs or other
+                kinds of laws, or lacks a displacement that is needed.
+        """
+        if self.u is not None and u is None:
+            raise InputError(
+                f"the state in '{path}' has no displacement, since a ContactProblem wrote it; a "
+                "NonlinearContactProblem needs one."
+            )
+        component = self.jump.system.component
+        others: list[fem.Function] = []
+        if self.u is not None and component is not None:
+            others = component.other_parts(self.u)
+            for other, values in zip(
+                others, read_functions(path, others, self.jump.comm, UNKNOWN), strict=True
+            ):
+                other.x.array[:] = values
+        state = SavedState.read(path, self.jump)
+        if self.u is not None and u is not None:
+            if component is None:
+                self.u.x.array[:] = u.x.array
+            else:
+                component.compose(self.u, u, others)
+        self.begin_with(state.history)
+        self.accepted_u = accepted_u
+        self.start_at(state.multipliers)
+        return state.step

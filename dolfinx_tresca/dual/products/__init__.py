@@ -1,0 +1,1 @@
+"""The dual operator A, cheap approximations of it, and its first products."""

@@ -1,0 +1,245 @@
+"""The compliance of the contact surfaces, with all data that follow from one matrix K."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.bounds.certificate import EnergyBound
+from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
+from dolfinx_tresca.dual.products.body_products import sparse_model
+from dolfinx_tresca.dual.products.diagonal import rescaled_diagonal
+from dolfinx_tresca.dual.products.near_field import NearField
+from dolfinx_tresca.dual.products.operator import DualOperator
+from dolfinx_tresca.dual.products.seed_products import seed_products
+from dolfinx_tresca.floating.equilibrium import FloatingBodies
+from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.optimise.models.far_field import FarField
+from dolfinx_tresca.optimise.models.known_products import KnownProducts, SparseProducts
+from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+#: Number of products with the near field that are kept: each slows down all algebra with the model,
+#: and more of them save few products with A (slender strip: 4.3 instead of 4.6 per load step).
+NEAR_CAPACITY = 40
+
+#: Share of the near field in all degrees of freedom up to which the near field is used: with larger
+#: shares it costs more than the products with A that it saves. The first number is for a direct
+#: solver and a single solve from zero with this K (two bricks: as fast as without near field at
+#: N = 26, slower at N = 16), the second for all other cases (multigrid, plate 6 cells thick, share
+#: 0.43: 1.3 times slower; Cholesky, refined meshes, start from the tractions of the previous mesh:
+#: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 times the time).
+NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
+
+
+class ContactCompliance(PetscOwner):
+    """A = B K^-1 B', and all data that follow from K alone: computed once for each K.
+
+    Data that not every solve needs are computed on first access.
+
+    Owns PETSc objects, the solver among them: call `destroy()`. B stays the caller's.
+
+    Attributes:
+        jump: B.
+        operator: A.
+        nodal_stiffness: (size,) force per jump of a node whose neighbours are fixed, the same for
+            all directions of a friction disc.
+        floating: the floating and softly held bodies; None if there are none.
+    """
+
+    def __init__(
+        self,
+        jump: JumpOperator,
+        solver: StiffnessSolver,
+        springs: FixingSprings | None,
+        before: ContactCompliance | None = None,
+    ) -> None:
+        """Compute the data that every solve needs. Collective.
+
+        Args:
+            jump: B.
+            solver: solver for the system's K plus the springs.
+            springs: springs that fix floating and softly held bodies; None if there are none.
+            before: an earlier compliance for a similar K, and for the same B or another B of the
+                same pairs; its products give the first model of A. None: there is none.
+
+        Raises:
+            StiffnessError: a solve failed, or rows of B depend on the incompressibility in K; the
+                solver is destroyed.
+        """
+        self.jump = jump
+        with destroyed_on_error(solver):
+            self._local_stiffness = local_stiffness(jump)
+            self.nodal_stiffness = jump.discs.mean_over_discs(self._local_stiffness)
+            self.floating = (
+                None
+                if springs is None
+                else FloatingBodies(
+                    springs, springs.response(jump.system.K, solver), jump.of_columns
+                )
+            )
+            if jump.system.component is not None:
+                _ = self.certificate  # now, since it raises errors of the scene
+            self.operator = DualOperator(jump, solver)
+        self._store: KnownProducts | None = None
+        self._near_store: ProductStore | None = None
+        self._starts_from_zero = True
+        if before is not None:
+            self._begin_with_products_of(before)
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.jump.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, and those of the solver. Collective."""
+        self._destroy_but_solver()
+        self.operator.solver.destroy()
+
+    def _destroy_but_solver(self) -> None:
+        if "certificate" in vars(self):
+            self.certificate.destroy()
+        if "near_field" in vars(self):
+            self.near_field.destroy()
+        self.operator.destroy()
+
+    def on(self, jump: JumpOperator) -> ContactCompliance:
+        """Return the compliance for another B, such as that of displaced surfaces. Collective.
+
+        The solver is the same, and the model of A begins with the far field of this compliance.
+        PETSc objects of this compliance are destroyed, except the solver.
+
+        Raises:
+            StiffnessError: a solve failed; the solver is destroyed.
+        """
+        self._destroy_but_solver()
+        result = ContactCompliance(jump, self.operator.solver, self.springs, self)
+        result._starts_from_zero = self._starts_from_zero
+        return result
+
+    def _begin_with_products_of(self, before: ContactCompliance) -> None:
+        """Begin the model of A with the far field of another compliance. Collective.
+
+        The far field is the contribution to A of the bodies away from the contact, see `FarField`.
+        Without known products the other compliance has no far field, and nothing is done.
+        """
+        store, near = before._store, before._near_store
+        if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
+            return
+        jump, other = self.jump, before.jump
+
+        def carry(far: FarField) -> FarField:
+            return far.carried_over(
+                lambda x: carried_multipliers(x, other, jump),
+                lambda r: carried_residuals(r, other, jump),
+            )
+
+        diagonal = rescaled_diagonal(
+            jump, self.nodal_compliance, other, store.diagonal, before.nodal_compliance
+        )
+        base = None if near is None else near.updated_model()
+        self._store = store.successor(diagonal, base, None if jump is other else carry)
+
+    @property
+    def springs(self) -> FixingSprings | None:
+        """The springs that are in the solver's K, but not in the system's."""
+        return None if self.floating is None else self.floating.springs
+
+    @cached_property
+    def certificate(self) -> EnergyBound:
+        """The object that bounds errors in the energy norm. Collective."""
+        return EnergyBound(self.jump, self._local_stiffness)
+
+    @cached_property
+    def near_field(self) -> NearField:
+        """The near field, an approximation of A for oscillating tractions. Collective."""
+        return NearField(self.jump, self.operator.solver)
+
+    @cached_property
+    def estimator(self) -> DiscretisationError:
+        """The object that estimates the error of the mesh. Collective."""
+        system = self.jump.system
+        return DiscretisationError(system.form, system.V, system.axisymmetric)
+
+    def known_products(self) -> KnownProducts:
+        """Return the store of all known products with A. Collective.
+
+        The first call computes the first products: all columns of A if A is sparse, and the seed
+        products otherwise.
+        """
+        if self._store is None and (matrix := sparse_model(self.operator)) is not None:
+            self._store = SparseProducts(matrix)
+        if self._store is None:
+            near = None
+            if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
+                near = self.near_field.apply
+            self._store = seed_products(
+                self.operator, self.nodal_compliance, self._starts_from_zero, near
+            )
+        return self._store
+
+    def expect_start(self) -> None:
+        """Prepare for a solve that starts near the solution. Not collective.
+
+        Seed products with affine tractions, which show how whole bodies respond, are then left out.
+        """
+        self._starts_from_zero = False
+
+    @property
+    def used(self) -> bool:
+        """Whether products are known: K has served a solve. Not collective."""
+        return self._store is not None and len(self._store) > 0
+
+    def near_products(self, is_first_solve: bool) -> ProductStore | None:
+        """Return the store of products with the near field, which solves fill. Collective.
+
+        The first call computes the first products with A, if there are none.
+
+        Args:
+            is_first_solve: whether this is the first solve with K.
+
+        Returns:
+            the store, empty at first; None if the near field would cost more than it saves, or if u
+            is a part of a mixed space: the clamped nodes round an incompressible near field would
+            fix its volume.
+        """
+        store = self.known_products()
+        if self.jump.system.component is not None or not isinstance(store, ProductStore):
+            return None
+        serves_once = is_first_solve and self._starts_from_zero and self.operator.exact
+        most = NEAR_SHARE_ONCE if serves_once else NEAR_SHARE
+        if self.near_field.share > most:
+            return None
+        if self._near_store is None:
+            self._near_store = store.empty(NEAR_CAPACITY)
+        return self._near_store
+
+    @property
+    def nodal_compliance(self) -> Array:
+        """1 / `nodal_stiffness`, (size,)."""
+        return np.reciprocal(self.nodal_stiffness)
+
+    @cached_property
+    def stress_rounding(self) -> float:
+        """Pressures [stress] caused by the rounding of coordinates. Collective."""
+        jump = self.jump
+        stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
+        largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
+        stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
+        return float(ROUNDING * extent * stiffness)
+
+    def forget(self) -> None:
+        """Drop all products, and expect a solve from zero. Not collective."""
+        self._store = self._near_store = None
+        self._starts_from_zero = True

@@ -1,0 +1,133 @@
+"""A model of A: the block BFGS update of a diagonal matrix with all known products."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from dolfinx_tresca._base.arrays import Array, Matrix, dense
+from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps
+from dolfinx_tresca.optimise.reductions import Reductions
+
+
+class BlockBFGSModel(Model):
+    """The model M = Y Y' + (I - Y W') D (I - W Y') of A: symmetric and positive definite.
+
+    M equals A on all vectors with known products (M W = Y); on other vectors it has the size of D,
+    an approximation of diag(A). M is the block BFGS update of D with the pairs (W, Y); the term
+    Y Y' alone is a Nystroem approximation of A. Applying or inverting M needs no product with A. D
+    may be replaced by another model, such as the model of an earlier A; M is then the block BFGS
+    update of that model.
+
+    Attributes:
+        diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+    """
+
+    def __init__(
+        self,
+        reductions: Reductions,
+        diagonal: Array,
+        W: Array,
+        Y: Array,
+        base: BlockBFGSModel | None = None,
+    ) -> None:
+        """Update D with pairs. Collective.
+
+        Args:
+            reductions: sums over the ranks.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            W: (size, k) vectors.
+            Y: (size, k) products A W, with W'Y = I.
+            base: model that is updated in place of D; its diagonal replaces `diagonal`.
+        """
+        self._inner, self._agreed = reductions.inner, reductions.from_first_rank
+        self.diagonal: Array = diagonal if base is None else base.diagonal
+        # multiplied out, M = D + U C U' with U = (Y, D W)
+        image = diagonal[:, None] * W if base is None else base.apply(W)
+        identity = np.eye(W.shape[1])
+        zero = np.zeros_like(identity)
+        gram = identity + self._inner(W, image)
+        self._U = np.column_stack([Y, image])
+        self._C = np.block([[gram, -identity], [-identity, zero]])
+        self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        if base is not None:
+            self._U = np.column_stack([base._U, self._U])
+            self._C = block_diag(base._C, self._C)
+            self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
+        # root of the mean of D, weighted by D: it scales the constraints so that all rows of the
+        # matrix that Woodbury's formula inverts have a similar size
+        total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
+        square = float(self._inner(self.diagonal, self.diagonal))
+        self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
+
+    def plus(self, R: Array) -> BlockBFGSModel:
+        """Return M + R R' for R of shape (size, k). Not collective."""
+        result = copy.copy(self)
+        identity = np.eye(R.shape[1])
+        result._U = np.column_stack([self._U, R])
+        result._C = block_diag(self._C, identity)
+        result._C_inverse = block_diag(self._C_inverse, identity)
+        return result
+
+    @property
+    def size(self) -> Array:
+        """diag(M), (size,)."""
+        result: Array = self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1)
+        return result
+
+    def apply(self, x: Array) -> Array:
+        """Return M x for x of shape (size,) or (size, columns). Collective."""
+        result: Array = (self.diagonal * x.T).T + self._U @ (self._C @ self._inner(self._U, x))
+        return result
+
+    def solve(
+        self,
+        inverse: Callable[[Array], Array],
+        right: Array,
+        G: Matrix,
+        softness: Matrix,
+        missing: Array,
+    ) -> tuple[Array, Array]:
+        """Return s and c with (M + C) s - G c = right and G's + S c = missing.
+
+        Woodbury's formula inverts both equations at once. S is increased by `LEAST_SOFTNESS`, so
+        that the system has a solution even if the second equation has none. Collective.
+
+        Args:
+            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns); C
+                couples the multipliers of a node only.
+            right: (size,) right-hand side of the first equation.
+            G: (size, k) columns of length 1.
+            softness: (k, k) S.
+            missing: (k,) right-hand side of the second equation.
+        """
+        unit = self._unit
+        G, softness = dense(G), dense(softness)
+        columns = np.column_stack([self._U, unit * G])
+        scaled = inverse(columns)
+        first = inverse(right)
+        capacitance = self._inner(columns, scaled)
+        k = len(missing)
+        rank = len(capacitance) - k
+        capacitance[:rank, :rank] += self._C_inverse
+        capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness
+        wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
+        found = self._agreed(_solve(capacitance, wanted))
+        return first - scaled @ found, -unit * found[rank:]
+
+    def solve_between(
+        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
+    ) -> tuple[Array, Array]:
+        """Return the solution of `solve` with the inverse in `maps`. Collective."""
+        return self.solve(maps.inverse, right, G, softness, missing)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Return the solution; for a singular matrix, the least-squares solution of least norm."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)

@@ -1,0 +1,96 @@
+"""The far field, an earlier A minus its cheap approximation: the model of the next A adds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.reductions import Reductions
+
+#: Least ratio of x'(A - D) x to x'A x with which a vector x of the far field is kept. Smaller
+#: ratios may be errors of inexact products, or of the model of the near field. Twice or half the
+#: value needs the same number of products (benchmarks/ablation.py).
+FAR_ENERGY = 0.03
+
+
+class FarField:
+    """The low-rank approximation F = s Z Z' of A - D, from known products with A.
+
+    D is an approximation of A that is too small. If D is the near field, which represents bodies
+    near the contact, F represents the rest of the bodies: it is smooth, so that few columns
+    suffice. For another A with its own D, the sum D + F is positive definite in any case, and
+    accurate near the contact; the scale of F follows from the first products with the new A.
+
+    Attributes:
+        W: (size, k) vectors.
+        Z: (size, k) factor with Z Z'W = (A - D) W.
+        scale: s, the ratio of the present A - D to the earlier A - D.
+    """
+
+    def __init__(self, reductions: Reductions, W: Array, rest: Array, most: int) -> None:
+        """Compute a positive semidefinite Nystroem approximation of A - D. Collective.
+
+        Args:
+            reductions: sums over the ranks.
+            W: (size, k) vectors with known products, for which W'A W = I, and vectors of an earlier
+                far field.
+            rest: (size, k) products (A - D) W.
+            most: limit on the number of columns; those with the largest eigenvalues are kept.
+        """
+        self._reductions, self._inner = reductions, reductions.inner
+        agreed = reductions.from_first_rank
+        values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(W, rest)))
+        kept = values > FAR_ENERGY
+        orthonormal = vectors[:, kept] / np.sqrt(values[kept])
+        W, Z = W @ orthonormal, rest @ orthonormal
+        self._values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(Z, Z)))
+        self.W, self.Z = W @ vectors[:, -most:], Z @ vectors[:, -most:]
+        self.scale = 1.0
+
+    def carried_over(
+        self, multipliers: Callable[[Array], Array], products: Callable[[Array], Array]
+    ) -> FarField:
+        """Return the far field for another pairing of the same bodies. Collective.
+
+        Args:
+            multipliers: maps multipliers (size, k) to multipliers of the other pairing.
+            products: maps products A x (size, k) to products with A of the other pairing.
+        """
+        W, Z = multipliers(self.W), products(self.root)
+        return FarField(self._reductions, W, Z @ self._inner(Z, W), W.shape[1])
+
+    def fit(self, W: Array, D: BlockBFGSModel) -> None:
+        """Scale F so that w'(D + F) w = w'A w for W's columns, by least squares. Collective.
+
+        Vectors that are nearly orthogonal to F are left out: with them alone the scale would follow
+        from rounding errors, and could be so large that no step changes the multipliers.
+
+        Args:
+            W: (size, k) vectors with W'A W = I for the present A.
+            D: approximation of the present A.
+        """
+        wanted = 1.0 - np.diag(self._inner(W, D.apply(W)))
+        found = np.square(self._inner(self.Z, W)).sum(axis=0)
+        most = self._values[-1:].sum() * np.diag(self._inner(W, W))
+        found = np.where(found > FAR_ENERGY * most, found, 0.0)
+        if (square := float(found @ found)) > 0.0:
+            self.scale = max(0.0, float(wanted @ found) / square)
+
+    @property
+    def root(self) -> Array:
+        """The factor R (size, k) with F = R R'."""
+        result: Array = np.sqrt(self.scale) * self.Z
+        return result
+
+    def apply(self, x: Array) -> Array:
+        """Return F x for x of shape (size,) or (size, columns). Collective."""
+        result: Array = self.root @ self._inner(self.root, x)
+        return result
+
+    @property
+    def largest_eigenvalue(self) -> float:
+        """The largest eigenvalue of F; 0 if F is zero. Not collective."""
+        return self.scale * float(self._values[-1:].sum())

@@ -1,0 +1,139 @@
+"""Models of A: products, and systems of equations along the faces of Lambda. Numpy only."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array, Matrix
+from dolfinx_tresca.optimise.sets.feasible_set import Face
+
+#: Least softness of equality constraints, divided by the compliance of the multipliers: systems
+#: then have a solution even if the constraints have none.
+LEAST_SOFTNESS = 1e-10
+
+
+@dataclass(frozen=True)
+class NodalMaps:
+    """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
+
+    Here M is the model of A, and G c the contribution of equality constraints. Such equations give
+    Newton steps on a face, and steps to an adjoint. Each map couples the multipliers of a node
+    only, and takes (size,) or (size, columns).
+
+    Attributes:
+        test: T, with P T = T.
+        trial: V, with V P = V.
+        stiffness: C.
+        projector: P.
+        inverse: V (T (D + C) V)^-1 T on the range of P, with the diagonal D of the model.
+    """
+
+    test: Callable[[Array], Array]
+    trial: Callable[[Array], Array]
+    stiffness: Callable[[Array], Array]
+    projector: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+
+    @classmethod
+    def on_face(
+        cls,
+        face: Face,
+        diagonal: Array,
+        stiffness: Array,
+        with_bound_change: Callable[[Array, Array], Array],
+    ) -> NodalMaps:
+        """Return the maps along a face, with T = P and V = (I + Q) P. Not collective.
+
+        Args:
+            face: face with the projector P.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc.
+            with_bound_change: the function of (P s, v) that `FrictionCones.with_bound_change`
+                returns.
+        """
+        weight = 1.0 / (diagonal + stiffness)
+        return cls(
+            test=face.project,
+            trial=lambda v: with_bound_change(face.project(v), np.zeros_like(v)),
+            stiffness=lambda v: np.asarray((stiffness * v.T).T),
+            projector=face.project,
+            inverse=lambda v: with_bound_change(np.asarray((weight * face.project(v).T).T), v),
+        )
+
+
+class Model(ABC):
+    """A symmetric positive definite model M of A.
+
+    Attributes:
+        diagonal: (size,) D, the diagonal with which `NodalMaps.inverse` approximates M.
+    """
+
+    diagonal: Array
+
+    @property
+    def proximal_softness(self) -> float:
+        """Softness to add to the constraints after a Newton step that failed; 0: none.
+
+        It keeps steps short on faces whose system is nearly singular.
+        """
+        return 0.0
+
+    @property
+    @abstractmethod
+    def size(self) -> Array:
+        """diag(M), (size,)."""
+
+    @abstractmethod
+    def apply(self, x: Array) -> Array:
+        """Return M x for x of shape (size,) or (size, columns). Collective."""
+
+    @abstractmethod
+    def solve_between(
+        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
+    ) -> tuple[Array, Array]:
+        """Return V s and c with T (M + C) V s - T G c = T r, s = P s, and G'V s + S c = missing.
+
+        Collective.
+
+        Args:
+            maps: T, V, C and P.
+            right: (size,) r.
+            G: (size, k) columns of length 1, sparse or dense.
+            softness: (k, k) S, sparse or dense.
+            missing: (k,) right-hand side of the second equation.
+        """
+
+    def solve_on(
+        self,
+        face: Face,
+        stiffness: Array,
+        right: Array,
+        G: Matrix,
+        softness: Matrix,
+        missing: Array,
+        with_bound_change: Callable[[Array, Array], Array],
+    ) -> tuple[Array, Array]:
+        """Return a Newton step s on a face, and the step c of the constraints' multipliers.
+
+        They satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s, where Q
+        is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the system is
+        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves
+        s = Q s + h (right - M s + G c), with the slope h.
+
+        Args:
+            face: face with the projector P.
+            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a friction
+                disc.
+            right: (size,) right-hand side of the first equation.
+            G: (size, k) columns of length 1.
+            softness: (k, k) S.
+            missing: (k,) right-hand side of the second equation.
+            with_bound_change: the function of (P s, v) that `FrictionCones.with_bound_change`
+                returns.
+        """
+        maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
+        return self.solve_between(maps, right, G, softness, missing)

@@ -1,0 +1,275 @@
+"""The store of known products with A, as pairs (w, A w) of A-orthonormal vectors w."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import eigh
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.models.far_field import FarField
+from dolfinx_tresca.optimise.models.known_products import KnownProducts
+from dolfinx_tresca.optimise.reductions import Reductions
+
+#: Least energy of the new part of a vector x, which no known pair gives, divided by x'A x, with
+#: which the product of x is kept: rounding of a pair is divided by the root of this ratio.
+NEW_ENERGY = 1e-10
+
+#: Rayleigh quotient x'A x / x'x of a new part, divided by the largest quotient so far, up to which
+#: the quotient counts as rounding: A is singular if rows of B are linearly dependent.
+NULL_ENERGY = 1e-12
+
+#: Least energy norm of a product's new part, divided by its error, with which the product is kept.
+RESOLVED = 1.5
+
+#: A known pair is removed if the error that it brings into the known part of a new product, in the
+#: norm sqrt(e'A^-1 e), hides the new part and exceeds this number times the new product's error.
+WORSE_ERROR = 2.0
+
+#: Largest error of a pair, in the norm sqrt(e'A^-1 e) and divided by the pair's energy norm, with
+#: which it is kept for later solves. Less accurate pairs spoil the model of A: with twice the limit
+#: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
+#: the limit such steps take 18 products in place of 13, since more pairs must be found again.
+LASTING_ERROR = 0.15
+
+#: Norm of a vector's part along the pairs, divided by the norm of the rest, up to which the part
+#: counts as rounding. The Gram-Schmidt process with exact pairs reaches it in two passes.
+KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
+
+#: Rounding error of a product, divided by the product's norm, or of q, divided by |lambda| |r|
+#: (Euclidean norms). Doubling or halving it changes no status and no number of products
+#: (benchmarks/ablation.py).
+PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
+
+
+class ProductStore(KnownProducts):
+    """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
+
+    Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
+    same. After a change of the stiffness they are not valid, but still approximate the new A: see
+    `successor`.
+
+    Attributes:
+        W: (size, k) vectors.
+        Y: (size, k) products A W.
+        errors: (k,) errors of Y in the norm |e| = sqrt(e'A^-1 e).
+        scale: factor on diag(A), at most 1: energy of the new part of the newest pair, divided by
+            its energy with diag(A). It decreases, since the unknown part of A acts on vectors that
+            oscillate more and more, for which diag(A) is too large.
+        far: difference between an earlier A and the diagonal or near field of that A; None if there
+            was no earlier A.
+        capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
+            capacity / 2 combinations of them, for the largest eigenvalues of A.
+    """
+
+    def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
+        """Create a store without pairs (w, A w).
+
+        Args:
+            reductions: sums over the ranks.
+            diagonal: (size,) estimate of diag(A) > 0, the same for all degrees of freedom of a
+                friction disc. It affects the number of products, not the result.
+            capacity: limit on the number of pairs.
+        """
+        self._reductions, self._diagonal = reductions, diagonal
+        self.capacity = capacity
+        self.W: Array = np.empty((len(diagonal), 0))
+        self.Y: Array = np.empty((len(diagonal), 0))
+        self.errors: Array = np.empty(0)
+        self.scale = 1.0
+        self.far: FarField | None = None
+        self._largest = 0.0  # Rayleigh quotient of new parts
+
+    @property
+    def diagonal(self) -> Array:
+        """The estimate of diag(A), with the factor `scale`."""
+        return self.scale * self._diagonal
+
+    def successor(
+        self,
+        diagonal: Array,
+        base: BlockBFGSModel | None = None,
+        carry: Callable[[FarField], FarField] | None = None,
+    ) -> ProductStore:
+        """Return a store for another A, without pairs but with the far field of this A.
+
+        Collective.
+
+        Args:
+            diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
+            base: model of the near field of this A, which is subtracted from A in place of the
+                diagonal; None: the diagonal is subtracted. The other A has its own near field.
+            carry: maps the far field to another pairing; None: the pairing is the same.
+        """
+        result = ProductStore(self._reductions, diagonal, self.capacity)
+        W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
+        if W.shape[1] > 0:
+            base = self._diagonal_model() if base is None else base
+            rest = self.updated_model(base).apply(W) - base.apply(W)
+            far = FarField(self._reductions, W, rest, self.capacity // 2)
+            result.far = far if carry is None else carry(far)
+        return result
+
+    def __len__(self) -> int:
+        return int(self.W.shape[1])
+
+    def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
+        """Add a pair x, A x, unless its new part is less than errors or rounding. Collective.
+
+        The new part is the part of the pair that known pairs do not give. If errors of known pairs
+        hide it, and the product is more accurate than these pairs, they are removed.
+
+        Args:
+            x: (size,) vector.
+            product: (size,) A x.
+            error: error of the product in the norm sqrt(e'A^-1 e), without rounding.
+
+        Returns:
+            True if the new part exceeds its error: the pair was added, or the new part is so small
+            that only rounding prevented it.
+        """
+        inner = self._reductions.inner
+        energy = float(inner(x, product))
+        error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
+        while energy > 0.0:
+            parts, new, new_product = self._without_known(x, product)
+            pair_errors = self.errors * np.abs(parts)
+            total_error = float(np.hypot(error, np.linalg.norm(pair_errors)))
+            rest = float(inner(new, new_product))
+            if rest > (RESOLVED * total_error) ** 2:
+                length = float(inner(new, new))
+                self._largest = max(self._largest, rest / length)
+                if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
+                    self._append(new, new_product, total_error, rest)
+                return True
+            if not (pair_errors > WORSE_ERROR * error).any():
+                break
+            self._remove(int(np.argmax(pair_errors)))
+        return False
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
+        known = np.zeros_like(x)
+        for _ in range(2):  # the second pass removes rounding errors of the first
+            coefficients = self._reductions.inner(self.Y, x)
+            x = x - self.W @ coefficients
+            known = known + self.Y @ coefficients
+        return x, known
+
+    def empty(self, capacity: int) -> ProductStore:
+        """Return a store without pairs, of the given capacity and with the present scale."""
+        return ProductStore(self._reductions, self.diagonal, capacity)
+
+    def product(self, x: Array) -> tuple[Array, float]:
+        """Return an approximation of A x from the pairs, and its error. Collective.
+
+        Returns:
+            A times the part of x in the span of the pairs (size,), and its error in the norm
+            sqrt(e'A^-1 e): errors of the pairs, and the energy of the other part with diag(A).
+        """
+        new, known = self.split(x)
+        inner = self._reductions.inner
+        error = np.linalg.norm(self.errors * inner(self.Y, x))
+        energy = float(inner(new, self.diagonal * new))
+        return known, float(np.hypot(error, np.sqrt(energy)))
+
+    def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
+        """Return c (k,) such that x - W c has no parts along the pairs, x - W c, and A (x - W c).
+
+        Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
+        errors of the first. Pairs with errors are not orthonormal and need more passes: after two,
+        parts along them would remain and be added as new pairs, more than there are unknowns.
+        """
+        inner = self._reductions.inner
+        parts: Array = np.zeros(len(self))
+        for number in range(MOST_STEPS):
+            c = inner(self.Y, x)
+            rest = max(float(inner(x, product)), 0.0)
+            if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(rest):
+                break
+            x, product, parts = x - self.W @ c, product - self.Y @ c, parts + c
+        return parts, x, product
+
+    def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
+        inner = self._reductions.inner
+        if self.far is None:
+            self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
+        length = np.sqrt(energy)
+        self.W = np.column_stack([self.W, x / length])
+        self.Y = np.column_stack([self.Y, product / length])
+        self.errors = np.append(self.errors, error / length)
+        self._limit_to_capacity()
+
+    def _limit_to_capacity(self) -> None:
+        """Reduce the number of pairs to half the capacity if it exceeds the capacity."""
+        if len(self) > self.capacity:
+            _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
+            kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
+            self.W, self.Y = self.W @ kept, self.Y @ kept
+            self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
+
+    def drop_inaccurate_pairs(self) -> None:
+        """Drop pairs with errors that are too large for later solves."""
+        for pair in np.flatnonzero(self.errors > LASTING_ERROR)[::-1]:
+            self._remove(int(pair))
+
+    def _remove(self, pair: int) -> None:
+        self.W, self.Y = np.delete(self.W, pair, axis=1), np.delete(self.Y, pair, axis=1)
+        self.errors = np.delete(self.errors, pair)
+
+    def largest_ritz_value(self) -> float:
+        """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
+        known = 0.0 if self.far is None else self.far.largest_eigenvalue
+        if len(self) == 0:
+            return known
+        # for exact pairs the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
+        values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
+        # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
+        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: they are added
+        errors = self.errors @ np.abs(vectors)
+        least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
+        return max(float(least.max()), known)
+
+    def fit_far(self, base: BlockBFGSModel | None = None) -> None:
+        """Scale the far field of an earlier A so that it fits the pairs. Collective.
+
+        Args:
+            base: model of the near field, in place of the diagonal; None: the diagonal.
+        """
+        if self.far is not None and len(self) > 0:
+            self.far.fit(self.W, self._diagonal_model() if base is None else base)
+
+    def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
+        """Return M x (size,) for the model M of `updated_model`, with D as a function. Collective.
+
+        Args:
+            x: (size,) vector.
+            apply_base: applies D, the model of A without known pairs, to (size,); called once.
+        """
+        new, known = self.split(x)
+        image = apply_base(new)
+        if self.far is not None:
+            image = image + self.far.apply(new)
+        return known + image - self.Y @ self._reductions.inner(self.W, image)
+
+    def model(self) -> BlockBFGSModel:
+        """Return `updated_model` with the diagonal as base. Not collective."""
+        return self.updated_model()
+
+    def updated_model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A: diagonal and far field, updated with all pairs. Collective.
+
+        Args:
+            base: model of the near field, in place of the diagonal; None: the diagonal.
+        """
+        if self.far is not None:
+            base = (self._diagonal_model() if base is None else base).plus(self.far.root)
+        return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)
+
+    def _diagonal_model(self) -> BlockBFGSModel:
+        """Return the diagonal as a model."""
+        none = np.empty((len(self._diagonal), 0))
+        return BlockBFGSModel(self._reductions, self.diagonal, none, none)

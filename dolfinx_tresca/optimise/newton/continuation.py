@@ -1,0 +1,188 @@
+"""Fixed points of Coulomb's law with the model of A, by Newton's method and by continuation."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.patience import IDLE_STEPS, MOST_STEPS, PROGRESS
+from dolfinx_tresca.optimise.models.model import Model
+from dolfinx_tresca.optimise.newton.face_newton import FaceNewton, Point
+from dolfinx_tresca.optimise.problem import DualProblem
+
+#: First and least step of the path parameter, which goes from 0 to 1 along the path.
+FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
+
+#: Limit on halvings of a step of Newton's method that does not reduce the residual.
+MOST_HALVINGS = 5
+
+#: The softness of the constraints is multiplied by `SOFTER` after a step of which no part reduces
+#: the residual, and divided by `SOFTER` after a step that reduces the residual to less than
+#: `GOOD_STEP` of its value. With the constant softness `PROXIMAL` alone the first search for the
+#: push of 2,046 bricks fails; without it one more of the piles of stones is not solved
+#: (`tests/validation/test_random_piles.py`).
+SOFTER, GOOD_STEP = 10.0, 0.5
+
+#: Multipliers, multipliers of the constraints, and gradient.
+Iterate = tuple[Array, Array, Array]
+
+#: Maps the last path parameter, the next one and the point reached to Newton's method for the next
+#: problem and its initial guess.
+NextProblem = Callable[[float, float, Point], tuple[FaceNewton, Point]]
+
+
+def along_load(
+    problem: DualProblem,
+    model: Model,
+    start: Point,
+    rho: float,
+    tolerance: float,
+) -> Point:
+    """Follow the fixed points of changing loads, from the start to the present load.
+
+    The path begins at the nearest load for which the start is a fixed point; if the start is the
+    last load step's solution, this is the path of the process. Newton's method cycles if many nodes
+    change between stick and slip at once, as on a belt that is pulled round a drum; few nodes
+    change in each step along the path.
+
+    Collective. Needs no product with A.
+
+    Args:
+        problem: cones and inner product.
+        model: M.
+        start: point in the cones; its residual is not used.
+        rho: step length with which the natural residual is measured.
+        tolerance: requested natural residual.
+
+    Returns:
+        the end of the path; if it was not reached, the last point, with the residual inf.
+    """
+    x, constraints = start.multipliers, problem.constraints
+    lam = problem.admissible.at(x, start.gradient, rho).section(x)
+    at_rest = lam.gradient_at_rest(x, start.gradient)
+    change = start.gradient - at_rest
+    missing = constraints.residual(x, start.c)
+
+    def at_part_of_load(last: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
+        loaded = dataclasses.replace(point, gradient=point.gradient + (now - last) * change)
+        reduced = constraints.with_reduced_values((1.0 - now) * missing)
+        return FaceNewton(problem, model, rho, reduced), loaded
+
+    return _along(at_part_of_load, dataclasses.replace(start, gradient=at_rest), tolerance)
+
+
+def along_friction(
+    problem: DualProblem,
+    model: Model,
+    start: Point,
+    rho: float,
+    tolerance: float,
+) -> Point:
+    """Follow the fixed points from zero friction to the given coefficients of friction.
+
+    Artificial springs hold bodies that the reduced friction cannot hold; their stiffness goes to
+    zero as friction reaches its full value. Arguments and result are as in `along_load`; the start
+    is the solution without friction. Collective.
+    """
+    no_force = np.zeros_like(start.c)
+
+    def at_part_of_friction(_: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
+        return FaceNewton(problem.relaxed(now, (1.0 - now) * rho, no_force), model, rho), point
+
+    return _along(at_part_of_friction, start, tolerance)
+
+
+def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
+    """Return the end of a path, or the last point reached with the residual inf.
+
+    The step is halved if Newton's method fails, and doubled if it converges.
+    """
+    point, part, step = start, 0.0, FIRST_PART
+    while step >= LEAST_PART and part < 1.0:
+        now = min(part + step, 1.0)
+        found = nearest_fixed_point(*next_problem(part, now, point), tolerance)
+        if found.residual > tolerance:
+            step *= 0.5
+        else:
+            point, part, step = found, now, 2.0 * step
+    return point if part == 1.0 else dataclasses.replace(point, residual=float("inf"))
+
+
+def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
+    """Return the iterate of Newton's method with the least residual.
+
+    The constraints are exact until a step fails, and softened by a constant from then on. Where
+    this does not converge, a second run begins with softened constraints, which soften further with
+    each step that fails, as in the method of Levenberg and Marquardt.
+    """
+    best = _nearest_fixed_point(newton, start, tolerance, softness=0.0, growth=1.0)
+    if best.residual <= tolerance or newton.proximal_softness == 0.0:
+        return best
+    least = newton.proximal_softness
+    other = _nearest_fixed_point(newton, start, tolerance, softness=least, growth=SOFTER)
+    return min(best, other, key=lambda point: point.residual)
+
+
+def _nearest_fixed_point(
+    newton: FaceNewton, start: Point, tolerance: float, softness: float, growth: float
+) -> Point:
+    """Return the iterate of Newton's method with the least residual.
+
+    A step is shortened if it does not reduce the residual. If no part of it reduces the residual,
+    the contact of the face may hardly hold some bodies, or not at all: with exact constraints the
+    step is then repeated with softened constraints; with softened constraints the part with the
+    least residual is taken.
+
+    Args:
+        newton: method and problem.
+        start: initial guess.
+        tolerance: requested natural residual.
+        softness: softness of the constraints in the first step.
+        growth: factor on the softness after a step that fails; after a step that reduces the
+            residual to less than `GOOD_STEP` of its value the softness is divided by this factor.
+    """
+    best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
+    iterate = at.multipliers, at.c, at.gradient
+    least, idle = newton.proximal_softness, 0
+    for _ in range(MOST_STEPS):
+        if best.residual <= tolerance or idle == IDLE_STEPS:
+            break
+        before, end = at.residual, newton.step(*iterate, softness)
+        reached, there = _part_of_step(newton, iterate, end, before)
+        if there.residual > before and softness < least:
+            softness = least
+            continue
+        iterate, at = reached, there
+        if at.residual > before:
+            softness *= growth
+        elif at.residual < GOOD_STEP * before and softness > least:
+            softness = max(softness / growth, least)
+        idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
+        best = min(best, at, key=lambda point: point.residual)
+    return best
+
+
+def _part_of_step(
+    newton: FaceNewton, start: Iterate, end: Iterate, residual: float
+) -> tuple[Iterate, Point]:
+    """Return the end of a part of a step, and the point there without constraints. Collective.
+
+    The whole step, its half, its quarter and so on are tried until one reduces the residual; if
+    none does, the part with the least residual is returned.
+
+    Args:
+        newton: method and problem.
+        start: multipliers, multipliers of the constraints, and gradient at the start.
+        end: these three at the end of the step; the gradient is linear between start and end.
+        residual: residual at the start.
+    """
+    found: list[tuple[Iterate, Point]] = []
+    for halvings in range(MOST_HALVINGS + 1):
+        z, c, r = (a + 0.5**halvings * (b - a) for a, b in zip(start, end, strict=True))
+        found.append(((z, c, r), newton.point_without_constraints(z, c, r)))
+        if found[-1][1].residual < PROGRESS * residual:
+            return found[-1]
+    return min(found, key=lambda one: one[1].residual)

@@ -1,0 +1,77 @@
+"""The model of A that is based on the near field instead of a diagonal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING
+from dolfinx_tresca.optimise.models.model import Model
+from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
+
+#: Limit on products with the near field in one iteration.
+MOST = 8
+
+#: A function that solves the problem for a model of A: `face_newton.minimise`, or another one with
+#: the same arguments.
+SolveModel = Callable[[DualProblem, Model, Array, Array, float, float], Array]
+
+
+def solve(
+    problem: DualProblem,
+    solve_model: SolveModel,
+    multipliers: Array,
+    gradient: Array,
+    residual: NaturalResidual,
+    tolerance: float,
+) -> Array:
+    """Return an approximate solution of the dual problem with the model M in place of A.
+
+    With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
+    the basic model has a diagonal. Its error is smaller by an order of magnitude, but there is no
+    formula for its inverse on a face. Hence the near field is itself approximated: by D~, a
+    low-rank model made of known products with D. Each iteration solves the problem for M with D~ in
+    place of D, and then computes a product with D, which gives the residual for M and improves D~.
+    A product with D costs a solve with a small matrix, and none with K. Products with D are kept as
+    long as the products with A. Collective.
+
+    Args:
+        problem: Lambda, D, and the known products with D and A.
+        solve_model: solves the problem for M with D~ in place of D.
+        multipliers: (size,) point of Lambda.
+        gradient: (size,) gradient at this point.
+        residual: the natural residual, with its step length.
+        tolerance: requested natural residual, with the model in place of A.
+    """
+    store, near = problem.known_products(), problem.near_products()
+    store.fit_far(None if near is None else near.updated_model())
+    if near is None or not isinstance(store, ProductStore):
+        return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)
+
+    def apply_near(new: Array) -> Array:
+        product = problem.near_field(new)
+        near.add(new, product)
+        return product
+
+    tolerance *= FORCING  # costs no product with A and saves some, since the model is accurate
+    x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
+    best, least = None, float("inf")
+    for _ in range(MOST):
+        model = store.updated_model(near.updated_model())
+        target = solve_model(problem, model, x, r, residual.rho, tolerance)
+        step = target - x
+        if float(problem.inner(step, step)) == 0.0:
+            break
+        at_target = r + store.apply(step, apply_near)
+        rest = residual.at(target, at_target)
+        if rest < least:
+            best, least = target, rest
+        if rest < left:
+            x, r, left = target, at_target, rest
+        if left <= tolerance:
+            break
+    if best is None:  # solve with the diagonal as base; a product with A then checks the step
+        return solve_model(problem, store.model(), x, r, residual.rho, tolerance)
+    return best

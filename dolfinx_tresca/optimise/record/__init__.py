@@ -1,0 +1,1 @@
+"""Residuals and energies of iterates, the record of a solve, and its end."""

@@ -1,0 +1,1 @@
+"""The set Lambda, its projection, and equality constraints besides it."""
