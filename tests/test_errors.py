@@ -532,7 +532,7 @@ def test_conditions_on_components_are_welcome(scene):
 
 
 def test_an_unknown_stiffness_method(scene):
-    refused(scene, "auto, cholesky or multigrid, found 'lu'", stiffness="lu")
+    refused(scene, "auto, cholesky, multigrid, found 'lu'", stiffness="lu")
 
 
 # Options

@@ -36,8 +36,6 @@ from dolfinx_tresca.output.state_colours import paraview_preset
 from dolfinx_tresca.output.vtu import write_vtu
 from dolfinx_tresca.output.xdmf import write_xdmf
 
-SUFFIXES = (".pvd", ".vtu", ".xdmf", ".bp")
-
 
 def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
     """Return the communicator of a solution, or None without a solution. Not collective."""
@@ -361,3 +359,6 @@ _WRITERS: dict[str, Callable[[Path, Blocks], None]] = {
     ".xdmf": write_xdmf,
     ".bp": _write_vtx,
 }
+
+#: Suffixes of all formats.
+SUFFIXES = (".pvd", ".vtu", *_WRITERS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 from mpi4py import MPI
 
@@ -53,7 +53,13 @@ from dolfinx_tresca.solution.hints import (
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, check_choice, choose, solver_for
+from dolfinx_tresca.stiffness.choice import (
+    ChosenMethod,
+    StiffnessMethod,
+    check_choice,
+    choose,
+    solver_for,
+)
 from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -78,7 +84,7 @@ class ContactSystem(PetscOwner):
         obstacles: the rigid obstacles and their positions.
         summary: the sizes of the problem.
         slides_far: whether a pair has finite sliding.
-        stiffness: the chosen solver for K, "cholesky" or "multigrid".
+        stiffness: the chosen solver for K.
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
         options_of_solve: options of the last solve.
@@ -572,7 +578,7 @@ class ContactSystem(PetscOwner):
         with timed(self.stiffness, timings):  # for a saddle point this factors another matrix
             return ContactCompliance(self.jump, solver, springs, before)
 
-    def _chosen_stiffness(self) -> tuple[Literal["cholesky", "multigrid"], str]:
+    def _chosen_stiffness(self) -> tuple[ChosenMethod, str]:
         """Return the solver for K that suits these bodies, and the reason. Not collective."""
         method, expected_solves = self._requested_stiffness
         V = self.linear.V

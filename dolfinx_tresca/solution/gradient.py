@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,10 +24,10 @@ from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
-from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.goal_error import weights_of
@@ -541,29 +540,20 @@ def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
 
     Each is an array (n_discs,). Collective.
     """
-    jump, x = step.dual.jump, step.multipliers
-    numbers = [len(on_nodes.nodes) for on_nodes in jump.pairs]
+    dual, x = step.dual, step.multipliers
 
-    def radii(name: str, values: Sequence[Any]) -> Array:
-        given = []
-        for value, n in zip(values, numbers, strict=True):
-            none, whole = np.zeros(n), np.full(n, np.inf)
-            nodal = NodalBounds(constant=none, coefficient=none, limit=whole)
-            curved = isinstance(value, FrictionCurve)
-            fields: dict[str, Any] = {name: none + (1.0 if curved else value)}
-            if curved:
-                fields["curve"] = value
-            given.append(dataclasses.replace(nodal, **fields))
-        return np.asarray(jump.bounded(given).section(x).radius)
+    def radii(constant: float, coefficient: float) -> Array:
+        """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
+        ones = [np.ones(len(one.nodes)) for one in dual.jump.pairs]
+        given = [NodalBounds(constant * one, coefficient * one, np.inf * one) for one in ones]
+        return np.asarray(dual.jump.bounded(given).section(x).radius)
 
-    ones = [1.0] * len(numbers)
-    is_limited = radii(
-        "coefficient", [one.curve or one.coefficient for one in step.bounds]
-    ) > radii("constant", [one.limit for one in step.bounds])
-    by_constant = radii("constant", ones)
+    by_constant, by_coefficient = radii(1.0, 0.0), radii(0.0, 1.0)
+    cones = dual.admissible.at(x, step.gradient, dual.compliance.nodal_stiffness)
+    is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
     return {
         "constant": by_constant,
-        "coefficient": np.where(is_limited, 0.0, radii("coefficient", ones)),
+        "coefficient": np.where(is_limited, 0.0, by_coefficient),
         "limit": np.where(is_limited, by_constant, 0.0),
     }
 

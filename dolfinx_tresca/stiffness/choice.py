@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from petsc4py import PETSc
 
@@ -15,7 +15,11 @@ from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
+#: A solver for K.
+ChosenMethod: TypeAlias = Literal["cholesky", "multigrid"]
+
+#: A solver for K as users request it; "auto": `choose` takes one.
+StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 
 
 class CholeskyLimits(NamedTuple):
@@ -67,8 +71,9 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
         raise InputError(
             f"expected_solves must be a positive integer, found {shown(expected_solves)}."
         )
-    if method not in ("auto", "cholesky", "multigrid"):
-        raise InputError(f"stiffness must be auto, cholesky or multigrid, found {shown(method)}.")
+    methods = get_args(StiffnessMethod)
+    if not isinstance(method, str) or method not in methods:
+        raise InputError(f"stiffness must be one of {', '.join(methods)}, found {shown(method)}.")
     if method == "multigrid" and saddle:
         raise InputError(
             "stiffness='multigrid' needs a positive definite K, and K of a mixed space is "
@@ -88,7 +93,7 @@ def choose(
     *,
     saddle: bool = False,
     refined: bool = False,
-) -> tuple[Literal["cholesky", "multigrid"], str]:
+) -> tuple[ChosenMethod, str]:
     """Return the name of the solver for K, and the reason for the choice. Not collective.
 
     The choice is logged if the method is "auto". The arguments must have passed `check_choice`.
@@ -112,7 +117,7 @@ def choose(
         return "cholesky", reason
     once, further, most = (REFINED_LIMITS if refined else CHOLESKY_LIMITS)[dim, degree]
     limit = min(once + (expected_solves - 1) * further, most)
-    chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
+    chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
         f"(limit for {expected_solves} solve(s), degree {degree}, {dim}D{', refined' * refined})"
@@ -122,7 +127,7 @@ def choose(
 
 
 def solver_for(
-    method: Literal["cholesky", "multigrid"],
+    method: ChosenMethod,
     K: PETSc.Mat,
     system: LinearSystem,
     petsc_options: Mapping[str, Any],

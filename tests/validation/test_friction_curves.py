@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from typing import Any
 
@@ -177,6 +178,31 @@ def test_derivatives_by_the_load():
         problem.solve()
         with pytest.raises(InputError, match="depends on the slip"):
             problem.gradient(goal, [])
+
+
+def test_derivative_by_a_limit_that_the_slip_has_reached():
+    """The coefficient exceeds its limit at the present slip, but not at rest.
+
+    All nodes slip at the limit, so that no bound depends on the slip any more, and the tangential
+    force is the limit times the area.
+    """
+    scene = Square(MPI.COMM_SELF, LAWS["limit"])
+    limit = fem.Constant(scene.V.mesh, 0.22 * PRESSURE)
+    law = Coulomb(LAWS["limit"].coefficient, limit=limit)
+    scene.forms[2][0] = dataclasses.replace(scene.pair, friction=law)
+    scene.shear.value = limit.value
+    goal = ContactForce((1.0, 0.0))
+    with scene.problem() as problem:
+        problem.solve(rtol=1e-11)
+        (found,) = problem.gradient(goal, [limit])
+        ends = []
+        for sign in (1, -1):
+            limit.value = (0.22 + sign * 1e-3) * PRESSURE
+            problem.solve(rtol=1e-11)
+            ends.append(problem.goal_value(goal))
+    wanted = (ends[0] - ends[1]) / (2e-3 * PRESSURE)
+    assert abs(wanted) > 0.5
+    assert found == pytest.approx(wanted, rel=10 * EXACT)
 
 
 #: A coefficient that falls by less than a tenth if the pressure doubles; the mean pressure is 1.

@@ -221,6 +221,11 @@ class FrictionCones:
             by_pressure, by_slip = coefficient + pressed * of_pressure, pressed * of_slip
         return np.where(grows, by_pressure, 0.0), np.where(grows, by_slip, 0.0)
 
+    def exceed_limit(self, x: Array) -> Mask:
+        """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
+        pressure = self._pressures(x)
+        return np.asarray(self._coefficients(pressure) * pressure > self.limit)
+
     def curve_arguments(self, x: Array) -> list[tuple[Curve, Array, Array]]:
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
         if self.curves is None or self.slip is None:
