@@ -26,8 +26,9 @@ from dolfinx_tresca.problem.tape import inputs_of_problem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import value_of
-from dolfinx_tresca.solution.gradient import Differentiation, SolvedStep
+from dolfinx_tresca.solution.gradient import Differentiation
 from dolfinx_tresca.solution.prescribed import replaced, values_of
+from dolfinx_tresca.solution.solved_step import SolvedStep
 
 import dolfinx_adjoint  # isort: skip
 import pyadjoint  # isort: skip

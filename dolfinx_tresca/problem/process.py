@@ -38,11 +38,11 @@ from dolfinx_tresca.solution.goal_error import value_of
 from dolfinx_tresca.solution.gradient import (
     Differentiation,
     Forms,
-    SolvedStep,
     as_derivatives,
     check_control,
     checked_form_or_goal,
 )
+from dolfinx_tresca.solution.solved_step import SolvedStep
 from dolfinx_tresca.solution.tangent import ContactTangent, checked_directions, tangent_of
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units

@@ -39,7 +39,6 @@ from dolfinx_tresca.solution.gradient import (
     Control,
     Differentiation,
     Forms,
-    SolvedStep,
     WeightedGoals,
     as_derivatives,
     check_control,
@@ -47,6 +46,7 @@ from dolfinx_tresca.solution.gradient import (
     sum_of_known,
 )
 from dolfinx_tresca.solution.prescribed import replaced, values_of
+from dolfinx_tresca.solution.solved_step import SolvedStep
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"

@@ -4,39 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import csr_array
 
 import dolfinx.la
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca.dual.adjoint import EdgeState, LinearisedContact, adjoint, at_edge
+from dolfinx_tresca.dual.adjoint import adjoint
 from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
-from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
-from dolfinx_tresca.pairing.friction_axes import NodalEllipses
-from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
+from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.goal_error import weights_of
+from dolfinx_tresca.solution.nodal_fields import nodal_fields
 from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
-
-#: Relative error of the adjoint multipliers, and so of the derivatives: the first if K is factored,
-#: the second with an iterative solver for K, whose products have this relative error.
-ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
+from dolfinx_tresca.solution.solved_step import SolvedStep
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
@@ -62,68 +53,6 @@ class Forms:
         """Return a compiled form. Collective."""
         maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
         return fem.form(form, **maps)
-
-
-@dataclass(frozen=True)
-class SolvedStep:
-    """A solution, with the problem that it solves.
-
-    Attributes:
-        dual: the problem.
-        multipliers: (size,) multipliers of the solution.
-        u: displacement of the solution [length].
-        bounds: slip bounds at the nodes of each pair.
-        edge: state to assume for nodes that are about to change their state; see
-            `LinearisedContact.of`.
-    """
-
-    dual: DualProgram
-    multipliers: Array
-    u: fem.Function
-    bounds: Sequence[NodalBounds]
-    edge: EdgeState = None
-
-    @cached_property
-    def gradient(self) -> Array:
-        """(size,) gradient (d; s) - B u of the dual energy. Collective at the first access."""
-        return self.dual.response.gradient_of(self.u.x.petsc_vec)
-
-    @cached_property
-    def state(self) -> LinearisedContact:
-        """The contact state of each node. Collective at the first access."""
-        return LinearisedContact.of(self.dual, self.multipliers, self.gradient, self.edge)
-
-    def log_edge(self) -> None:
-        """Log the number of nodes at the edge of their state, if there are any. Collective."""
-        normal, discs = at_edge(self.dual, self.multipliers, self.gradient)
-        comm = self.dual.jump.comm
-        rows, stick = reduce_array(comm, np.array([normal.sum(), discs.sum()]))
-        if rows or stick:
-            log(
-                comm,
-                "derivative: %d node(s) are about to open or close, and %d to slip or stick: it is "
-                'one-sided; at_edge="held" and "released" give those of other sides',
-                int(rows),
-                int(stick),
-            )
-
-    @property
-    def accuracy(self) -> float:
-        """Relative error of derivatives, which depends on the solver for K. Not collective."""
-        return ACCURACY if self.dual.exact else ITERATIVE_ACCURACY
-
-    @property
-    def sticking_and_other_rows(self) -> tuple[Mask, Mask]:
-        """Tangential rows (size,) of nodes that stick, and of all others. Not collective.
-
-        The next load step counts the slip of nodes that stick from the same origin as this step,
-        and the slip of all others from their tangential jump in this step (`SlipHistory.after`).
-        """
-        face = self.state.face
-        rows, sticks = face.discs.tangential, face.stick[face.discs.node]
-        sticking, others = np.zeros((2, face.discs.size), dtype=np.bool_)
-        sticking[rows[sticks]], others[rows[~sticks]] = True, True
-        return sticking, others
 
 
 def check_control(control: Control, pairs: Sequence[ContactPair]) -> None:
@@ -450,164 +379,3 @@ def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: A
     np.add.at(vector.array, source, weights)
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     return vector.array[: _owned(control)].copy()
-
-
-@dataclass(frozen=True)
-class NodalField:
-    """A scalar of the user, such as a gap, at the nodes of a pair, and derivatives by its values.
-
-    Attributes:
-        field: the scalar as the user gave it.
-        nodes: (n,) local numbers of the nodes.
-        name: name of the scalar in errors.
-        offset: (size, n) derivatives of the offsets (d; s), divided by `JumpOperator.length_scale`.
-        radius: (n_discs, n) derivatives of the radii of the discs.
-    """
-
-    field: Any
-    nodes: LocalNumbers
-    name: str
-    offset: csr_array
-    radius: csr_array
-
-    def weights(self, y: Array, radial: Array) -> Array:
-        """Return the derivatives (n,) of a goal with respect to the nodal values of the scalar.
-
-        Args:
-            y: (size,) derivatives of the goal with respect to the offsets.
-            radial: (n_discs,) derivatives of the goal with respect to the radii of the discs.
-        """
-        return np.asarray(self.offset.T @ y + self.radius.T @ radial)
-
-
-def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalField]:
-    """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
-    jump, x = step.dual.jump, step.multipliers
-    discs = step.state.face.discs
-    shape, by_value = (discs.size, len(discs.radius)), _radii_by_terms(step)
-    result: list[NodalField] = []
-    first = 0
-    for pair, on_nodes, bounds, (normal, tangential) in zip(
-        pairs, jump.pairs, step.bounds, jump.slices, strict=True
-    ):
-        nodes, n = on_nodes.nodes, len(on_nodes.nodes)
-        own = slice(first, first + n)
-        first += n
-
-        def offsets(rows: Any, columns: Any, values: Any, n: int = n) -> csr_array:
-            return csr_array((values, (rows, columns)), shape=(shape[0], n))
-
-        def radii(values: Array, n: int = n, own: slice = own) -> csr_array:
-            rows = np.arange(own.start, own.stop)
-            return csr_array((values, (rows, np.arange(n))), shape=(shape[1], n))
-
-        of_gap = 1.0 / jump.length_scale[normal]
-        by_gap = offsets(np.arange(normal.start, normal.stop), on_nodes.normal_node, of_gap)
-        gap = f"the gap of contact pair {pair}"
-        result.append(NodalField(pair.gap, nodes, gap, by_gap, radii(np.zeros(n))))
-        terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
-        for name, words in TERMS.items():
-            field, by_bound, words = getattr(terms, name), by_value[name][own], f"{words} of {pair}"
-            if not isinstance(field, tuple) or bounds.ellipses is None:
-                result.append(NodalField(field, nodes, words, offsets([], [], []), radii(by_bound)))
-                continue
-            ellipses = _Ellipses.of(on_nodes, bounds.ellipses)
-            rows = tangential.start + ellipses.rows
-            stretched = ellipses.turned(x[rows])
-            r_less_Cx = step.gradient[rows] - step.state.curvature[rows] * x[rows]
-            outwards = np.einsum("na,na->n", step.state.face.radial[rows], stretched)
-            largest = np.argmax(bounds.ellipses.shape, axis=1)
-            for k, part in enumerate(field):
-                value = bounds.ellipses.shape[:, k] * getattr(bounds, name)
-                known = np.isfinite(value) & (value > 0.0)
-                inverse = np.zeros(n)
-                np.divide(1.0, value, out=inverse, where=known)
-                is_largest = largest == k
-                grows = inverse * np.where(known, discs.radius[own], 0.0)
-                grows *= ellipses.shares[:, k] - is_largest
-                grows += np.where(is_largest, by_bound, 0.0)
-                half = (0.5 if k == 0 else -0.5) * inverse[ellipses.node]
-                grows[ellipses.node] += half * outwards
-                turned = half[:, None] * ellipses.turned(r_less_Cx)
-                columns = np.repeat(ellipses.node, 2)
-                by_part = offsets(rows.ravel(), columns, turned.ravel())
-                result.append(NodalField(part, nodes, words, by_part, radii(grows)))
-    return result
-
-
-def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
-    """Return for each term of the slip bound c + min(F p, l) the derivatives of the radii by it.
-
-    Each is an array (n_discs,). Collective.
-    """
-    dual, x = step.dual, step.multipliers
-
-    def radii(constant: float, coefficient: float) -> Array:
-        """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
-        ones = [np.ones(len(one.nodes)) for one in dual.jump.pairs]
-        given = [NodalBounds(constant * one, coefficient * one, np.inf * one) for one in ones]
-        return np.asarray(dual.jump.bounded(given).section(x).radius)
-
-    by_constant, by_coefficient = radii(1.0, 0.0), radii(0.0, 1.0)
-    cones = dual.admissible.at(x, step.gradient, dual.compliance.nodal_stiffness)
-    is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
-    return {
-        "constant": by_constant,
-        "coefficient": np.where(is_limited, 0.0, by_coefficient),
-        "limit": np.where(is_limited, by_constant, 0.0),
-    }
-
-
-@dataclass(frozen=True)
-class _Ellipses:
-    """Derivatives of friction discs and tangential rows by the semi-axes of friction ellipses.
-
-    Tangential rows are stretched so that the ellipse of a node becomes a disc. A change of the
-    semi-axes b_1, b_2 stretches the multipliers of a node with two tangential rows by 1 + S, with
-    S = (a a' - e e') (db_1/b_1 - db_2/b_2) / 2 for the unit vectors a and e along the axes.
-
-    Attributes:
-        rows: (m, 2) tangential rows of each node with two tangential rows.
-        node: (m,) index of each node with two tangential rows among the nodes of the pair.
-        along: (m, 2) components of a along the tangents of the rows.
-        shares: (n, 2) derivatives of log(radius) of the discs with respect to log(b_1), log(b_2).
-    """
-
-    rows: Indices
-    node: Indices
-    along: Array
-    shares: Array
-
-    @classmethod
-    def of(cls, pair: PairOperators, ellipses: NodalEllipses) -> _Ellipses:
-        """Return the derivatives at the nodes of a pair. Not collective."""
-        node, d = pair.tangent_node, pair.normals.shape[1]
-        direction = ellipses.direction[:, :d]
-        inward = np.einsum("ni,ni->n", direction, pair.normals)
-        axis = direction - inward[:, None] * pair.normals
-        length = np.linalg.norm(axis, axis=1)
-        axis /= np.where(length > 0.0, length, 1.0)[:, None]
-        parts = np.einsum("ri,ri->r", pair.tangents, axis[node])
-        second = np.flatnonzero(node[1:] == node[:-1]) + 1
-        has_two = np.zeros(len(pair.nodes), dtype=np.bool_)
-        has_two[node[second]] = True
-        positive = ellipses.shape > ROUNDING
-        shares = positive / np.maximum(positive.sum(axis=1, keepdims=True), 1)
-        for row in np.flatnonzero(~has_two[node]):
-            # the semi-diameter b has 1/b^2 = (cos/b_1)^2 + (sin/b_2)^2
-            squares = np.array([parts[row] ** 2, max(1.0 - parts[row] ** 2, 0.0)])
-            b = ellipses.shape[node[row]]
-            squares = np.where(squares > ROUNDING, squares, 0.0)
-            each = np.divide(squares, b**2, out=np.zeros(2), where=b > ROUNDING)
-            shares[node[row]] = each / each.sum() if each.any() else 0.0
-        both = positive[node[second]].all(axis=1)
-        second = second[both]
-        rows = np.stack([second - 1, second], axis=1)
-        return cls(rows, node[second].astype(np.intp), parts[rows], shares)
-
-    def turned(self, v: Array) -> Array:
-        """Return (a a' - e e') v for (m, 2) components along the tangents."""
-        across = np.stack([-self.along[:, 1], self.along[:, 0]], axis=1)
-        parts = (np.einsum("na,na->n", one, v)[:, None] * one for one in (self.along, across))
-        first, second = parts
-        return np.asarray(first - second)

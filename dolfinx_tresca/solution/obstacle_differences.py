@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from dolfinx_tresca.dual.moved import carried_residuals
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import weights_of
-
-if TYPE_CHECKING:
-    from dolfinx_tresca.solution.gradient import SolvedStep
+from dolfinx_tresca.solution.solved_step import SolvedStep
 
 #: Largest difference of a component up to which a tangent with displaced obstacles and a tangent
 #: with the obstacles where they are count as the same row of T.

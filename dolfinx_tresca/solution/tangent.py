@@ -23,15 +23,11 @@ from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.goal_error import weights_of
-from dolfinx_tresca.solution.gradient import (
-    Control,
-    Forms,
-    SolvedStep,
-    assembled,
-    nodal_fields,
-)
+from dolfinx_tresca.solution.gradient import Control, Forms, assembled
+from dolfinx_tresca.solution.nodal_fields import nodal_fields
 from dolfinx_tresca.solution.obstacle_differences import FindDifferences, ObstacleDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
+from dolfinx_tresca.solution.solved_step import SolvedStep
 
 
 @dataclass(frozen=True)
