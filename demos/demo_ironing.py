@@ -119,7 +119,7 @@ if comm.rank == 0:
 # ## Load steps
 
 # %%
-forces, newton_steps = [], []
+forces, newton_steps, shapes = [], [], []
 writer = SolutionWriter("results/ironing.pvd")
 with problem:
     for t in times:
@@ -130,6 +130,11 @@ with problem:
         writer.write(solution, t)
         forces.append(solution.pair_resultants[0].force)
         newton_steps.append(len(solution.newton.steps))
+        blocks = solution.to_pyvista()  # on the first rank
+        if comm.rank == 0:
+            body = blocks["volume"]
+            corners = (body.points + body["displacement"])[:, :2]
+            shapes.append(corners[body.cells.reshape(-1, 5)[:, 1:]])  # of each quadrilateral
     solution.plot("results/ironing_end.png", scale=1.0)
 horizontal, vertical = np.array(forces).T * [[-1.0], [1.0]]  # friction pulls the block back
 ratio = horizontal[-1] / vertical[-1]
@@ -150,6 +155,8 @@ if comm.rank == 0:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.animation import FuncAnimation, writers
+    from matplotlib.collections import PolyCollection
 
     figure, axes = plt.subplots(figsize=(7.2, 4.4), layout="constrained")
     axes.plot(times, vertical, color="tab:blue", label="vertical")
@@ -161,3 +168,25 @@ if comm.rank == 0:
     axes.set(xlabel="t", ylabel="force [N]", xlim=(0, 1.55), ylim=(0, None))
     axes.legend(frameon=False, loc="upper left")
     figure.savefig("results/ironing.png", dpi=150)
+
+    film, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), width_ratios=(2, 1))
+    film.subplots_adjust(left=0.04, right=0.98, bottom=0.15, top=0.97)
+
+    def draw_frame(step):
+        for panel in (left, right):
+            panel.clear()
+        left.add_collection(PolyCollection(shapes[step], fc="lightsteelblue", ec="grey", lw=0.3))
+        left.set(xlim=(-0.2, 12.2), ylim=(-0.1, 5.5), aspect="equal", xlabel="mm")
+        for force, name in ((vertical, "vertical"), (horizontal, "horizontal")):
+            right.plot(times[: step + 1], force[: step + 1], label=name)
+        right.set(xlabel="t", ylabel="force [N]", xlim=(0, 1.55), ylim=(0, 1.1 * vertical.max()))
+        right.legend(frameon=False, loc="upper left")
+
+    frames = FuncAnimation(film, draw_frame, frames=len(times))
+    ffmpeg = writers.is_available("ffmpeg")
+    frames.save(
+        "results/ironing.mp4" if ffmpeg else "results/ironing.gif",
+        writer="ffmpeg" if ffmpeg else "pillow",
+        fps=6,
+        dpi=110,
+    )
