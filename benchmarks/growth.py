@@ -8,8 +8,8 @@ Each kind makes one number larger and keeps the others, where that is possible:
                     factors take the memory, to 2 10^5
     contact_nodes   one layer of cells on a rigid plane: n is a multiple of the contact nodes
     load_steps      1,000 small changes of the load of two bricks, with one K
-    pairs           one body on rigid planes, a pair for each of up to 50 strips
-                    of its lower face, half of which they are together
+    pairs           one body on rigid planes, a pair for each of up to 50 strips, or for each quarter
+                    of the 50 strips; together they are half of the lower face
     bodies          walls of up to 490 bricks that only contact holds (`scenes/wall.py`)
     import, start   a new process: `import dolfinx_tresca`, and two bricks with N = 4 from there to
                     the first solution, with an empty cache of compiled forms and with a full one
@@ -57,7 +57,7 @@ NUMBERS: dict[str, tuple[int, ...]] = {
     "unknowns": (12, 20, 32, 61, 80),
     "contact_nodes": (20, 40, 80),
     "load_steps": (125, 250, 500, 1000),
-    "pairs": (1, 10, 50),
+    "pairs": (1, 10, 50, 200),
     "bodies": tuple(WALLS),
     "import": (1,),
     "start": (0, 1),
@@ -72,6 +72,9 @@ ROOT = Path(__file__).parents[1]
 #: Requested residual, and the relative change of the load from step to step.
 RTOL, CHANGE = 1e-6, 0.02
 
+#: Strips of the plate with many pairs; more pairs are parts of strips.
+MOST_STRIPS = 50
+
 #: What a new process does: imports; from a mesh to the first solution.
 PROGRAMS = {
     "import": "import dolfinx_tresca",
@@ -85,7 +88,8 @@ PROGRAMS = {
 def plate(comm: MPI.Comm, cells: int, parts: int = 0) -> Scene:
     """Return a layer of cells, held above, that waves press on a rigid plane.
 
-    Its lower face has one pair, or a pair for each of some strips, half of the face together.
+    Its lower face has one pair, or a pair for each of some strips or parts of strips, which together
+    are half of the face.
     """
     height = 1.0 / cells
     made = boxes(comm, "hexahedron", [Body((cells, 1), [(0.0, 1.0), (0.0, 1.0), (0.0, height)])])
@@ -93,16 +97,25 @@ def plate(comm: MPI.Comm, cells: int, parts: int = 0) -> Scene:
     def at(z: float) -> Callable[[np.ndarray], np.ndarray]:
         return lambda x: np.isclose(x[:, 2], z, atol=1e-3 * height)
 
-    def strip(k: int) -> Callable[[np.ndarray], np.ndarray]:
-        return lambda x: at(0.0)(x) & ((x[:, 0] * 2 * parts).astype(int) == 2 * k)
+    strips = min(parts, MOST_STRIPS)
+    pieces = parts // max(strips, 1)
 
-    strips = [strip(k) for k in range(parts)] if parts else [at(0.0)]
-    tags = made.tags((1, [0], at(height)), *((2 + k, [0], where) for k, where in enumerate(strips)))
+    def part(k: int) -> Callable[[np.ndarray], np.ndarray]:
+        column, row = 2 * (k // pieces), k % pieces
+
+        def marker(x: np.ndarray) -> np.ndarray:
+            across, along = (x[:, 0] * 2 * strips).astype(int), (x[:, 1] * pieces).astype(int)
+            return at(0.0)(x) & (across == column) & (np.minimum(along, pieces - 1) == row)
+
+        return marker
+
+    faces = [part(k) for k in range(parts)] if parts else [at(0.0)]
+    tags = made.tags((1, [0], at(height)), *((2 + k, [0], where) for k, where in enumerate(faces)))
     x = ufl.SpatialCoordinate(made.mesh)
     wave = ufl.cos(2.0 * ufl.pi * x[0]) * ufl.cos(2.0 * ufl.pi * x[1])
     L = ufl.inner(ufl.as_vector((0.5, 0.0, -wave)) / height, ufl.TestFunction(made.V)) * ufl.dx
     plane = RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    pairs = [ContactPair(tags, 2 + k, plane, Tresca(0.2)) for k in range(len(strips))]
+    pairs = [ContactPair(tags, 2 + k, plane, Tresca(0.2)) for k in range(len(faces))]
     bcs = [fixed(made.V, tags.find(1))]
     return Scene(made.V, elasticity(made.V, 1e4, 0.3), L, bcs, pairs, tags)
 
