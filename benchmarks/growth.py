@@ -8,8 +8,8 @@ Each kind makes one number larger and keeps the others, where that is possible:
                     factors take the memory, to 2 10^5
     contact_nodes   one layer of cells on a rigid plane: n is a multiple of the contact nodes
     load_steps      1,000 small changes of the load of two bricks, with one K
-    pairs           one body on rigid planes, a pair for each of up to 50 strips, or for each quarter
-                    of the 50 strips; together they are half of the lower face
+    pairs           one body on rigid planes, a pair for each of up to 50 strips, or for each
+                    quarter of the 50 strips; together they are half of the lower face
     bodies          walls of up to 490 bricks that only contact holds (`scenes/wall.py`)
     import, start   a new process: `import dolfinx_tresca`, and two bricks with N = 4 from there to
                     the first solution, with an empty cache of compiled forms and with a full one
@@ -88,8 +88,8 @@ PROGRAMS = {
 def plate(comm: MPI.Comm, cells: int, parts: int = 0) -> Scene:
     """Return a layer of cells, held above, that waves press on a rigid plane.
 
-    Its lower face has one pair, or a pair for each of some strips or parts of strips, which together
-    are half of the face.
+    Its lower face has one pair, or a pair for each of some strips or parts of strips, which
+    together are half of the face.
     """
     height = 1.0 / cells
     made = boxes(comm, "hexahedron", [Body((cells, 1), [(0.0, 1.0), (0.0, 1.0), (0.0, height)])])
