@@ -96,7 +96,7 @@ class LinearisedContact:
             dual: the problem.
             x: multipliers.
             r: gradient.
-            edge: state that is assumed for the nodes `at_edge`.
+            edge: state that is assumed for nodes between two states, which `at_edge` finds.
 
         Raises:
             InputError: a slip bound depends on the slip.

@@ -214,7 +214,8 @@ class DualProgram:
     def local_error(self, x: Array, r: Array) -> float:
         """Return `local_change` divided by the largest traction; 0 if it is rounding. Collective.
 
-        If springs alone carry the loads, the tractions and their changes are rounding of the jumps.
+        If springs alone carry the loads, the exact tractions are zero. The computed tractions and
+        their changes are then rounding errors of the jumps, and their ratio means nothing.
 
         Args:
             x: (size,) in Lambda.
@@ -280,8 +281,8 @@ class DualProgram:
 
         Args:
             x: (size,) multipliers.
-            rho: step length of the projection with which slip bounds and the multipliers of the
-                constraints at x are found.
+            rho: step length of the projection that gives the slip bounds at x and the multipliers
+                of the constraints.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf

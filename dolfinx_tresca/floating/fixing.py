@@ -43,12 +43,12 @@ class FixingSprings:
 
     @cached_property
     def columns(self) -> csr_array:
-        """Z (owned degrees of freedom, k), sparse. Collective.
+        """The matrix Z (owned degrees of freedom, k) of the springs, sparse. Collective.
 
         The springs act on a few nodes of each body, spread over it, and make the body about as
-        stiff against its rigid modes as it is against deformation. The nodes are few, since springs
-        couple each of them with all others, but more than one for each mode, since single nodes
-        would yield.
+        stiff against its rigid modes as it is against deformation. There are few such nodes, since
+        the springs couple each of them with all others, but more nodes than modes, since the body
+        would yield around a single node.
         """
         modes = self.modes
         dim = modes.dim

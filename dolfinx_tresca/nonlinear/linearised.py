@@ -152,7 +152,7 @@ class TangentProblem:
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
-        """Check that the last solution still balances the forces. Collective.
+        """Check, before a solution is accepted, that it still balances the forces. Collective.
 
         Args:
             change: change of the forces since the solve [force] at owned degrees of freedom.

@@ -141,8 +141,8 @@ class NonlinearContactProblem(ContactProcess):
                 other Functions. If F contains u only through these coefficients, give J.
             on_accept: function without arguments that makes the present state of the material the
                 history. An error that `before_assembly` or `on_accept` raises on one rank is raised
-                on all ranks; but neither may fail on one rank alone before it communicates with
-                other ranks (as it does when it makes a `fem.Function`).
+                on all ranks. If the other ranks still communicate in that function after the error,
+                for example to make a `fem.Function`, they wait for ever.
             symmetrize: whether to replace J by its symmetric part, as follower loads and
                 non-associated plasticity need; Newton's method then converges linearly.
             options: options of the contact algorithm; by default a relative residual of 1e-6. The

@@ -43,9 +43,9 @@ class StallWatch:
         self._warned = False
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Call the observer with an iteration, and return its answer.
+        """Tell the observer an iteration and whether the solve stalls; return its answer.
 
-        Collective if the observer is.
+        The first stall is logged as a warning. Collective if the observer is.
         """
         stalled = self._stalled(iteration)
         if stalled and not self._warned:

@@ -216,8 +216,9 @@ class LinearSystem(PetscOwner):
         """Assemble K from the form's present coefficients. Collective.
 
         Raises:
-            InputError: the matrix a cannot be copied: see `copied`.
-            StiffnessError: K is not symmetric, or not finite.
+            InputError: a is a matrix, given in place of a form, that `copied` cannot copy; or an
+                axisymmetric form describes a plane body.
+            StiffnessError: K is not symmetric or not finite, or fails `_check_signs`.
         """
         self.assemble_form()
         norm = self.K.norm(PETSc.NormType.FROBENIUS)
@@ -238,7 +239,7 @@ class LinearSystem(PetscOwner):
         """Assemble K without Dirichlet conditions. Collective.
 
         Raises:
-            InputError: the matrix a cannot be copied: see `copied`.
+            InputError: a is a matrix, given in place of a form, that `copied` cannot copy.
         """
         if self._is_matrix:
             self.K.destroy()  # the new matrix may have another sparsity pattern

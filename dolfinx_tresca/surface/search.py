@@ -48,7 +48,12 @@ class Balls:
     """A set of balls with a fast search for the balls that lie along normals."""
 
     def __init__(self, centres: Array, radii: Array) -> None:
-        """Build search trees for balls with centres (m, 3) and radii (m,) [length]."""
+        """Build trees for the search `on_normals`.
+
+        Args:
+            centres: (m, 3) centres of the balls [length].
+            radii: (m,) radii of the balls [length].
+        """
         self._centres, self._radii = centres, radii
         # one tree for each power of two of the radius: large balls do not widen the search for
         # small ones

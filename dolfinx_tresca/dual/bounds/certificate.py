@@ -81,10 +81,11 @@ class EnergyBound(PetscOwner):
         return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
 
     def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
-        """Return d - N v and -T v (size,), and this rank's duality gap without 1/2 |v - u|_K^2.
+        """Return d - N v and -T v (size,), and this rank's nodal terms of the duality gap.
 
-        The jumps of v are chosen node by node: each node gets the jump for which the duality gap is
-        smallest if its neighbours are fixed.
+        The remaining term of the gap, 1/2 |v - u|_K^2, is added in `at`. The jumps of v are chosen
+        node by node: each node gets the jump for which the duality gap is smallest if its
+        neighbours are fixed.
         """
         local = self._local_stiffness
         normal, tangential = feasible_set.normal, feasible_set.tangential

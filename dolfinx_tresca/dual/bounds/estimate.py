@@ -76,7 +76,7 @@ class DiscretisationError:
     """
 
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace, axisymmetric: bool = False) -> None:
-        """Compile the forms. Collective.
+        """Compile the forms, and divide the cells into materials. Collective.
 
         Args:
             a: the bilinear form of K.

@@ -112,7 +112,7 @@ def _solve(matrix: csr_array, right: Array) -> Array:
 
 
 def _nodes(jump: JumpOperator) -> Indices:
-    """Return a number (size,) for each multiplier, equal for the multipliers of one node."""
+    """Return the number (size,) of each multiplier's node; nodes are numbered pair by pair."""
     first = 0
     result: list[Indices] = [np.empty(0, dtype=np.intp)]
     for pair in jump.pairs:

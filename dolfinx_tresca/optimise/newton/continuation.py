@@ -114,9 +114,9 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
-    The constraints are exact until a step fails, and softened by a constant from then on. Where
-    this does not converge, a second run begins with softened constraints, which soften further with
-    each step that fails, as in the method of Levenberg and Marquardt.
+    Once a step has failed, the constant `proximal_softness` is added to the softness of the
+    equality constraints. If this does not converge, a second run begins with this constant, and
+    increases it after each step that fails, as in the method of Levenberg and Marquardt.
     """
     best = _nearest_fixed_point(newton, start, tolerance, softness=0.0, growth=1.0)
     if best.residual <= tolerance or newton.proximal_softness == 0.0:
@@ -168,10 +168,11 @@ def _nearest_fixed_point(
 def _part_of_step(
     newton: FaceNewton, start: Iterate, end: Iterate, residual: float
 ) -> tuple[Iterate, Point]:
-    """Return the end of a part of a step, and the point there without constraints. Collective.
+    """Return the end of a part of a step, and its projection onto the cones. Collective.
 
-    The whole step, its half, its quarter and so on are tried until one reduces the residual; if
-    none does, the part with the least residual is returned.
+    The projection is `FaceNewton.point_without_constraints`, which need not satisfy the equality
+    constraints. The whole step, its half, its quarter and so on are tried until one reduces the
+    residual; if none does, the part with the least residual is returned.
 
     Args:
         newton: method and problem.

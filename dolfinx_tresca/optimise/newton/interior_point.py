@@ -247,7 +247,11 @@ class _CentralPath:
         return float(1.0 / inverse[self.round].max(initial=LEAST_DIVISOR))
 
     def _lower(self, part: float) -> None:
-        """Reduce the barrier below the present mean of the products of multipliers and duals."""
+        """Reduce the barrier below the present mean of the products of multipliers and duals.
+
+        Args:
+            part: the part of the Newton step that was taken; nearly whole steps reduce it more.
+        """
         if self.count == 0:
             return
         n = self.set.normal

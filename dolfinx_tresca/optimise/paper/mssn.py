@@ -56,7 +56,8 @@ def _iterate(
 ) -> DualSolution:
     """Run Steps 1 to 4 of the paper's algorithm. Collective.
 
-    The tolerance of the next inner iteration is `precision(history)()`.
+    `precision(history)` is a function that returns the tolerance of the next inner iteration each
+    time it is called.
     """
     feasible_set = problem.feasible_set
     history, multipliers, r = begin(problem, start, options, observe)
