@@ -138,13 +138,13 @@ def test_steps_of_a_process(comm):
         assert abs(about.moment.item()) == pytest.approx(expected, rel=20 * GEOMETRY)
 
 
-def over_the_edge(comm, friction):
+def over_the_edge(comm, friction, finer=1):
     """Return a block at the end of another one, and the motion of its top."""
     scene = patch(
         comm,
         "quadrilateral",
-        upper=(4, 2),
-        lower=(5, 2),
+        upper=(4 * finer, 2 * finer),
+        lower=(5 * finer, 2 * finer),
         distort=0.0,
         span=[(0.5, 1.0)],
         friction=friction,
@@ -162,6 +162,26 @@ def moved_to(problem, motion, x):
     solution.raise_if_failed()
     problem.accept()
     return solution
+
+
+def test_force_is_smooth_over_edges_of_facets_and_past_the_end(comm):
+    """A block slides slowly over the other one's end, in steps of 1/20 of the coarse cells.
+
+    Where a node passes an edge of a facet or the end, the force has no jump. Its slope has one,
+    which is proportional to the size of the cells.
+    """
+    kinks = []
+    for finer in (1, 2):
+        problem, motion = over_the_edge(comm, Frictionless(), finer)
+        with problem:
+            forces = [
+                moved_to(problem, motion, x).pair_resultants[0].force[1]
+                for x in np.arange(0.0, 0.4, 0.01)
+            ]
+        changes = np.diff(forces)
+        kinks.append(np.abs(np.diff(changes)).max() / abs(changes.mean()))
+    assert kinks[0] < 1.0  # in units of the mean change of the force in a step
+    assert kinks[1] < 0.7 * kinks[0]  # order 1: a half
 
 
 @pytest.mark.long
