@@ -160,6 +160,41 @@ def test_a_folded_strip(comm):
     assert found == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parallel
+def test_a_fold_of_a_bellows_is_pressed_together(comm):
+    """Two arms of rubber, joined by a bend: the inside touches itself as arms tagged by hand do."""
+    made = boxes(comm, "quadrilateral", [Body((42, 3), [(-1, 1), (0, 0.1)], move=folded)])
+    left, right, bend, still, pushed = 1, 2, 3, 4, 5
+
+    def inside(x):
+        return x[:, 1] > 0.1 - 1e-9
+
+    tags = made.tags(
+        (left, [0], lambda x: inside(x) & (x[:, 0] < -0.23)),
+        (right, [0], lambda x: inside(x) & (x[:, 0] > 0.23)),
+        (bend, [0], lambda x: inside(x) & (np.abs(x[:, 0]) < 0.25)),
+        (still, [0], lambda x: (x[:, 1] < 1e-9) & (np.abs(x[:, 0] + 0.7) < 0.1)),
+        (pushed, [0], lambda x: (x[:, 1] < 1e-9) & (np.abs(x[:, 0] - 0.7) < 0.1)),
+    )
+    options = SolverOptions(rtol=1e-8, geometry_accuracy=1e-5)
+    every, forces = [left, right, bend], []
+    for sides in ((left, right), (every, every)):
+        u = fem.Function(made.V)
+        F = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(made.V))
+        motion = fem.Constant(made.mesh, np.zeros(2))
+        bcs = [fixed(made.V, tags.find(still)), fixed(made.V, tags.find(pushed), motion)]
+        pair = ContactPair(tags, *sides, Coulomb(0.3), sliding="finite")
+        with NonlinearContactProblem(F, u, [pair], bcs, options=options) as problem:
+            for depth in (0.08, 0.16):
+                motion.value[0] = -depth
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+            forces.append(np.abs(solution.pair_resultants[0].force))
+    assert forces[0].max() > 1e-3
+    assert forces[1] == pytest.approx(forces[0], abs=1e-3 * forces[0].max())
+
+
 def ring(comm, N=40, opening=0.06):
     """Return a ring that is open on one side, and tags of its ends, inside and supports."""
 
