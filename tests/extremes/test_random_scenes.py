@@ -44,6 +44,7 @@ class Drawn:
     degree: int = 1
     boxes: bool = False
     matching: bool = False
+    adhesion: bool = False
 
 
 SCENES = st.builds(
@@ -66,6 +67,7 @@ SCENES = st.builds(
     degree=st.sampled_from([1, 1, 2]),
     boxes=st.booleans(),
     matching=st.booleans(),
+    adhesion=st.booleans(),
 )
 
 
@@ -83,7 +85,10 @@ def scene_of(comm, drawn: Drawn) -> Scene:
         Tresca(bound),
         Tresca(bound),
         Tresca(bound, only_in_contact=True),
-        Coulomb(lambda x: min(drawn.bound, 1.0) * (0.5 + 0.5 * np.cos(x[0]) ** 2)),
+        Coulomb(
+            lambda x: min(drawn.bound, 1.0) * (0.5 + 0.5 * np.cos(x[0]) ** 2),
+            adhesion=bound if drawn.adhesion else 0.0,
+        ),
         Coulomb(min(drawn.bound, 1.0), limit=bound),
     ]
     law = laws[drawn.rough % len(laws)]
