@@ -59,11 +59,9 @@ def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any])
         keys: (n,) the key of each row.
         rows: (n, k) the rows of this rank.
     """
-    least = keys.min() if len(keys) else np.inf
-    least, root = comm.allreduce((least, comm.rank), op=MPI.MINLOC)
-    if least == np.inf:
-        return None
-    return comm.bcast(rows[keys.argmin()] if comm.rank == root else None, root=root)
+    mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
+    found = [one for one in comm.allgather(mine) if one is not None]
+    return min(found, key=lambda one: one[0])[1] if found else None
 
 
 def _bytes(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:

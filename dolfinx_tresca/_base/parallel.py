@@ -55,7 +55,9 @@ def log(
             once for each subject.
     """
     logged = _logged_warnings.get()
-    if comm.rank > 0 or (logged is not None and (message, about) in logged):
+    if comm.rank > 0 or not _logger.isEnabledFor(level):
+        return
+    if logged is not None and (message, about) in logged:
         return
     if logged is not None and level == logging.WARNING:
         logged.add((message, about))

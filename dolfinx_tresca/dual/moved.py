@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -13,7 +14,8 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.owner import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.moved import interpolate_in_geometry, pair_moved_surfaces
+from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
+from dolfinx_tresca.pairing.moved import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -43,30 +45,28 @@ def moved_jump(
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
-    system = before.system
-    prescribed = system.prescribed_displacements
+    system, V = before.system, u.function_space
     stay = [
         old.bonded or not new
         for old, new in zip(
             before.pairs, [True] * len(pairs) if anew is None else anew, strict=True
         )
     ]
-    in_geometry = interpolate_in_geometry(u)
+    values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
+    straight = straightened(V, values)
     operators = [
-        old if stays else pair_moved_surfaces(u, prescribed, pair, system.axisymmetric, in_geometry)
+        old if stays else pair_displaced_surfaces(V, pair, old.undeformed, straight)
         for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
-    bends = in_geometry is not u  # edges that the mesh's geometry keeps straight
-    straight = u.copy()  # the vector that the jump makes of u would be left to garbage collection
-    if bends:
-        straight.interpolate(in_geometry)
+    moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
     jump = JumpOperator(system, operators)
     with destroyed_on_error(jump):
         for k, (one, old, pair, (normal, _)) in enumerate(
             zip(operators, before.pairs, pairs, jump.slices, strict=True)
         ):
             if not stay[k]:
-                moves = _bent_primary(straight, u, pair) if bends else straight
+                bent = straight if straight is values else _bent_primary(V, straight, values, pair)
+                moves.x.array[:] = bent.ravel()
                 closed = jump.of_displacement(moves) * jump.length_scale
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
                 distance = one.distance + one.secondary_sagitta - raised
@@ -76,100 +76,92 @@ def moved_jump(
     return jump
 
 
-def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) -> fem.Function:
-    """Return the displacement of the mesh's geometry, with bent primary edges. Collective.
+def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array:
+    """Return a displacement (nodes, dim of space) with bent primary edges only. Collective.
 
     N of the result enters the gap. If the true surfaces are given, edges stay straight: the height
     of these surfaces over the facets is kept.
 
     Args:
-        straight: the displacement interpolated in the degree of the geometry.
-        u: displacement.
+        V: the space of the displacement.
+        straight: `straightened` u.
+        u: (nodes, dim of space) displacement.
         pair: the surfaces.
     """
-    V = u.function_space
-    # A Function that was interpolated is in a reference cycle: ranks would free its vector, which
-    # is collective, when their garbage collectors run.
-    result, dim = straight.copy(), V.dofmap.index_map_bs
     if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
-        return result
+        return straight
     facets = pair.facet_tags.find(pair.primary)
     nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-    result.x.array.reshape(-1, dim)[nodes] = u.x.array.reshape(-1, dim)[nodes]
+    result = straight.copy()
+    result[nodes] = u[nodes]
     return result
 
 
-def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Array:
-    """Return tractions or jumps (size,) at the same nodes, for another B. Not collective.
+class Carry:
+    """Carries tractions and jumps over to another B of the same pairs, at the same nodes.
 
     A tangential vector loses its part that is normal to the new tangents. Values at new nodes are
     zero.
+    """
+
+    def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
+        """Find the nodes of B before among those of B after. Not collective."""
+        self._before, self._after = before, after
+        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last for new nodes
+        known = [np.arange(count) for count in counts]
+        found = [
+            _position(new.nodes, old.nodes)
+            for new, old in zip(after.pairs, before.pairs, strict=True)
+        ]
+        self._to = _components(after.pairs, found, counts)
+        self._of = _components(before.pairs, known, counts).T
+
+    def physical(self, values: Array) -> Array:
+        """Return tractions [stress] or jumps [length], (size,) or (size, k), for B after."""
+        return np.asarray(self._to @ (self._of @ values))
+
+    def multipliers(self, x: Array) -> Array:
+        """Return multipliers (size,) or (size, k) for B after. Not collective."""
+        return (self.physical((x.T * self._before.stress_scale).T).T / self._after.stress_scale).T
+
+    def residuals(self, r: Array) -> Array:
+        """Return residuals (size,) or (size, k) for B after. Not collective."""
+        return (self.physical((r.T * self._before.length_scale).T).T / self._after.length_scale).T
+
+
+def _components(
+    pairs: Sequence[PairOperators], nodes: Sequence[Indices], counts: Sequence[int]
+) -> csr_array:
+    """Return the matrix from nodal normal values and tangential vectors to the rows of B.
 
     Args:
-        values: (size before,) or (size before, k) multipliers times `stress_scale`, or residuals
-            times `length_scale`.
-        before: B of the values.
-        after: B of the same pairs.
+        pairs: the pairs of B.
+        nodes: for each pair (n,) the numbers of its nodes, 0, ..., count - 1.
+        counts: for each pair the count of nodes; each has 1 + d columns.
     """
-    result = np.zeros((len(after.gap), *values.shape[1:]))
-    for one, old, (n, t), (old_n, old_t) in zip(
-        after.pairs, before.pairs, after.slices, before.slices, strict=True
-    ):
-        found, count = _position(one.nodes, old.nodes), len(old.nodes) + 1  # the last for new nodes
-        for rows, old_rows, new, known in (
-            (n, old_n, _pressures(one), _pressures(old)),
-            (t, old_t, (one.tangent_node, one.tangents), (old.tangent_node, old.tangents)),
-        ):
-            to = _components(found[new[0]], new[1], count)
-            of = _components(known[0], known[1], count)
-            result[rows] = to @ (of.T @ values[old_rows])
-    return result
-
-
-def carried_multipliers(x: Array, before: JumpOperator, after: JumpOperator) -> Array:
-    """Return multipliers (size,) or (size, k) for another B, see `carried_over`."""
-    return (carried_over((x.T * before.stress_scale).T, before, after).T / after.stress_scale).T
-
-
-def carried_residuals(r: Array, before: JumpOperator, after: JumpOperator) -> Array:
-    """Return residuals (size,) or (size, k) for another B, see `carried_over`."""
-    return (carried_over((r.T * before.length_scale).T, before, after).T / after.length_scale).T
-
-
-def _pressures(pair: PairOperators) -> tuple[LocalNumbers, Array]:
-    """Return the nodes (n_normal,) of normal multipliers, and ones (n_normal, 1)."""
-    return pair.normal_node, np.ones((len(pair.normal_node), 1))
-
-
-def _components(nodes: Indices | LocalNumbers, vectors: Array, count: int) -> csr_array:
-    """Return the matrix (n, d * count) from nodal vectors to components along vectors (n, d).
-
-    Args:
-        nodes: (n,) nodes of the components, in 0, ..., count - 1.
-        vectors: (n, d) directions of the components.
-        count: number of nodes.
-    """
-    number, dim = vectors.shape
-    columns = dim * nodes[:, None] + np.arange(dim)
-    ends = dim * np.arange(number + 1)
-    return csr_array((vectors.ravel(), columns.ravel(), ends), (number, dim * count))
+    values, columns, lengths, first = [], [], [], 0
+    for pair, node, count in zip(pairs, nodes, counts, strict=True):
+        dim = pair.tangents.shape[1]
+        vectors = first + count + dim * node[pair.tangent_node, None] + np.arange(dim)
+        columns += [first + node[pair.normal_node], vectors.ravel()]
+        values += [np.ones(len(pair.normal_node)), pair.tangents.ravel()]
+        lengths += [np.ones(len(pair.normal_node), int), np.full(len(vectors), dim)]
+        first += (1 + dim) * count
+    ends = np.append(0, np.cumsum(np.concatenate(lengths)))
+    shape = len(ends) - 1, first
+    return csr_array((np.concatenate(values), np.concatenate(columns), ends), shape)
 
 
 def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
     """Return the position (n,) of each node among others; len(others) if it is missing.
 
-    A node on a sharp edge occurs once for each of its normals: its occurrences are matched in
-    order.
+    Both are ascending. A node on a sharp edge occurs once for each of its normals: its occurrences
+    are matched in order.
     """
-    known = {key: k for k, key in enumerate(_numbered(others))}
-    return np.array([known.get(key, len(others)) for key in _numbered(nodes)], dtype=np.intp)
-
-
-def _numbered(nodes: LocalNumbers) -> list[tuple[int, int]]:
-    """Return each node with the number of its earlier occurrences."""
-    count: dict[int, int] = {}
-    result = []
-    for node in map(int, nodes):
-        count[node] = count.get(node, -1) + 1
-        result.append((node, count[node]))
-    return result
+    most = max(len(nodes), len(others))
+    keys, known = (
+        one.astype(np.int64) * most + np.arange(len(one)) - np.searchsorted(one, one)
+        for one in (nodes, others)
+    )
+    place = np.searchsorted(known, keys)
+    return np.where(np.append(known, -1)[place] == keys, place, len(others))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, node, obstacle
@@ -19,18 +20,14 @@ from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import extend_halos
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.self_contact import SelfContact
 
 
 def pair_surfaces(
-    V: Any,
-    prescribed: Mask,
-    pair: ContactPair,
-    undeformed: Undeformed | None = None,
-    *,
-    axisymmetric: bool = False,
+    V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
 ) -> PairOperators:
     """Compute N, T and the gap of a pair, for the present positions of the mesh's nodes.
 
@@ -40,8 +37,6 @@ def pair_surfaces(
         V: vector space of degree 1 or 2.
         prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         pair: the contact pair.
-        undeformed: properties of the undeformed surfaces, found by `Undeformed.of` before the mesh
-            was moved; None if the mesh is not moved.
         axisymmetric: whether integrals are over rings about the axis x = 0.
 
     Raises:
@@ -49,10 +44,36 @@ def pair_surfaces(
         PairingError: the surfaces cannot be paired in the requested way or do not face each other,
             or all secondary nodes are prescribed.
     """
-    moved = undeformed is not None
-    if undeformed is None:
-        undeformed = Undeformed.of(V, prescribed, pair)
-    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", undeformed, axisymmetric)
+    undeformed = Undeformed.of(V, prescribed, pair, axisymmetric=axisymmetric)
+    return _pair(V, pair, undeformed, undeformed.sides, moved=False)
+
+
+def pair_displaced_surfaces(
+    V: Any, pair: ContactPair, undeformed: Undeformed, u: Array
+) -> PairOperators:
+    """Compute N, T and the gap of a pair in the configuration displaced by u. Collective.
+
+    The gap is the distance of the displaced surfaces; the gap of the undeformed ones for the same N
+    is this gap plus N u.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        undeformed: the undeformed surfaces.
+        u: (nodes, dim of space) displacement of this rank's nodes [length], see `straightened`.
+
+    Raises:
+        InputError: the signed distance of the obstacle is wrong.
+        PairingError: the displaced surfaces cannot be paired.
+    """
+    return _pair(V, pair, undeformed, undeformed.displaced(V, u), moved=True)
+
+
+def _pair(
+    V: Any, pair: ContactPair, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
+) -> PairOperators:
+    """Compute N, T and the gap of a pair from the facets of its sides. Collective."""
+    secondary = Side.of(V, pair.facet_tags, pair.secondary, "secondary", sides[pair.secondary])
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
@@ -64,16 +85,14 @@ def pair_surfaces(
     else:
         primary = secondary
         if not pair.touches_itself:
-            primary = Side.of(
-                V, prescribed, pair, pair.primary, "primary", undeformed, axisymmetric
-            )
+            primary = Side.of(V, pair.facet_tags, pair.primary, "primary", sides[pair.primary])
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_on_this_rank(V, moved)
         other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V, moved)
         coupling, bodies = _couple_surfaces(V, pair, secondary, nodes, primary, other_nodes, moved)
         others = primary.halo.facets
     return PairOperators.of(
-        V, coupling, nodes, secondary.whole, pair.friction, others, axisymmetric, bodies
+        V, coupling, nodes, secondary.whole, pair.friction, undeformed, others, bodies
     )
 
 

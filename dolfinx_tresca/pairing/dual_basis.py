@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,26 +131,21 @@ def redistributed(values: Array, some: Mask) -> Array:
 
 
 def assemble_rows(
-    nodes: SurfaceNodes,
-    facet_corners: Indices,
-    columns: GlobalNumbers,
-    values: Array,
-    shape: int,
+    nodes: SurfaceNodes, parts: Sequence[tuple[Indices, GlobalNumbers, Array]], columns: int
 ) -> Any:
-    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, shape).
+    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, columns).
 
     Args:
         nodes: the secondary nodes, one row for each.
-        facet_corners: (n, corners) indices in `nodes` of the rows of each block.
-        columns: (n, k) global numbers of the columns of each block.
-        values: (n, corners, k) the blocks.
-        shape: number of columns.
+        parts: sets of blocks: (n, corners) indices in `nodes` of the rows of each block, (n, k)
+            global numbers of its columns, and (n, corners, k) its values.
+        columns: number of columns.
     """
-    row = np.broadcast_to(facet_corners[:, :, None], values.shape)
-    column = np.broadcast_to(columns[:, None, :], values.shape)
-    return coo_array(
-        (values.ravel(), (row.ravel(), column.ravel())), shape=(len(nodes.numbers), shape)
-    ).tocsr()
+    rows = [np.repeat(row, block.shape[2], axis=1).ravel() for row, _, block in parts]
+    numbers = [np.tile(column, block.shape[1]).ravel() for _, column, block in parts]
+    values = np.concatenate([block.ravel() for _, _, block in parts])
+    places = np.concatenate(rows), np.concatenate(numbers)
+    return coo_array((values, places), shape=(len(nodes.numbers), columns)).tocsr()
 
 
 def force_moments(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, cross
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -97,7 +97,7 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
             _raise_for_direction(V, pair, direction, bad)
     length[length == 0.0] = 1.0
     first /= length[:, None]
-    return np.stack([first, np.cross(pair.normals, first)], axis=1)
+    return np.stack([first, cross(pair.normals, first)], axis=1)
 
 
 def _raise_for_direction(V: Any, pair: PairOperators, direction: Array, bad: Indices) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
 from dolfinx_tresca.pairing.dual_basis import (
@@ -91,9 +91,8 @@ def couple(
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
     weights = found.weights[position]
-    scale = diags_array(1.0 / weights)
-    jump = (scale @ found.jump[position]).tocsr()
-    primary = (scale @ found.primary[position]).tocsr()
+    scale: Array = np.reciprocal(weights)
+    jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
     normals = nodes.normals[position]
     along = normals / weights[:, None]
@@ -197,11 +196,12 @@ def mortar_rows(
 
     weights = summed(weights)
     own = dual @ integrals.own.values
-    jump = assemble_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
-    across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    jump = (jump - across).tocsr()
+    of_own = nodes.facet_nodes, secondary.nodes, own
+    of_other = nodes.facet_nodes[facet], primary.nodes[other], block
+    across = assemble_rows(nodes, [of_other], columns)
+    jump = assemble_rows(nodes, [of_own, (*of_other[:2], -block)], columns)
     heights, secondary_sagitta, distance = (
         summed(np.einsum("nab,nb->na", dual, of_hats))
         for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)

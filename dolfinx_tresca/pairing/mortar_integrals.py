@@ -104,11 +104,15 @@ class MortarIntegrals:
         )
         whole = np.bincount(pieces.facet, integrate.piece_area, minlength=n)
         for overlap in _overlaps(integrate, pieces, others, selected, limit, order):
-            np.add.at(hats, overlap.secondary, overlap.hats)
-            np.add.at(values, overlap.secondary, overlap.values)
-            np.add.at(sagitta, overlap.secondary, overlap.sagitta)
-            np.add.at(secondary_sagitta, overlap.secondary, overlap.secondary_sagitta)
-            np.add.at(distance, overlap.secondary, overlap.distance)
+            facet, first = np.unique(overlap.secondary, return_index=True)  # they are ascending
+            for total, part in (
+                (hats, overlap.hats),
+                (values, overlap.values),
+                (sagitta, overlap.sagitta),
+                (secondary_sagitta, overlap.secondary_sagitta),
+                (distance, overlap.distance),
+            ):
+                total[facet] += np.add.reduceat(part, first, axis=0)
             np.add.at(covered, overlap.piece, overlap.area)
             some = overlap.area > 0.0
             facet = overlap.secondary[some]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
 from dolfinx_tresca.pairing.dual_basis import (
@@ -65,8 +65,8 @@ def couple(
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
     rows = redistributed(weighted, faces)
-    jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
-    jump = diags_array(scale) @ drop_rounding(jump, facets, facet_nodes, weights)
+    jump = assemble_rows(nodes, [(facet_nodes, facets.nodes, rows)], columns)
+    jump = scaled_rows(drop_rounding(jump, facets, facet_nodes, weights), scale)
 
     def nodal_means(at_nodes: Array) -> Array:
         """Average values at facets' nodes with the dual basis over facing facets: (nodes,)."""
@@ -84,7 +84,7 @@ def couple(
         position,
         weights[position],
         normals,
-        jump.tocsr()[position],
+        jump[position],
         csr_array((len(position), columns)),
         gap[position, None] * normals,
         place[position],

@@ -9,13 +9,23 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array, vstack
+from scipy.sparse import csr_array, vstack
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import (
+    ROUNDING,
+    Array,
+    GlobalNumbers,
+    Indices,
+    LocalNumbers,
+    Mask,
+    scaled_rows,
+)
 from dolfinx_tresca.pairing.coupling import Coupling
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
+from dolfinx_tresca.surface.search import expanded_ranges
 from dolfinx_tresca.surface.whole import WholeSurface
 
 
@@ -54,7 +64,7 @@ class PairOperators:
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
             the node; 1 for circles.
-        axisymmetric: whether areas are areas of rings about the axis x = 0.
+        undeformed: the undeformed surfaces, from which displaced ones are paired.
     """
 
     pairing: str
@@ -75,7 +85,7 @@ class PairOperators:
     tangents: Array
     tangent_node: LocalNumbers
     semi_axes: Array
-    axisymmetric: bool
+    undeformed: Undeformed
 
     @classmethod
     def of(
@@ -85,8 +95,8 @@ class PairOperators:
         nodes: SurfaceNodes,
         whole: WholeSurface,
         friction: Friction,
+        undeformed: Undeformed,
         primary: Facets | None = None,
-        axisymmetric: bool = False,
         bodies: Indices | None = None,
     ) -> PairOperators:
         """Compute N and T of a pair from the jumps at its nodes. Not collective.
@@ -100,8 +110,8 @@ class PairOperators:
             nodes: the nodes of the secondary side.
             whole: global properties of the secondary side.
             friction: the law of friction; for `Frictionless` T has no rows.
+            undeformed: the undeformed surfaces.
             primary: facets of the primary side; None for an obstacle.
-            axisymmetric: whether areas are areas of rings.
             bodies: number of the body that each of `nodes` faces; None if all face the same body.
                 Smooth patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies
                 are treated like different nodes.
@@ -141,19 +151,24 @@ class PairOperators:
             secondary_sagitta=coupling.secondary_sagitta,
             secondary=coupling.jump + coupling.primary,
             primary=coupling.primary,
-            N=_directional_rows(coupling.jump[normal_node], normals[normal_node]),
+            N=_directional_rows(coupling.jump, normal_node, normals[normal_node]),
             normal_node=normal_node,
-            T=_directional_rows(coupling.jump[tangent_node], along),
+            T=_directional_rows(coupling.jump, tangent_node, along),
             tangents=along,
             tangent_node=tangent_node,
             semi_axes=np.ones(len(tangent_node)),
-            axisymmetric=axisymmetric,
+            undeformed=undeformed,
         )
 
     @property
     def gap(self) -> Array:
         """(n,) initial gap along the normal [length], positive if open."""
         return self.distance + self.added_gap
+
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether areas are areas of rings about the axis x = 0."""
+        return any(facets.axisymmetric for facets in self.undeformed.sides.values())
 
     @property
     def sizes(self) -> Array:
@@ -190,16 +205,22 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     return result
 
 
-def _directional_rows(jump: Any, directions: Array) -> Any:
-    """Return rows (n, dofs) of the jump along directions (n, d), from a scalar jump (n, nodes)."""
+def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
+    """Return rows (n, dofs) of the jump along directions (n, d), from those of a scalar jump.
+
+    Args:
+        jump: (nodes, nodes of V) sparse matrix.
+        rows: (n,) the row of the scalar jump for each direction.
+        directions: (n, d) unit vectors.
+    """
     dim = directions.shape[1]
-    counts = np.diff(jump.indptr)
-    columns = jump.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
-    values = jump.data[:, None] * np.repeat(directions, counts, axis=0)
-    return csr_array(
-        (values.ravel(), columns.ravel(), jump.indptr.astype(np.int64) * dim),
-        shape=(jump.shape[0], jump.shape[1] * dim),
-    )
+    counts = np.diff(jump.indptr)[rows]
+    owner, place = expanded_ranges(jump.indptr[rows], counts)
+    columns = jump.indices[place].astype(np.int64)[:, None] * dim + np.arange(dim)
+    values = jump.data[place, None] * directions[owner]
+    ends = np.append(0, np.cumsum(counts, dtype=np.int64) * dim)
+    shape = len(rows), jump.shape[1] * dim
+    return csr_array((values.ravel(), columns.ravel(), ends), shape)
 
 
 def _tangential_projections(
@@ -264,7 +285,7 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
     of the stress on the surface, which does not depend on the mesh size.
     """
     blocks = [
-        diags_array(np.sqrt(pair.weights[pair.row_node])) @ vstack([pair.N, pair.T])
+        scaled_rows(vstack([pair.N, pair.T], format="csr"), np.sqrt(pair.weights[pair.row_node]))
         for pair in pairs
     ]
     return as_petsc(V.dofmap.index_map, V.dofmap.index_map_bs, blocks, V.mesh.comm)

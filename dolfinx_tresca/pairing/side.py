@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -12,16 +13,14 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import owned_nodes
-from dolfinx_tresca.pairing.undeformed import Undeformed
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.tagged import tagged_facets
 from dolfinx_tresca.surface.whole import WholeSurface
 
 #: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
@@ -40,44 +39,28 @@ class Side:
         tag: tag of the facets.
         name: "secondary" or "primary", for messages.
         facet_tags: tags of all facets.
-        whole: properties of the whole surface, the same on all ranks.
+        owned: the facets that this rank owns.
         halo: this rank's facets, and copies of facets of other ranks.
     """
 
     tag: int
     name: str
     facet_tags: Any
-    whole: WholeSurface
+    owned: Facets
     halo: Halo
 
     @classmethod
-    def of(
-        cls,
-        V: Any,
-        prescribed: Mask,
-        pair: ContactPair,
-        tag: int,
-        name: str,
-        undeformed: Undeformed,
-        axisymmetric: bool = False,
-    ) -> Side:
+    def of(cls, V: Any, facet_tags: Any, tag: int, name: str, owned: Facets) -> Side:
         """Create a side with the facets at each rank's nodes. Collective.
 
-        `undeformed` describes the undeformed pair; for `axisymmetric` see `Facets`.
-
-        Raises:
-            InputError: the tags are wrong.
-            PairingError: facets are inside a body, or have no area.
+        `owned` are the facets that this rank owns; for the other arguments see the attributes.
         """
-        facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
-        facets = replace(
-            facets,
-            offsets=undeformed.offsets.get(tag, facets.offsets),
-            origins=facets.origins if undeformed.origins is None else undeformed.origins,
-            axisymmetric=axisymmetric,
-        )
-        whole = WholeSurface.of(V.mesh.comm, facets)
-        return cls(tag, name, pair.facet_tags, whole, Halo(V, facets))
+        return cls(tag, name, facet_tags, owned, Halo(V, owned))
+
+    @cached_property
+    def whole(self) -> WholeSurface:
+        """Properties of the whole surface, the same on all ranks. Collective."""
+        return WholeSurface.of(self.halo.comm, self.owned)
 
     def nodes_on_this_rank(self, V: Any, moved: bool) -> SurfaceNodes:
         """Return the nodes of this rank's facets. Collective.

@@ -1,50 +1,78 @@
-"""Properties of a pair's undeformed surfaces, which displaced surfaces need for their pairing."""
+"""The undeformed surfaces of a pair, which are displaced for each pairing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.offsets import surface_offsets
+from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.offsets import with_offsets
 from dolfinx_tresca.surface.self_contact import FINER, facet_origins
-from dolfinx_tresca.surface.tagged import tagged_facets
+from dolfinx_tresca.surface.tagged import displaced, tagged_facets
 
 
 @dataclass(frozen=True)
 class Undeformed:
-    """Properties of the undeformed surfaces of a pair, for the facets that this rank owns.
+    """The facets of a pair's undeformed surfaces that this rank owns.
 
     Attributes:
-        offsets: tag -> `Facets.offsets` of sides whose exact surface is known.
-        origins: `Facets.origins` of a surface that may touch itself, else None.
+        sides: tag -> facets of a side, the secondary one first. A rigid obstacle has none; a
+            surface that touches itself is one side.
     """
 
-    offsets: Mapping[int, Array]
-    origins: Array | None
+    sides: dict[int, Facets]
 
     @classmethod
-    def of(cls, V: Any, prescribed: Mask, pair: ContactPair) -> Undeformed:
-        """Compute the properties; the mesh must not be moved. Collective.
+    def of(
+        cls, V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
+    ) -> Undeformed:
+        """Extract the surfaces from the mesh. Collective.
+
+        Args:
+            V: vector space of degree 1 or 2.
+            prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of
+                freedom.
+            pair: the contact pair.
+            axisymmetric: whether integrals are over rings about the axis x = 0.
 
         Raises:
             InputError: tags or geometry are wrong.
             PairingError: facets are inside a body, or have no area.
             MeshError: Gmsh cannot read the geometry file any more.
         """
-        offsets = surface_offsets(V, prescribed, pair)
-        if not pair.touches_itself:
-            return cls(offsets, None)
-        facets = tagged_facets(V, prescribed, pair.facet_tags, pair.secondary, "secondary")
-        origins, bodies = facet_origins(V, facets)
-        if bodies > 1:
-            log(
-                V.mesh.comm,
-                "pairing: %s, %d bodies: of two, the one with finer facets (by a factor of %.2f) "
-                "is secondary, else the first one by its least x, y, z",
-                *(pair, bodies, 1.0 / FINER),
-            )
-        return cls(offsets, origins)
+        sides: dict[int, Facets] = {}
+        for name in ("secondary", "primary"):
+            tag = getattr(pair, name)
+            if not isinstance(tag, RigidObstacle) and tag not in sides:
+                facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
+                sides[tag] = replace(facets, axisymmetric=axisymmetric)
+        sides = with_offsets(V, pair, sides)
+        if pair.touches_itself:
+            facets = sides[pair.secondary]
+            origins, bodies = facet_origins(V, facets)
+            sides = {pair.secondary: replace(facets, origins=origins)}
+            if bodies > 1:
+                log(
+                    V.mesh.comm,
+                    "pairing: %s, %d bodies: of two, the one with finer facets (by a factor of "
+                    "%.2f) is secondary, else the first one by its least x, y, z",
+                    *(pair, bodies, 1.0 / FINER),
+                )
+        return cls(sides)
+
+    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
+        """Return tag -> displaced facets of each side that this rank owns. Collective.
+
+        Args:
+            V: the space of the displacement.
+            u: (nodes, dim of space) displacement of this rank's nodes [length].
+
+        Raises:
+            PairingError: displaced facets have no area.
+        """
+        names = dict(zip(self.sides, ("secondary", "primary"), strict=False))
+        return {tag: displaced(V, facets, u, tag, names[tag]) for tag, facets in self.sides.items()}

@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_residuals
+from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import weights_of
@@ -84,7 +84,7 @@ class ObstacleDifferences(PetscOwner):
         result = self.difference(lambda jump: jump.gap - jump.of_displacement(u))
         if self.origin is not None:
             origin, present = self.origin, self.present
-            result += self.difference(lambda jump: carried_residuals(origin, present, jump))
+            result += self.difference(lambda jump: Carry(present, jump).residuals(origin))
         return np.asarray(result)
 
     def traction(self, pair: int, rows: slice, x: Array) -> Array:

@@ -28,7 +28,9 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
         size = (high - low)[:, 0]
         pair = np.flatnonzero(size > 0.0)
         return np.stack([low, high], axis=1)[pair], size[pair], pair
-    polygons = clip(second, _counter_clockwise(first))
+    low, high = np.maximum(first.min(1), second.min(1)), np.minimum(first.max(1), second.max(1))
+    near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
+    polygons = clip(second[near], _counter_clockwise(first[near]))
     fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
     if centred:
         total = areas.sum(axis=1)
@@ -38,7 +40,7 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
         centroid = centroid / np.where(total > 0.0, total, 1.0)[:, None]
         fans, areas = _triangle_fan(centroid, polygons, np.roll(polygons, -1, axis=1))
     pair, place = np.nonzero(areas > 0.0)
-    return fans[pair, place], areas[pair, place], pair
+    return fans[pair, place], areas[pair, place], near[pair]
 
 
 def _triangle_fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:

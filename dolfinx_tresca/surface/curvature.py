@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, cross
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
@@ -38,9 +38,9 @@ class Sagitta:
         middle = corners.mean(axis=1)
         self._relative = corners - middle[:, None]
         self._normals = fitted_normals(facets, nodes)[nodes.facet_nodes]
-        mean = np.einsum("nci,ni->nc", self._normals, facets.mean_normals)
-        edge = (mean < SMOOTH_COSINE).any(axis=1)
-        self._mean = np.where(edge[:, None], facets.mean_normals, 0.0)
+        mean = facets.mean_normals
+        edge = (np.einsum("nci,ni->nc", self._normals, mean) < SMOOTH_COSINE).any(axis=1)
+        self._mean = np.where(edge[:, None], mean, 0.0)
         self._normals[edge] = 0.0
         self._level = np.einsum("nci,nci->nc", self._normals, self._relative)
         size = np.linalg.norm(self._relative, axis=2).max(axis=1)
@@ -105,9 +105,9 @@ def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
     across = np.eye(3)[np.abs(nodes.normals).argmin(axis=1)]
     if facets.dim == 1:
         across = np.broadcast_to([0.0, 0.0, 1.0], across.shape)
-    x_axis = np.cross(across, nodes.normals)
+    x_axis = cross(across, nodes.normals)
     x_axis /= np.linalg.norm(x_axis, axis=1)[:, None]
-    y_axis = np.cross(nodes.normals, x_axis)
+    y_axis = cross(nodes.normals, x_axis)
     offset = nodes.points[neighbour] - nodes.points[node]
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
     size = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))

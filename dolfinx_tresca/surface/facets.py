@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 import basix
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, cross
 
 #: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
 #: that counts as rounding, in addition to the rounding of coordinates.
@@ -95,6 +95,18 @@ class Facets:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
+    def moved_to(self, points: Array) -> Facets:
+        """Return the facets at other points (n, k, 3), bent and plane as those of this rank are."""
+        if self.degree == 1 and self.cell != "quadrilateral":
+            return replace(self, points=points)  # always straight and plane
+        corners = points[:, : self.corners]
+        straight = np.einsum("kc,nci->nki", self.hats_at_nodes, corners)
+        size = np.ptp(corners, axis=1).max(axis=1)
+        rounding = SHAPE_ROUNDING + rounding_of(corners)
+        bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
+        plane = not bent and _flat(self.cell, corners, size, rounding)
+        return replace(self, points=points, bent=bent, plane=plane)
+
     def area_vectors(self, x: Array) -> Array:
         """Return outward normals (n, q, 3) whose length is the area element at reference points.
 
@@ -135,8 +147,7 @@ def rounding_of(points: Array) -> Array:
 
 def cross_products(along: Array) -> Array:
     """Return the cross products (..., 3) of two tangents (dim, ..., 3); for dim = 1 with e_z."""
-    second = along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0])
-    return np.asarray(np.cross(along[0], second))
+    return cross(along[0], along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0]))
 
 
 @cache
@@ -196,11 +207,6 @@ def oriented(
         file_numbers: (n, corners) numbers of the corners in the mesh file.
         middle: (n, 3) midpoints of the cells behind the facets [length].
     """
-    corners = points[:, : free.shape[1]]
-    straight = np.einsum("kc,nci->nki", _hats_at_nodes(cell, degree), corners)
-    size = np.ptp(corners, axis=1).max(axis=1)
-    rounding = SHAPE_ROUNDING + rounding_of(corners)
-    bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
     result = Facets(
         cell,
         degree,
@@ -211,11 +217,12 @@ def oriented(
         np.ones(len(points)),
         np.zeros((len(points), 0, 3)),
         np.zeros((len(points), 0)),
-        bent,
-        not bent and _flat(cell, corners, size, rounding),
-    )
+        bent=False,
+        plane=True,
+    ).moved_to(points)
     centre, _ = quadrature(cell, 1)
-    away = np.einsum("ni,ni->n", result.area_vectors(centre)[:, 0], corners.mean(axis=1) - middle)
+    ahead = points[:, : result.corners].mean(axis=1) - middle
+    away = np.einsum("ni,ni->n", result.area_vectors(centre)[:, 0], ahead)
     result.outward[away < 0.0] = -1.0
     return result
 
@@ -225,5 +232,5 @@ def _flat(cell: str, corners: Array, size: Array, rounding: Array) -> bool:
     if cell != "quadrilateral":
         return True
     sides = corners[:, 1:] - corners[:, :1]
-    volume = np.einsum("ni,ni->n", np.cross(sides[:, 0], sides[:, 1]), sides[:, 2])
+    volume = np.einsum("ni,ni->n", cross(sides[:, 0], sides[:, 1]), sides[:, 2])
     return bool((np.abs(volume) <= rounding * size**3).all())

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.search import expanded_ranges
 
@@ -129,7 +129,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     if facets.dim == 1:
         weights = squares**-0.25
     else:
-        weights = np.linalg.norm(np.cross(before, after), axis=2) / squares
+        weights = np.linalg.norm(cross(before, after), axis=2) / squares
     return np.asarray(normals), weights
 
 
@@ -216,7 +216,7 @@ def tangents(normals: Array, frame: Array) -> Array:
     size = np.linalg.norm(frame, axis=2).max(axis=1, initial=0.0)
     first = np.where((length > 1e-6 * size)[:, None], first, _across(axis, normals))
     first /= np.linalg.norm(first, axis=1)[:, None]
-    second = np.cross(normals, first)
+    second = cross(normals, first)
     sign = np.where(np.einsum("ni,ni->n", second, frame[:, 1]) < 0.0, -1.0, 1.0)
     return np.stack([first, sign[:, None] * second], axis=1)
 

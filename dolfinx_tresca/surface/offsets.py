@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.scene.geometry import Projection, open_projections, project_points
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, cross_products, lagrange_points, tabulate
-from dolfinx_tresca.surface.tagged import tagged_facets
 
 #: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
 #: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
@@ -26,35 +26,33 @@ OFFSET_DEGREE = 4
 FAR_CORNER = 0.5
 
 
-def surface_offsets(V: Any, prescribed: Mask, pair: ContactPair) -> dict[int, Array]:
-    """Return tag -> `Facets.offsets` of the facets that this rank owns. Collective.
+def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
+    """Return the facets of each tag that this rank owns with their `Facets.offsets`. Collective.
 
-    Only sides in `pair.geometry` have an entry. Their projections are evaluated at the nodes of a
-    Lagrange basis of `OFFSET_DEGREE`.
+    The projections of `pair.geometry` are evaluated at the nodes of a Lagrange basis of
+    `OFFSET_DEGREE`; other sides stay as they are.
 
     Args:
-        V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
+        V: the space of the displacement.
         pair: the contact pair.
+        sides: tag -> facets of a side that this rank owns, undeformed.
 
     Raises:
         InputError: a projection fails, or facets are not on their surface.
         MeshError: Gmsh cannot read the geometry file any more.
     """
     if pair.geometry is None or isinstance(pair.primary, RigidObstacle):
-        return {}
-    sides = {
-        tag: tagged_facets(V, prescribed, pair.facet_tags, tag, name)
-        for tag, name in ((pair.secondary, "secondary"), (pair.primary, "primary"))
-    }
-    found: dict[int, Array] = {}
+        return sides
+    result = dict(sides)
     with errors_on_all_ranks(V.mesh.comm), open_projections(pair.geometry) as surfaces:
         for tag, facets in sides.items():
             if tag in surfaces:
-                found[tag] = _offsets(facets, tag, surfaces[tag], V.mesh.geometry.dim)
-    for tag, offsets in found.items():
-        _check_corners(V.mesh.comm, tag, sides[tag], offsets)
-    return found
+                offsets = _offsets(facets, tag, surfaces[tag], V.mesh.geometry.dim)
+                result[tag] = replace(facets, offsets=offsets)
+    for tag, facets in result.items():
+        if any_known_surface(facets):
+            _check_corners(V.mesh.comm, tag, facets)
+    return result
 
 
 def _offsets(facets: Facets, tag: int, projection: Projection, dim: int) -> Array:
@@ -66,15 +64,15 @@ def _offsets(facets: Facets, tag: int, projection: Projection, dim: int) -> Arra
     return np.asarray(moved.reshape(points.shape))
 
 
-def _check_corners(comm: MPI.Comm, tag: int, facets: Facets, offsets: Array) -> None:
+def _check_corners(comm: MPI.Comm, tag: int, facets: Facets) -> None:
     """Check that all corners are near their surface, see `FAR_CORNER`. Collective.
 
     Raises:
         InputError: a corner is too far away.
     """
     size = np.ptp(facets.points, axis=1).max(axis=1)
-    off = np.linalg.norm(offsets[:, : facets.corners], axis=2).max(axis=1, initial=0.0) / size
-    worst = float(reduce_array(comm, off.max(initial=0.0), MPI.MAX))
+    off = np.linalg.norm(facets.offsets[:, : facets.corners], axis=2).max(axis=1, initial=0.0)
+    worst = float(reduce_array(comm, (off / size).max(initial=0.0), MPI.MAX))
     if worst > FAR_CORNER:
         raise InputError(
             f"facets with tag {tag} are not on their surface in `geometry`: the distance of a "

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, cross
 from dolfinx_tresca.surface.facets import Facets
 
 # corners of each piece, in the order round it, as indices of the facet's nodes in basix' order
@@ -50,11 +50,11 @@ class Pieces:
         facet = np.repeat(np.arange(len(facets.points)), len(corners))
         centres = points.mean(axis=1)
         if facets.dim == 1:
-            vectors = np.cross(points[:, 1] - points[:, 0], [0.0, 0.0, 1.0])
+            vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
+        elif corners.shape[1] == 3:
+            vectors = cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
         else:  # the area vector of a quadrilateral is half the cross product of its diagonals
-            vectors = np.cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
-            if corners.shape[1] == 3:
-                vectors = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+            vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
         vectors = vectors * facets.outward[facet, None]
         return cls(
             facet,
@@ -72,7 +72,7 @@ class Pieces:
         first /= np.linalg.norm(first, axis=1)[:, None]
         if self.points.shape[1] == 2:
             return np.stack([first, self.normals], axis=1)
-        return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
+        return np.stack([first, cross(self.normals, first), self.normals], axis=1)
 
     def local_coordinates(self, frames: Array, piece: Indices, points: Array) -> Array:
         """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).

@@ -11,10 +11,10 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell, numbers_in_file
 from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
@@ -69,13 +69,40 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
         )
 
     result = _facets_with_nodes(V, prescribed, facets)
-    result = replace(
-        result,
-        bent=comm.allreduce(result.bent, op=MPI.LOR),
-        plane=comm.allreduce(result.plane, op=MPI.LAND),
-    )
-    _check_areas(comm, result, tag, side)
-    return result
+    return checked(comm, result, tag, side)
+
+
+def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
+    """Return facets that this rank owns, displaced. Collective.
+
+    Args:
+        V: the space of the displacement.
+        facets: the facets.
+        u: (nodes, dim of space) displacement of this rank's nodes [length].
+        tag: the tag of the surface, for error messages.
+        side: "secondary" or "primary", for error messages.
+
+    Raises:
+        PairingError: displaced facets have no area.
+    """
+    node = V.dofmap.index_map.global_to_local(facets.nodes.ravel()).reshape(facets.nodes.shape)
+    points = facets.points.copy()
+    points[:, :, : u.shape[1]] += u[node]
+    return checked(V.mesh.comm, facets.moved_to(points), tag, side)
+
+
+def checked(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> Facets:
+    """Return facets that are bent or plane as the whole surface is. Collective.
+
+    Raises:
+        PairingError: a facet has no area.
+    """
+    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
+    of_rank = [float(size.max(initial=0.0)), float(facets.bent), float(not facets.plane)]
+    largest, bent, uneven = reduce_array(comm, of_rank, MPI.MAX)
+    # in 2D the area of a facet is its size, so it is compared with the largest facet
+    _check_areas(comm, facets, size**2 if facets.dim == 2 else largest, tag, side)
+    return replace(facets, bent=bool(bent), plane=not uneven)
 
 
 def _facets_with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
@@ -123,21 +150,18 @@ def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
     return np.asarray(vector.array.reshape(-1, dim) > 0.5)
 
 
-def _check_areas(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> None:
-    """Check that no facet is degenerate. Collective.
+def _check_areas(comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int, side: str) -> None:
+    """Check that no facet is degenerate: much smaller than `whole`, (n,) or for all. Collective.
 
     Raises:
         PairingError: a facet has no area.
     """
     points, weights = quadrature(facets.cell, 2 * facets.degree)
     area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
-    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    # in 2D the area of a facet is its size, so it is compared with the largest facet
-    largest = comm.allreduce(size.max(initial=0.0), op=MPI.MAX)
-    flat = area <= (AREA_ROUNDING + facets.rounding) * (size**2 if facets.dim == 2 else largest)
-    where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
-    if where is not None:
-        number, total = comm.allreduce(np.array([flat.sum(), len(flat)]))
+    flat = area <= (AREA_ROUNDING + facets.rounding) * whole
+    number, total = reduce_array(comm, np.array([flat.sum(), len(flat)]))
+    if number > 0:
+        where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
         raise PairingError(
             f"{number} of the {total} facets with tag {tag} ({side} side) have no area; "
             f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
 
@@ -293,7 +293,7 @@ def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
     part = np.clip(part, 0.0, 1.0)
     result = np.linalg.norm(corners + part[:, :, None] * along, axis=2).min(axis=1)
     if corners.shape[1] > 2:
-        turns = np.einsum("nci,ni->nc", np.cross(corners, along), normals)
+        turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
         projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
         height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
         result = np.where(projects_inside, height, result)

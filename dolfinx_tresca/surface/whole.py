@@ -10,6 +10,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers
 from dolfinx_tresca._base.exchange import row_of_least
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.surface.facets import Facets
 
 
@@ -34,9 +35,11 @@ class WholeSurface:
         """Compute the properties from the facets that each rank owns. Collective."""
         size = np.linalg.norm(np.ptp(owned.points, axis=1), axis=1)
         corners = owned.points[:, : owned.corners].reshape(-1, 3)
+        values = [-size.min(initial=np.inf), np.abs(corners).max(initial=0.0)]
+        negative, largest = reduce_array(comm, values, MPI.MAX)
         return cls(
-            comm.allreduce(size.min(initial=np.inf), op=MPI.MIN),
-            comm.allreduce(np.abs(corners).max(initial=0.0), op=MPI.MAX),
+            float(-negative),
+            float(largest),
             _reference_points(comm, corners, owned.file_numbers.ravel()),
         )
 
@@ -56,6 +59,6 @@ def _reference_points(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Ar
     along = (last - first) / (np.linalg.norm(last - first) or 1.0)
     offset = points - first
     off = np.linalg.norm(offset - np.outer(offset @ along, along), axis=1)
-    far = off >= golden**2 * comm.allreduce(off.max(initial=0.0), op=MPI.MAX)
+    far = off >= golden**2 * reduce_array(comm, off.max(initial=0.0), MPI.MAX)
     beside = row_of_least(comm, order[far], points[far])
     return np.stack([first + golden * (last - first), beside + golden**3 * (last - beside)])

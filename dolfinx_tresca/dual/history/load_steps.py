@@ -18,7 +18,7 @@ from dolfinx_tresca.dual.history.saved_file import UNKNOWN
 from dolfinx_tresca.dual.history.saved_state import SavedState
 from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
+from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
 from dolfinx_tresca.status import ContactStatus
 
@@ -56,7 +56,10 @@ class LoadSteps:
         multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
             it returns to those of the last accepted step.
         history: slip and dissipation of the accepted steps.
-        accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
+        accepted_u: the displacement [length] from which the slip of a step counts with finite
+            sliding: that of the last accepted step, of the slip origin (`begin_at`), or of the
+            state that was read or returned to, whichever came last. None: the undeformed state, or
+            unknown since that state does not keep it (`StepStart`).
         accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
             has set it.
         motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
@@ -219,21 +222,20 @@ class LoadSteps:
         """Let the next solve start from (size,) tractions [stress]. Not collective."""
         self._set_start(stress / self.jump.stress_scale)
 
-    def _carry_over(self, jump: JumpOperator) -> JumpOperator:
-        """Replace B, and convert the multipliers to it; return the previous B. Not collective."""
-        before, self.jump = self.jump, jump
+    def _carry_over(self, jump: JumpOperator) -> Carry:
+        """Replace B, convert the multipliers to it, and return the conversion. Not collective."""
+        carry, self.jump = Carry(self.jump, jump), jump
         self.multipliers, self._accepted = (
-            carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
+            carry.multipliers(one) for one in (self.multipliers, self._accepted)
         )
-        return before
+        return carry
 
     def rotate_tangents(self, jump: JumpOperator) -> None:
         """Replace B by one with rotated tangents, before a solve. Not collective.
 
         Components of the multipliers and of the slip history change with the tangents.
         """
-        before = self._carry_over(jump)
-        origin = carried_residuals(self.history.origin, before, jump)
+        origin = self._carry_over(jump).residuals(self.history.origin)
         self.begin(replace(self.history, origin=origin))
 
     def move(
@@ -255,8 +257,9 @@ class LoadSteps:
                 the last accepted step, between nodes and their present partners; False: nodes keep
                 their slip so far. None: False for all pairs.
         """
-        before = self._carry_over(jump)
-        history = self.history.carried_over(u, before, jump)
+        before = self.jump
+        kept = self._carry_over(jump).residuals(before.of_displacement(u) - self.history.origin)
+        history = self.history.with_slip(kept, u, jump)
         if since_accepted is not None:
             history = history.with_origin_at(self.accepted_u, jump, since_accepted)
         self.begin(history)

@@ -11,7 +11,6 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_residuals
 
 
 @dataclass(frozen=True)
@@ -71,20 +70,17 @@ class SlipHistory:
             origin[t] = np.einsum("ri,ri->r", vectors, pair.tangents) / jump.length_scale[t]
         return cls.none(jump).after(jump, origin, slips, dissipation)
 
-    def carried_over(
-        self, u: fem.Function, before: JumpOperator, jump: JumpOperator
-    ) -> SlipHistory:
-        """Return the history for displaced surfaces; the slip of the step stays. Collective.
+    def with_slip(self, slip: Array, u: fem.Function, jump: JumpOperator) -> SlipHistory:
+        """Return the history with which a displacement has a given slip in this step. Collective.
 
         Args:
-            u: displacement at which B changes [length].
-            before: the previous B.
-            jump: the new B.
+            slip: (size,) slip, divided by `JumpOperator.length_scale`; normal rows do not matter.
+            u: displacement [length].
+            jump: B.
         """
-        kept = carried_residuals(before.of_displacement(u) - self.origin, before, jump)
         rows = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
-        origin[rows] = (jump.of_displacement(u) - kept)[rows]
+        origin[rows] = (jump.of_displacement(u) - slip)[rows]
         return replace(self, origin=origin)
 
     def with_origin_at(

@@ -16,7 +16,7 @@ from dolfinx_tresca.dual.bounds.certificate import EnergyBound
 from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
-from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
+from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.products.body_products import sparse_model
 from dolfinx_tresca.dual.products.diagonal import rescaled_diagonal
 from dolfinx_tresca.dual.products.near_field import NearField
@@ -52,8 +52,6 @@ class ContactCompliance(PetscOwner):
     Attributes:
         jump: B.
         operator: A.
-        nodal_stiffness: (size,) force per jump of a node whose neighbours are fixed, the same for
-            all directions of a friction disc.
         floating: the floating and softly held bodies; None if there are none.
     """
 
@@ -79,8 +77,6 @@ class ContactCompliance(PetscOwner):
         """
         self.jump = jump
         with destroyed_on_error(solver):
-            self._local_stiffness = local_stiffness(jump)
-            self.nodal_stiffness = jump.discs.mean_over_discs(self._local_stiffness)
             self.floating = (
                 None
                 if springs is None
@@ -94,8 +90,10 @@ class ContactCompliance(PetscOwner):
         self._store: KnownProducts | None = None
         self._near_store: ProductStore | None = None
         self._starts_from_zero = True
-        if before is not None:
-            self._begin_with_products_of(before)
+        # the last compliance with products, from which the first model of A follows
+        self._earlier: ContactCompliance | None = before
+        if before is not None and before._store is None:
+            self._earlier = before._earlier
 
     @property
     def comm(self) -> Any:
@@ -128,28 +126,28 @@ class ContactCompliance(PetscOwner):
         result._starts_from_zero = self._starts_from_zero
         return result
 
-    def _begin_with_products_of(self, before: ContactCompliance) -> None:
-        """Begin the model of A with the far field of another compliance. Collective.
+    def _far_field(self) -> ProductStore | None:
+        """Return a store with the far field of an earlier compliance; None: unknown. Collective.
 
         The far field is the contribution to A of the bodies away from the contact, see `FarField`.
-        Without known products the other compliance has no far field, and nothing is done.
         """
+        before, self._earlier = self._earlier, None
+        if before is None:
+            return None
         store, near = before._store, before._near_store
         if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
-            return
+            return None
         jump, other = self.jump, before.jump
 
         def carry(far: FarField) -> FarField:
-            return far.carried_over(
-                lambda x: carried_multipliers(x, other, jump),
-                lambda r: carried_residuals(r, other, jump),
-            )
+            over = Carry(other, jump)
+            return far.carried_over(over.multipliers, over.residuals)
 
         diagonal = rescaled_diagonal(
             jump, self.nodal_compliance, other, store.diagonal, before.nodal_compliance
         )
         base = None if near is None else near.updated_model()
-        self._store = store.successor(diagonal, base, None if jump is other else carry)
+        return store.successor(diagonal, base, None if jump is other else carry)
 
     @property
     def springs(self) -> FixingSprings | None:
@@ -176,8 +174,10 @@ class ContactCompliance(PetscOwner):
         """Return the store of all known products with A. Collective.
 
         The first call computes the first products: all columns of A if A is sparse, and the seed
-        products otherwise.
+        products otherwise, unless a far field is known from an earlier K or B.
         """
+        if self._store is None:
+            self._store = self._far_field()
         if self._store is None and (matrix := sparse_model(self.operator)) is not None:
             self._store = SparseProducts(matrix)
         if self._store is None:
@@ -225,6 +225,16 @@ class ContactCompliance(PetscOwner):
             self._near_store = store.empty(NEAR_CAPACITY)
         return self._near_store
 
+    @cached_property
+    def _local_stiffness(self) -> Array:
+        """Force per jump of a node whose neighbours are fixed, (size,). Collective."""
+        return local_stiffness(self.jump)
+
+    @cached_property
+    def nodal_stiffness(self) -> Array:
+        """`local_stiffness` (size,), the same for all directions of a friction disc. Collective."""
+        return self.jump.discs.mean_over_discs(self._local_stiffness)
+
     @property
     def nodal_compliance(self) -> Array:
         """1 / `nodal_stiffness`, (size,)."""
@@ -241,5 +251,5 @@ class ContactCompliance(PetscOwner):
 
     def forget(self) -> None:
         """Drop all products, and expect a solve from zero. Not collective."""
-        self._store = self._near_store = None
+        self._store = self._near_store = self._earlier = None
         self._starts_from_zero = True
