@@ -26,7 +26,7 @@ from dolfinx_tresca.surface.numbering import label_bodies
 #: Newton steps in place of 7; with twice the share 5 and 10 bricks are as fast. Walls of 15
 #: bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65 times the time with the
 #: matrix.
-BODY_SHARE, MOST_ON_BODY = 0.25, 200
+BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
 #: Approximate minimum fill, a value of MUMPS's ICNTL(7). For a matrix of 5,005 bricks it takes 0.76
 #: times the time of MUMPS's own choice, and 0.87 times the memory.
