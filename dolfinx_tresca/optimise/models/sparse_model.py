@@ -18,9 +18,8 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: 1e-4, 18 with 1e-5; with 1e-10 Newton's method on the model fails.
 SHIFT = 1e-4
 
-#: Softness that is added to the equality constraints when a Newton step has failed, and least added
-#: softness in later steps, divided by the compliance of the multipliers. With 1e-10 a wall of 1,104
-#: bricks is not solved.
+#: Least softness of the equality constraints in softened Newton steps, divided by the compliance of
+#: the multipliers. With 1e-10 a wall of 1,104 bricks is not solved.
 PROXIMAL = 1e-4
 
 

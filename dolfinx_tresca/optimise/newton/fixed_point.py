@@ -103,7 +103,7 @@ class _FixedPointNewton(ProjectedNewton):
         independent equations. The projection in the natural residual satisfies the equilibrium
         exactly. Where bodies slide as a whole, few tractions can satisfy it, and the natural
         residual is a hundred times larger than these errors. The model is then solved more
-        accurately.
+        accurately; the natural residual decides which of the points is returned.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
@@ -115,16 +115,18 @@ class _FixedPointNewton(ProjectedNewton):
         if last_sweep is not None or len(problem.constraints) == 0:
             return found
         least = ROUNDING * norm(problem, problem.b)
+        at_found = gradient + model.apply(found - multipliers)
+        point, left = point_at(problem, found, at_found, rho), self.residual.at(found, at_found)
         newton = FaceNewton(problem, model, rho)
-        while tolerance > least:
-            at_found = gradient + model.apply(found - multipliers)
-            if self.residual.at(found, at_found) <= REDUCTION * self.history.error:
-                break
+        while tolerance > least and left > REDUCTION * self.history.error:
             tolerance *= FORCING
-            better = nearest_fixed_point(newton, point_at(problem, found, at_found, rho), tolerance)
-            if better.residual > tolerance:
+            point = nearest_fixed_point(newton, point, tolerance)
+            better = projected(problem, point, rho)
+            rest = self.residual.at(better, gradient + model.apply(better - multipliers))
+            if rest < left:
+                found, left = better, rest
+            if point.residual > tolerance:
                 break
-            found = projected(problem, better, rho)
         return found
 
     def target(self) -> Array:
