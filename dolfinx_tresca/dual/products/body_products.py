@@ -21,11 +21,11 @@ from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies
 
 #: A is computed as a sparse matrix if no body has more multipliers than BODY_SHARE of all
-#: multipliers, or than MOST_ON_BODY. Both limit the number of solves with K. With half the share, two of 216 standing piles of stones
-#: (`tests/validation/test_random_piles.py`) are not solved, and all take 3,594 iterations and
-#: 7,088 products in place of 1,253 and 8,243; with twice the share 463 and 8,770. Walls of 15
-#: bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65 times the time with the
-#: matrix.
+#: multipliers, or than MOST_ON_BODY. Both limit the number of solves with K. With half the share,
+#: two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not solved, and
+#: all take 3,594 iterations and 7,088 products in place of 1,253 and 8,243; with twice the share
+#: 463 and 8,770. Walls of 15 bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65
+#: times the time if A is computed as a matrix.
 BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
 #: Approximate minimum fill, a value of MUMPS's ICNTL(7). For a matrix of 5,005 bricks it takes 0.76
