@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     ContactError,
     ContactPair,
     ContactProblem,
+    ContactTangent,
     ControlVector,
     Coulomb,
     InputError,
@@ -135,6 +136,11 @@ def build(block: TaggedMesh) -> ContactProblem:
 
 def fails(*_: Any) -> Any:
     raise InputError("fails on the last rank")
+
+
+def tangent_by_load(scene: SimpleNamespace) -> ContactTangent:
+    scene.problem.solve()
+    return scene.problem.tangent([scene.load], [scene.load.value])
 
 
 def changed(scene: SimpleNamespace, **changes: Any) -> ContactProblem:
@@ -293,7 +299,7 @@ CASES: dict[str, Case] = {
         r"directions\[0\] differs",
     ),
     "tangent of a goal": (
-        lambda s, x: s.problem.tangent([s.load], [s.load.value]).of(x),
+        lambda s, x: tangent_by_load(s).of(x),
         NormalForce(1),
         NormalForce(),
         "goal.pair",
