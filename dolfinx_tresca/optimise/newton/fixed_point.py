@@ -120,7 +120,7 @@ class _FixedPointNewton(ProjectedNewton):
         newton = FaceNewton(problem, model, rho)
         while tolerance > least and left > REDUCTION * self.history.error:
             tolerance *= FORCING
-            point = nearest_fixed_point(newton, point, tolerance)
+            point = nearest_fixed_point(newton, point, tolerance, refine=True)
             better = projected(problem, point, rho)
             rest = self.residual.at(better, gradient + model.apply(better - multipliers))
             if rest < left:
