@@ -23,8 +23,8 @@ BALANCED, UNBALANCED = 1e-10, 1e-6
 #: turned by 5e-4, which joints of the linear programme with more friction and length allow for.
 LESS_FRICTION, MORE_FRICTION, LONGER = 0.99, 1.01, 1e-3
 
-#: Of 300 piles: those whose fixed point is not found (none was counted, and another processor may
-#: miss one), and those for which the programmes of shorter and of longer joints differ.
+#: Of 300 piles: those whose fixed point is not found (none was counted, and with the arithmetic of
+#: other processors pile 0), and those for which the programmes of shorter and of longer joints differ.
 MISSED, DECIDED_BY_MESH = 1, 37
 
 REASONS = {"nothing holds": "unresisted", "no contact forces balance the loads": "falls"}
@@ -86,9 +86,9 @@ def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
-# A search with one run of Newton's method in place of several, with exact constraints first, with
-# a low-rank model of A, or with the last of two points in place of the better one misses these.
-@pytest.mark.parametrize("seed", [0, 28, 208, 267])
+# A search with one run of Newton's method in place of several, with exact constraints first, or with
+# a low-rank model of A misses these. Pile 0 is solved or missed as rounding decides.
+@pytest.mark.parametrize("seed", [28, 208, 267])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
 
