@@ -24,7 +24,8 @@ BALANCED, UNBALANCED = 1e-10, 1e-6
 LESS_FRICTION, MORE_FRICTION, LONGER = 0.99, 1.01, 1e-3
 
 #: Of 300 piles: those whose fixed point is not found (none was counted, and with the arithmetic of
-#: other processors pile 0), and those for which the programmes of shorter and of longer joints differ.
+#: other processors pile 0), and those for which the programmes of shorter and of longer joints
+#: differ.
 MISSED, DECIDED_BY_MESH = 1, 37
 
 REASONS = {"nothing holds": "unresisted", "no contact forces balance the loads": "falls"}
@@ -86,8 +87,8 @@ def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
-# A search with one run of Newton's method in place of several, with exact constraints first, or with
-# a low-rank model of A misses these. Pile 0 is solved or missed as rounding decides.
+# A search with one run of Newton's method in place of several, with exact constraints first, or
+# with a low-rank model of A misses these. Pile 0 is solved or missed as rounding decides.
 @pytest.mark.parametrize("seed", [28, 208, 267])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
