@@ -160,7 +160,8 @@ def test_code_that_is_not_committed_measures_nothing_to_keep(tmp_path, monkeypat
 
 def test_a_table_says_who_measured_which_lines(tmp_path):
     harness = importlib.import_module("harness")
-    runs = [{"commit": name, "date": "2026-11-22"} for name in ("a", "b")]
+    machine = {"cpu": "M1", "cores": 2, "threads": 1, "dolfinx": "0.9.0", "petsc": "3.22.5"}
+    runs = [{"commit": name, "date": "2026-11-22", **machine} for name in ("a", "b")]
     rows = [
         {"N": N, "method": method, "k": k, "run": runs[run]}
         for N, method, k, run in ((4, "x", 7, 0), (6, "x", 8, 0), (8, "x", 9, 1), (4, "y", 5, 1))
@@ -169,9 +170,8 @@ def test_a_table_says_who_measured_which_lines(tmp_path):
     columns += [harness.Column(name, "{k}", {"method": name}, "?") for name in "xy"]
     text = harness.Table("t", columns, line=["N"]).markdown(rows).splitlines()
     assert text[2:5] == ["| 4 | 7 | 5 |", "| 6 | 8 | ? |", "| 8 | 9 | ? |"]
-    assert text[-1] == (
-        "Code: lines 1-2, column 2: `a` of 2026-11-22; lines 1, 3, columns 2-3: `b` of 2026-11-22."
-    )
+    on = "of 2026-11-22 (M1, 2 cores, threads: 1, DOLFINx 0.9.0, PETSc 3.22.5)"
+    assert text[-1] == (f"Code: lines 1-2, column 2: `a` {on}; lines 1, 3, columns 2-3: `b` {on}.")
 
 
 def test_tables_of_the_page_are_up_to_date():

@@ -140,7 +140,7 @@ class Benchmark:
     def _save_picture(self, arguments: argparse.Namespace, rows: list[Row]) -> None:
         if self.draw is None or arguments.picture is None:
             raise SystemExit("--from needs --picture: where to draw; and not all benchmarks can")
-        self.draw(arguments.picture, [row for row in rows if "of" not in row])
+        self.draw(arguments.picture, rows)
 
 
 def add_ranks(parser: argparse.ArgumentParser) -> None:

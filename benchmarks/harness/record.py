@@ -1,7 +1,7 @@
 """Measured rows, kept as JSON; each knows the run that measured it: code, date, machine, versions.
 
 A file is `{"runs": [...], "rows": [...]}`; `run` of a row is the place of its run in the first
-list. A run that somebody wrote down by hand has a `note` that says so, and knows less.
+list.
 """
 
 from __future__ import annotations

@@ -44,8 +44,6 @@ class Column:
         rows = self.rows(line)
         if not rows:
             return self.missing
-        if "text" in rows[-1]:
-            return str(rows[-1]["text"].get(self.head, self.missing))
         if callable(self.text):
             return self.text(rows)
         try:
@@ -75,9 +73,6 @@ def printed(columns: Sequence[Column], row: Row) -> str:
 class Table:
     """What a table in README.md shows of the rows of a benchmark.
 
-    Rows that were kept by hand may name in `of` the one table that shows them, and have in `text`
-    what stood there, by the heads of columns; they go where there are others for their line.
-
     Attributes:
         name: its name in README.md.
         columns: from left to right.
@@ -94,15 +89,10 @@ class Table:
 
     def lines(self, rows: Sequence[Row]) -> list[list[Row]]:
         """Return the rows of each line, lines in the order in which the first rows came."""
-        by_hand = [row for row in rows if row.get("of") == self.name]
-        own = [row for row in rows if "of" not in row and self.chosen(row)]
         result: dict[Any, list[Row]] = {}
-        for number, row in enumerate([*by_hand, *self.derived(own)]):
+        for number, row in enumerate(self.derived([row for row in rows if self.chosen(row)])):
             key = tuple(row.get(name) for name in self.line) if self.line else number
-            line = result.setdefault(key, [])
-            if "of" not in row:
-                line[:] = [other for other in line if "of" not in other]
-            line.append(row)
+            result.setdefault(key, []).append(row)
         return list(result.values())
 
     def markdown(self, rows: Sequence[Row]) -> str:
@@ -141,13 +131,10 @@ class Table:
 
 def source(run: Row) -> str:
     """Return by which code, when, and on what a run was."""
-    text = f"`{run['commit']}` of {run['date']}"
-    if "cpu" in run:
-        text += (
-            f" ({run['cpu']}, {run['cores']} cores, threads: {run['threads']}, "
-            f"DOLFINx {run['dolfinx']}, PETSc {run['petsc']})"
-        )
-    return text + (f", {run['note']}" if "note" in run else "")
+    return (
+        f"`{run['commit']}` of {run['date']} ({run['cpu']}, {run['cores']} cores, "
+        f"threads: {run['threads']}, DOLFINx {run['dolfinx']}, PETSc {run['petsc']})"
+    )
 
 
 def spans(name: str, numbers: Sequence[int]) -> str:
