@@ -103,7 +103,8 @@ class _FixedPointNewton(ProjectedNewton):
         independent equations. The projection in the natural residual satisfies the equilibrium
         exactly. Where bodies slide as a whole, few tractions can satisfy it, and the natural
         residual is a hundred times larger than these errors. The model is then solved more
-        accurately; the natural residual decides which of the points is returned.
+        accurately, from the projected point; the natural residual decides which of the points is
+        returned.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
@@ -116,15 +117,16 @@ class _FixedPointNewton(ProjectedNewton):
             return found
         least = ROUNDING * norm(problem, problem.b)
         at_found = gradient + model.apply(found - multipliers)
-        point, left = point_at(problem, found, at_found, rho), self.residual.at(found, at_found)
-        newton = FaceNewton(problem, model, rho)
+        left, newton = self.residual.at(found, at_found), FaceNewton(problem, model, rho)
         while tolerance > least and left > REDUCTION * self.history.error:
             tolerance *= FORCING
-            point = nearest_fixed_point(newton, point, tolerance, refine=True)
+            start = point_at(problem, found, at_found, rho)
+            point = nearest_fixed_point(newton, start, tolerance, refine=True)
             better = projected(problem, point, rho)
-            rest = self.residual.at(better, gradient + model.apply(better - multipliers))
+            at_better = gradient + model.apply(better - multipliers)
+            rest = self.residual.at(better, at_better)
             if rest < left:
-                found, left = better, rest
+                found, at_found, left = better, at_better, rest
             if point.residual > tolerance:
                 break
         return found
