@@ -21,7 +21,7 @@ from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.halo import extend_halos
+from dolfinx_tresca.surface.halo import Halo, extend_halos
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.self_contact import SelfContact
 
@@ -73,7 +73,11 @@ def _pair(
     V: Any, pair: ContactPair, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
 ) -> PairOperators:
     """Compute N, T and the gap of a pair from the facets of its sides. Collective."""
-    secondary = Side.of(V, pair.facet_tags, pair.secondary, "secondary", sides[pair.secondary])
+
+    def side(tag: int, name: str) -> Side:
+        return Side(tag, name, pair.facet_tags, Halo(V, sides[tag]))
+
+    secondary = side(pair.secondary, "secondary")
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
@@ -85,7 +89,7 @@ def _pair(
     else:
         primary = secondary
         if not pair.touches_itself:
-            primary = Side.of(V, pair.facet_tags, pair.primary, "primary", sides[pair.primary])
+            primary = side(pair.primary, "primary")
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_on_this_rank(V, moved)
         other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V, moved)

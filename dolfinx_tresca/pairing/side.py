@@ -18,7 +18,6 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import owned_nodes
-from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.whole import WholeSurface
@@ -39,28 +38,18 @@ class Side:
         tag: tag of the facets.
         name: "secondary" or "primary", for messages.
         facet_tags: tags of all facets.
-        owned: the facets that this rank owns.
         halo: this rank's facets, and copies of facets of other ranks.
     """
 
     tag: int
     name: str
     facet_tags: Any
-    owned: Facets
     halo: Halo
-
-    @classmethod
-    def of(cls, V: Any, facet_tags: Any, tag: int, name: str, owned: Facets) -> Side:
-        """Create a side with the facets at each rank's nodes. Collective.
-
-        `owned` are the facets that this rank owns; for the other arguments see the attributes.
-        """
-        return cls(tag, name, facet_tags, owned, Halo(V, owned))
 
     @cached_property
     def whole(self) -> WholeSurface:
         """Properties of the whole surface, the same on all ranks. Collective."""
-        return WholeSurface.of(self.halo.comm, self.owned)
+        return WholeSurface.of(self.halo.comm, self.halo.owned)
 
     def nodes_on_this_rank(self, V: Any, moved: bool) -> SurfaceNodes:
         """Return the nodes of this rank's facets. Collective.

@@ -60,6 +60,11 @@ class Halo:
             self.comm.Allgather(row, self._boxes)
 
     @property
+    def owned(self) -> Facets:
+        """The facets that this rank owns."""
+        return self._owned.facets
+
+    @property
     def facets(self) -> Facets:
         """The facets of the halo, in the order of `numbers`."""
         return self._local.facets

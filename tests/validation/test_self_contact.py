@@ -161,6 +161,22 @@ def test_a_folded_strip(comm):
     assert found == pytest.approx(expected, rel=1e-9)
 
 
+def force_after(made, tags, sides, still, pushed, path):
+    """Return the size of the contact force on rubber after displacements of a surface."""
+    u = fem.Function(made.V)
+    F = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(made.V))
+    motion = fem.Constant(made.mesh, np.zeros(2))
+    bcs = [fixed(made.V, tags.find(still)), fixed(made.V, tags.find(pushed), motion)]
+    pair = ContactPair(tags, *sides, Coulomb(0.3), sliding="finite")
+    options = SolverOptions(rtol=1e-8, geometry_accuracy=1e-5)
+    with NonlinearContactProblem(F, u, [pair], bcs, options=options) as problem:
+        for motion.value[:] in path:
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+    return np.abs(solution.pair_resultants[0].force)
+
+
 @pytest.mark.parallel
 def test_a_fold_of_a_bellows_is_pressed_together(comm):
     """Two arms of rubber, joined by a bend: the inside touches itself as arms tagged by hand do."""
@@ -177,21 +193,11 @@ def test_a_fold_of_a_bellows_is_pressed_together(comm):
         (still, [0], lambda x: (x[:, 1] < 1e-9) & (np.abs(x[:, 0] + 0.7) < 0.1)),
         (pushed, [0], lambda x: (x[:, 1] < 1e-9) & (np.abs(x[:, 0] - 0.7) < 0.1)),
     )
-    options = SolverOptions(rtol=1e-8, geometry_accuracy=1e-5)
-    every, forces = [left, right, bend], []
-    for sides in ((left, right), (every, every)):
-        u = fem.Function(made.V)
-        F = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(made.V))
-        motion = fem.Constant(made.mesh, np.zeros(2))
-        bcs = [fixed(made.V, tags.find(still)), fixed(made.V, tags.find(pushed), motion)]
-        pair = ContactPair(tags, *sides, Coulomb(0.3), sliding="finite")
-        with NonlinearContactProblem(F, u, [pair], bcs, options=options) as problem:
-            for depth in (0.08, 0.16):
-                motion.value[0] = -depth
-                solution = problem.solve()
-                solution.raise_if_failed()
-                problem.accept()
-            forces.append(np.abs(solution.pair_resultants[0].force))
+    every, path = [left, right, bend], [(-0.08, 0.0), (-0.16, 0.0)]
+    forces = [
+        force_after(made, tags, sides, still, pushed, path)
+        for sides in ((left, right), (every, every))
+    ]
     assert forces[0].max() > 1e-3
     assert forces[1] == pytest.approx(forces[0], abs=1e-3 * forces[0].max())
 
@@ -220,18 +226,10 @@ def ring(comm, N=40, opening=0.06):
 @pytest.mark.parallel
 def test_a_ring_is_squeezed_until_it_closes(comm):
     made, tags = ring(comm)
-    options = SolverOptions(rtol=1e-8, geometry_accuracy=1e-5)
-    law, forces = Coulomb(0.3), []
-    for sides in ((1, 2), ([1, 2, 3], [1, 2, 3])):
-        u = fem.Function(made.V)
-        F = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(made.V))
-        down = fem.Constant(made.mesh, np.array([0.0, -0.2]))
-        bcs = [fixed(made.V, tags.find(5)), fixed(made.V, tags.find(4), down)]
-        pair = ContactPair(tags, *sides, law, sliding="finite")
-        with NonlinearContactProblem(F, u, [pair], bcs, options=options) as problem:
-            solution = problem.solve()
-            solution.raise_if_failed()
-            forces.append(np.abs(solution.pair_resultants[0].force))
+    forces = [
+        force_after(made, tags, sides, 5, 4, [(0.0, -0.2)])
+        for sides in ((1, 2), ([1, 2, 3], [1, 2, 3]))
+    ]
     assert forces[0].max() > 1e-3
     # which end is secondary changes normals, by the turn of the ends
     assert forces[1] == pytest.approx(forces[0], abs=1e-3 * forces[0].max())
