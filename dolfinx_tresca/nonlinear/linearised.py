@@ -95,7 +95,8 @@ class TangentProblem:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u
-        self._places = (self.contact.obstacles.motions,) * 2  # at the start and end of a solve
+        # motions of the obstacles at the start and at the end of a solve
+        self._places = (self.contact.obstacles.motions,) * 2
         self._moves_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
@@ -218,10 +219,10 @@ class TangentProblem:
                 part.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
-        """Return springs B_a'C B_a across the rows a of B that contact closes. Collective.
+        """Return the springs B_a'C B_a, where B_a are the rows of B in contact. Collective.
 
         Args:
-            factor: stiffnesses C, relative to the stiffness of single nodes.
+            factor: stiffness C of each spring, relative to the stiffness of the row's node.
         """
         B = self.contact.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
@@ -243,10 +244,10 @@ class TangentProblem:
         return self._stiffness_for[1]
 
     def _rows_in_contact(self) -> Mask:
-        """Return which rows (size,) of B are closed by contact at the present u_k. Collective.
+        """Return which rows (size,) of B are in contact at the present u_k. Collective.
 
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
-        are closed. If all multipliers are zero, all rows of nodes that touch are closed.
+        are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
         """
         jump, multipliers = self.contact.jump, self.contact.steps.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
@@ -274,8 +275,8 @@ class TangentProblem:
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
         """Return the reference tangent times a factor. Collective.
 
-        Rows and columns of prescribed degrees of freedom are zero, and so are those of unknowns
-        other than displacements, in which added stiffness would change the constraints.
+        Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
+        other than displacements are zero, too: stiffness added to them would change constraints.
         """
         with self._at(self._reference):
             self.tangent.assemble_stiffness()

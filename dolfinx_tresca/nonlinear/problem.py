@@ -73,10 +73,10 @@ class NonlinearContactProblem(ContactProcess):
     is called; pairs with `sliding="finite"` are paired in the configuration of the solution.
 
     Materials with a history, such as plastic ones, are described by two functions of the user.
-    `before_assembly()` computes the stress and its tangent, in Functions on which F and J depend,
-    from the present u and the history; it is called once for each u, before anything is assembled.
-    `on_accept()` makes the state at u the history; only `accept()` calls it. So a failed part of a
-    load, or a trial solve, leaves the history unchanged.
+    `before_assembly()` computes the stress and its tangent from the present u and the history, and
+    stores them in Functions on which F and J depend; it is called once for each u, before anything
+    is assembled. `on_accept()` makes the state at u the history; only `accept()` calls it. So a
+    failed part of a load, or a trial solve, leaves the history unchanged.
 
     A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager.
 

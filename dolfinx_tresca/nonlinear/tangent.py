@@ -148,7 +148,10 @@ class TangentSystem(LinearSystem):
                 raise InputError(f"F or J depends on values that are NaN or infinite in {wrong}.")
 
     def _not_finite(self) -> str:
-        """Return a text for a Function in the forms whose values are not finite; "" without one."""
+        """Return a text that names a Function in the forms with values that are not finite.
+
+        The text is empty if there is no such Function.
+        """
         wrong = [one for one in self._functions if not np.isfinite(one.x.array).all()]
         return shown(wrong[0]) if wrong else ""
 

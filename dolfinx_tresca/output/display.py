@@ -53,7 +53,7 @@ def display_for_pictures() -> Iterator[None]:
 
 
 def lacks_display() -> bool:
-    """Return whether there is no display, but VTK, as it is set up, would use one."""
+    """Return whether VTK, as it is set up, would use a display although there is none."""
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or WINDOW in os.environ:
         return False
     if vtk_version() >= (9, 5):

@@ -73,7 +73,7 @@ class Grid:
                     "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
                     "pyvista (conda, pip)."
                 )
-            else:  # the installed VTK lacks something that it needs
+            else:  # the installed VTK lacks something that pyvista needs
                 reason = (
                     f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
                     "brings one that goes with its VTK."

@@ -175,9 +175,9 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
-        """Begin load steps at a displacement: the slip of later solutions counts from its T u.
+        """Begin load steps at a displacement u: the slip of later solutions counts from T u.
 
-        Use it to continue after a restart, or from a state that another program computed.
+        Use this call to continue after a restart, or from a state that another program computed.
         Collective.
 
         Args:
@@ -329,7 +329,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
+        """Pair surfaces in the configuration displaced by u, if they are not yet. Collective."""
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
@@ -466,7 +466,7 @@ class ContactProcess(PetscOwner, Tabulated):
     def _step_to_differentiate(
         self, controls: Sequence[Any], at_edge: Any
     ) -> tuple[SolvedStep, Forms]:
-        """Return the last solution, with the forms at it. Collective.
+        """Return the last solution, and the forms at its displacement. Collective.
 
         The number of nodes at the edge of their state is logged.
 
