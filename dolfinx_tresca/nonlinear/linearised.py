@@ -190,6 +190,8 @@ class TangentProblem:
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
+        Nothing is done if the tangent at this u_k is factored already, without added stiffness.
+
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
                 single node of the reference tangent.
@@ -378,7 +380,10 @@ class TangentProblem:
         return self._norm_of_correction(self.tangent.residual(self.contact.contact_forces()))
 
     def _norm_of_correction(self, forces: Array) -> float:
-        """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective."""
+        """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
+
+        The result is NaN if F is not finite. In a mixed space it is the `MixedNorm` of K^-1 F.
+        """
         force = self.contact.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):

@@ -102,7 +102,10 @@ class Newton:
             self.problem.end_load()
 
     def _run(self) -> None:
-        """Apply the change of load, in parts where Newton's method fails. Collective."""
+        """Apply the change of load, in parts where Newton's method fails. Collective.
+
+        The part is halved after a failure, and doubled after a success.
+        """
         problem = self.problem
         problem.begin_load()
         self._start = problem.u.x.array.copy()
@@ -139,7 +142,7 @@ class Newton:
         return found
 
     def _equilibrium(self) -> str:
-        """Solve for the present part of the load. Collective.
+        """Take Newton steps to equilibrium for the present part of the load. Collective.
 
         Returns:
             the reason of a failure; empty after a success.

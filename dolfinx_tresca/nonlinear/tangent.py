@@ -135,7 +135,9 @@ class TangentSystem(LinearSystem):
         self._material_changed = True
 
     def check_functions(self) -> None:
-        """Check Functions in the forms, unless `before_assembly` computes them. Collective.
+        """Check that Functions in the forms are finite, unless `before_assembly` computes them.
+
+        Collective.
 
         Raises:
             InputError: a Function other than u has values that are NaN or infinite.

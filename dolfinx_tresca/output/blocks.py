@@ -117,7 +117,7 @@ def _bodies(V: Any) -> IntegerFunction:
 
 
 def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Function:
-    """Return a field of the user as a Function.
+    """Check a field of the user and return it; tags of cells become a Function of degree 0.
 
     Raises:
         InputError: see `blocks_of`.

@@ -70,7 +70,7 @@ def vtk_version() -> tuple[int, int]:
 
 
 def window_off_screen() -> str | None:
-    """Return a kind of window that needs no X server; None if VTK has none."""
+    """Return a kind of window of VTK that needs no X server; None if its library is missing."""
     if vtk_version() < (9, 5):
         return None
     for window, library in WINDOWS_OFF_SCREEN:
@@ -83,7 +83,7 @@ def window_off_screen() -> str | None:
 
 
 def start_xvfb() -> tuple[str, subprocess.Popen[bytes]]:
-    """Return the DISPLAY of a new X server, and its process.
+    """Start the X server Xvfb; return its DISPLAY and its process.
 
     Raises:
         ContactError: Xvfb is not installed, or it fails.

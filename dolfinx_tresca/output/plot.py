@@ -126,7 +126,7 @@ def _draw(
     suffix: str,
     angle: float,
 ) -> bytes:
-    """Return the bytes of the picture's file. Not collective.
+    """Draw the picture, and return it as the bytes of a file of type `suffix`. Not collective.
 
     Raises:
         ContactError: pyvista or matplotlib is missing.

@@ -128,7 +128,10 @@ class Series:
         return {int(Path(data.file).parent.name) for data in self._series}
 
     def _finish(self, unfinished: Path, step: Path, files: list[str], time: float) -> None:
-        """Rename the step, and replace the `.pvd`. Not collective."""
+        """Rename the step, and replace the `.pvd`; at the first step remove the older series.
+
+        Not collective.
+        """
         found = [
             DataSet(time, Path(file).stem, f"{self._folder.name}/{step.name}/{file}")
             for file in files

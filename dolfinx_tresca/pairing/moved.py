@@ -11,7 +11,9 @@ from dolfinx_tresca.surface.facets import tabulate
 
 
 def straightened(V: Any, u: Array) -> Array:
-    """Return a displacement that keeps straight edges of the mesh straight. Not collective.
+    """Return a displacement after which edges have the degree of the mesh's geometry.
+
+    Not collective.
 
     If V has a higher degree than the geometry, each node that is not at a vertex is moved by the
     mean displacement of the vertices of its edge, face or cell; else the result is u.

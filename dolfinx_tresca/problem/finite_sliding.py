@@ -86,8 +86,8 @@ class FiniteSliding:
         self._forces: Array | None = None
         self._gaps: Array | None = None
         self._residual = math.inf  # |u - w|^2
-        self._displaced: list[Array] = []  # w, the last one at the end
-        self._solved: list[Array] = []  # u(w)
+        self._displaced: list[Array] = []  # the displacements w of all configurations
+        self._solved: list[Array] = []  # the solutions u(w) in these configurations
         self._start = 1.0  # relative residual that the last contact problem started with
         self.change = self.error = math.inf
         self.configurations = 1
@@ -102,10 +102,12 @@ class FiniteSliding:
         return options.with_changes(rtol=residual)
 
     def observe(self, u: fem.Function, start: float) -> None:
-        """Compare forces and gaps with those of the previous configuration. Collective.
+        """Compare forces and gaps with the previous configuration, and estimate the error.
+
+        Collective.
 
         The change of gaps is relative to the largest displacement since the last accepted step, or
-        to `SMALL_STEP` of the displacement if that is larger.
+        to `SMALL_STEP` times the largest displacement if this is larger.
 
         Args:
             u: solution of the contact problem in the present configuration [length].

@@ -188,7 +188,7 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
 def _project_to_surfaces(
     model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array
 ) -> Array:
-    """Project points (3, n) onto surfaces, or onto the edges of surfaces if `to_edges`.
+    """Project points (3, n) onto surfaces; if `to_edges`, points at an edge onto the edge.
 
     Raises:
         InputError: too few points are on the surface before they are moved.

@@ -141,9 +141,10 @@ def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) 
 
 
 def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
-    """Return `Facets.origins` of this rank's facets, and the number of bodies they are on.
+    """Return `Facets.origins` of this rank's facets, and the number of bodies of the surface.
 
-    Collective. The mesh must be undeformed.
+    The columns of `Facets.origins` are body, size, centre, normal, radius and direction, as in
+    `SelfContact`. The mesh must be undeformed. Collective.
 
     Args:
         V: the space of the displacement.

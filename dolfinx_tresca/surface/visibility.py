@@ -155,8 +155,9 @@ class Visibility:
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
-        The limit of this distance divided by the penetration is `CREDIBLE_PART`. The arguments are
-        those of `hidden`.
+        The limit of this distance divided by the penetration is `CREDIBLE_PART`. On a surface that
+        touches itself the primary side is here the other bodies. The arguments are those of
+        `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])

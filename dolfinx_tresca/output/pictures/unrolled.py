@@ -103,7 +103,7 @@ class _Cone:
 
     @classmethod
     def through(cls, surface: Any) -> _Cone | None:
-        """Return the cone nearest to a surface; None if none is near."""
+        """Return the cone or cylinder fitted to a surface; None if the surface is not near it."""
         axis = _axis(surface)
         if axis is None:
             return None
@@ -176,7 +176,10 @@ def _side(angle: float, index: int, oblique: bool) -> str:
 
 
 def _axis(surface: Any) -> Array | None:
-    """Return the direction with which all normals make the same angle; None if there is none."""
+    """Return the axis of a surface like a cylinder or a cone; None for other surfaces.
+
+    All normals make nearly the same angle with the axis.
+    """
     normals = np.asarray(surface.cell_data["Normals"])
     areas = np.asarray(surface.compute_cell_sizes(length=False, volume=False).cell_data["Area"])
     mean = areas @ normals / areas.sum()
@@ -191,7 +194,7 @@ def _axis(surface: Any) -> Array | None:
 
 
 def _seam(angle: Array) -> tuple[float, bool]:
-    """Return the angle at which a surface begins, and whether it is closed."""
+    """Return the angle at which the unrolled surface begins, and whether the surface is closed."""
     ordered = np.sort(np.mod(angle, 2.0 * math.pi))
     gaps = np.diff(np.append(ordered, ordered[0] + 2.0 * math.pi))
     widest = int(np.argmax(gaps))
