@@ -101,9 +101,9 @@ def solve_adaptively(
             judged by an estimate (`ContactSolution.discretisation_error`), not a bound.
         goal: a number, such as `NormalForce()`. Its relative error (`ContactProblem.goal_error`)
             then replaces the energy error: it is compared with `accuracy`, and cells are refined
-            for it. The iteration continues until its part of this error is small, too. If the patch
-            of a `MeanPressure` or `MeanSlip` has no contact node, cells at the patch are refined
-            before the first solve.
+            for it. The iteration continues until the iteration's part of this error is small, too.
+            If the patch of a `MeanPressure` or `MeanSlip` has no contact node, cells at the patch
+            are refined before the first solve.
         fraction: part of the sum of squared errors that the cells have that are marked for a cut;
             see `refine`. For the last cut it may be less.
         snap: projections to curved surfaces; see `refine`.

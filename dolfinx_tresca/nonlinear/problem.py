@@ -54,8 +54,8 @@ def _options_to_agree(problem: NonlinearContactProblem) -> dict[str, Any]:
 class NonlinearContactProblem(ContactProcess):
     """Nonlinear bodies in contact with friction: F(u; v) + contact = 0.
 
-    The interface is like that of `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u,
-    from which a solve starts and which holds the solution afterwards. Each Newton step solves a
+    The interface resembles `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u, from
+    which a solve starts and which holds the solution afterwards. Each Newton step solves a
     contact problem for the whole displacement, with the tangent at the present u. The conditions of
     contact and friction are not linearised, so they hold after each step. Change Constants and
     Functions in forms and conditions in place, as for `ContactProblem`. Multipliers and the models

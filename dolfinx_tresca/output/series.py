@@ -163,7 +163,10 @@ class Series:
 def _write_pvtus(
     folder: Path, grids: Mapping[str, Grid], cells: Sequence[Mapping[str, int]]
 ) -> None:
-    """Write the `.pvtu` of each grid; ranks without cells have no file in it. Not collective."""
+    """Write the `.pvtu` of each grid, with the files of the ranks that have cells.
+
+    Not collective.
+    """
     for name, grid in grids.items():
         pieces = [f"{name}_{rank}.vtu" for rank, mine in enumerate(cells) if mine[name]]
         write_pvtu(folder / f"{name}.pvtu", grid, pieces)

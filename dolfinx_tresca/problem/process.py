@@ -137,7 +137,7 @@ class ContactProcess(PetscOwner, Tabulated):
     def forget(self) -> None:
         """Drop the multipliers and products of earlier solves: the next solve starts from zero.
 
-        Accepted load steps stay: the slip still counts from the last of them. Not collective.
+        Accepted load steps stay: the slip still counts from the last accepted step. Not collective.
         """
         self._contact.forget()
 

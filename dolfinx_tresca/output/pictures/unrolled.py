@@ -21,7 +21,7 @@ NOT_STRAIGHT = 0.02
 PLANES = 2e-3
 #: Largest difference of radii from the radii of a circular cone, relative to the cone's radii.
 NOT_ROUND = 0.15
-#: A surface is open if a part of it with this angle [rad] has no nodes.
+#: A surface is open if a sector of this angle [rad] about the axis contains no node.
 SEAM = 0.35
 #: Largest angle [degrees] between an end and the coordinate direction after which it is named.
 NEAR = 12
