@@ -153,7 +153,8 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
     """Move the nodes of a mesh slightly within a `with` block; yield the moved coordinates.
 
     Among edges of equal length DOLFINx cuts the first one in the numbering of a rank, which depends
-    on the partition. After the motion all lengths differ, equally for any partition. Collective.
+    on the partition. After the motion all lengths differ, in the same way for any partition.
+    Collective.
     """
     x = mesh.geometry.x
     start = x.copy()

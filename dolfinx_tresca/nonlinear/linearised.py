@@ -71,7 +71,7 @@ class TangentProblem:
             u: displacement on which F depends, or all unknowns of a mixed space.
             J: derivative of F with respect to u.
             bcs: Dirichlet conditions of the whole displacement.
-            entity_maps: needed if forms hold Functions on surfaces.
+            entity_maps: see `ContactProblem`.
             before_assembly: see `NonlinearContactProblem`.
             on_accept: see `NonlinearContactProblem`.
             axisymmetric: see `NonlinearContactProblem`.

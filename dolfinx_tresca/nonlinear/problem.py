@@ -152,7 +152,7 @@ class NonlinearContactProblem(ContactProcess):
             petsc_options: options of the solver for the tangent.
             petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
-            entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
+            entity_maps: needed if forms contain Functions on surface meshes; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see
                 `ContactProblem`.
             V: the sub-space of the displacement, such as W.sub(0), in a mixed space W with several

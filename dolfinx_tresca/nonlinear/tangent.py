@@ -64,7 +64,7 @@ class TangentSystem(LinearSystem):
             F: residual form, internal minus external forces.
             bcs: Dirichlet conditions of the whole displacement.
             u: displacement on which the forms depend, or all unknowns of a mixed space.
-            entity_maps: needed if forms hold Functions on surfaces.
+            entity_maps: see `ContactProblem`.
             before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.
             V: the sub-space of the displacement, if a mixed space has several candidates.

@@ -144,8 +144,8 @@ class ContactProblem(ContactProcess):
                 with "mg_coarse_"; options without this prefix hold for that level as well.
             petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
-            entity_maps: needed if forms hold Functions on surfaces, as in `dolfinx.fem.form`;
-                `SurfaceFields.entity_maps` has the map of a surface.
+            entity_maps: the argument of `dolfinx.fem.form` that forms need if they contain
+                Functions on the mesh of a surface; `SurfaceFields.entity_maps` has its map.
             V: the space of the displacement. It is needed if `a` is not a form of UFL, and for a
                 mixed space W with several vector components, where it is a sub-space such as
                 W.sub(0).
@@ -320,8 +320,8 @@ class ContactProblem(ContactProcess):
     def goal_error(self, goal: Goal) -> GoalError:
         """Return the value of a goal in the last solution, with an error estimate. Collective.
 
-        The estimate keeps the contact state of each node, which is right to first order: if all
-        nodes stick, mean slip and estimated error are zero. The estimate covers the
+        The estimate keeps the contact state of each node, which is right to first order. So if all
+        nodes stick, the mean slip and its estimated error are zero. The estimate covers the
         discretisation error of the displacement. It does not cover the error of approximating a
         curved boundary by straight edges: gaps take account of the curvature of the surfaces, but
         the shape of boundaries without contact is taken as it is in the mesh. The estimate costs

@@ -211,8 +211,8 @@ class ContactProcess(PetscOwner, Tabulated):
                 traction of the nearest point of the same pair's surface in the solution, or zero
                 where no point is near.
             accepted: whether the solution is a load step from which this problem continues: slip
-                counts from the solution's slip, which is interpolated, and its dissipation is added
-                to later dissipation, as after `accept()` on the same mesh.
+                counts from the solution's slip, which is interpolated, and the solution's
+                dissipation is added to later dissipation, as after `accept()` on the same mesh.
 
         Raises:
             InputError: the solution has another number of pairs, or another dimension.
@@ -337,7 +337,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @collective(comm_of_self)
     def goal_value(self, goal: Goal) -> float:
-        """Return the value of a goal of the last solution. Collective.
+        """Return the value of a goal in the last solution. Collective.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.

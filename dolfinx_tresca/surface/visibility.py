@@ -156,8 +156,7 @@ class Visibility:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
         The limit of this distance divided by the penetration is `CREDIBLE_PART`. On a surface that
-        touches itself the primary side is here the other bodies. The arguments are those of
-        `hidden`.
+        touches itself only other bodies count as primary side. The arguments are those of `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])

@@ -145,8 +145,12 @@ class _Cone:
 def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
     """Cut a surface along the seam: cells (m, 1 + k) that cross the seam get nodes of their own.
 
+    Args:
+        cells: (m, 1 + k) the number k and the nodes of each cell.
+        angle: angle of each node, measured from the seam [rad].
+
     Returns:
-        the cells, with the numbers of new nodes, and the nodes of which the new nodes are copies.
+        the cells with their new nodes; and for each new node the number of the node that it copies.
     """
     corners = angle[cells[:, 1:]]
     across = np.ptp(corners, axis=1, keepdims=True) > math.pi
