@@ -373,9 +373,9 @@ class TangentProblem:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
 
         This is the energy norm of the displacement that would remove the residual at unchanged
-        contact forces: with the tangent of the previous step, a simplified Newton correction
-        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1). In a mixed space `MixedNorm`
-        takes the place of the energy norm.
+        contact forces. The tangent is the one of the previous step, so this displacement is a
+        simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
+        In a mixed space `MixedNorm` takes the place of the energy norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.contact.contact_forces()))
 
