@@ -57,10 +57,10 @@ class ContactSolution(Evaluation, Tabulated):
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
-        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. Minus the
-            last q is `dual_energy` minus the dual energy of a reference state. This state is
-            lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies it is the smallest
-            lambda that balances the loads.
+        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. The last
+            -q is the difference of `dual_energy` and the dual energy of a reference state. This
+            state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies it is the
+            smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
             an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
             for the slip since the last accepted step.

@@ -104,7 +104,7 @@ def solve_adaptively(
             for it. The iteration continues until the iteration's part of this error is small, too.
             If the patch of a `MeanPressure` or `MeanSlip` has no contact node, cells at the patch
             are refined before the first solve.
-        fraction: part of the sum of squared errors that the cells have that are marked for a cut;
+        fraction: part of the sum of squared errors that the cells marked for a cut have together;
             see `refine`. For the last cut it may be less.
         snap: projections to curved surfaces; see `refine`.
         max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the following limits

@@ -70,7 +70,7 @@ def vtk_version() -> tuple[int, int]:
 
 
 def window_off_screen() -> str | None:
-    """Return a kind of window of VTK that needs no X server; None if its library is missing."""
+    """Return a kind of window of VTK that needs no X server; None if no such kind can be used."""
     if vtk_version() < (9, 5):
         return None
     for window, library in WINDOWS_OFF_SCREEN:

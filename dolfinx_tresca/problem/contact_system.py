@@ -460,8 +460,8 @@ class ContactSystem(PetscOwner):
         """Pair some surfaces in the configuration displaced by u. Collective.
 
         With finite sliding the slip counts from the last accepted step. It is the displacement of a
-        node since this step, relative to the node's present partner and projected onto the tangent
-        plane of the configuration.
+        node since this step, relative to the node's present partner and projected onto the node's
+        tangent plane in the configuration.
 
         Args:
             u: displacement [length] in the problem's space.

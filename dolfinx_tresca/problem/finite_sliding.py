@@ -71,7 +71,7 @@ class FiniteSliding:
     surfaces displaced by w. The iteration w <- u(w) converges linearly where friction acts, because
     the directions of the forces are those of the last configuration. With Anderson's acceleration
     (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49) it converges about as fast as Newton's
-    method for nonlinear bodies, so one Newton step in each configuration is enough for them.
+    method for the bodies, so for nonlinear bodies one Newton step in each configuration is enough.
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last

@@ -85,7 +85,7 @@ class Camera:
 
     @classmethod
     def turned(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return the view of `at`, or the view turned by a right angle if it is much larger.
+        """Return the view of `at`, turned by a right angle if points are then much larger.
 
         In the turned view `up` points to the right.
         """
