@@ -95,7 +95,7 @@ class Refinement:
 
 
 def step_of(growth: float) -> float:
-    """Return the growth of one of several equal refinements that have a given growth together.
+    """Split a total growth into several equal refinements, and return the growth of one of them.
 
     The result is close to `GROWTH`: equal refinements avoid a small refinement at the end.
     """

@@ -240,8 +240,8 @@ class NonlinearContactProblem(ContactProcess):
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
-        Derivatives need this tangent, and the last assembled one belongs to the previous iterate:
-        so a further Newton step is made.
+        Derivatives need this tangent, but the last assembled tangent belongs to the previous
+        iterate. So a further Newton step is made.
 
         Raises:
             ContactError: nothing was solved since the last accepted step, or inputs have changed
@@ -319,10 +319,10 @@ class NonlinearContactProblem(ContactProcess):
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
         Args:
-            observer: called before each iteration of each contact problem; see
+            observer: function that is called before each iteration of each contact problem; see
                 `ContactProblem.solve`.
-            options: replace the problem's options of the contact algorithm in this solve.
-            newton: replace the problem's options of Newton's method in this solve.
+            options: options of the contact algorithm that replace the problem's in this solve.
+            newton: options of Newton's method that replace the problem's in this solve.
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`. The problem's `u`

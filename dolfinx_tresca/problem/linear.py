@@ -145,7 +145,7 @@ class ContactProblem(ContactProcess):
             petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
             entity_maps: the argument of `dolfinx.fem.form` that forms need if they contain
-                Functions on the mesh of a surface; `SurfaceFields.entity_maps` has its map.
+                Functions on the mesh of a surface: take `SurfaceFields.entity_maps`.
             V: the space of the displacement. It is needed if `a` is not a form of UFL, and for a
                 mixed space W with several vector components, where it is a sub-space such as
                 W.sub(0).

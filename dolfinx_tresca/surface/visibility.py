@@ -53,7 +53,7 @@ class Visibility:
       secondary body, nor enter the primary body.
 
     If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
-    is not paired with y either if the distance of x from the primary surface, in any direction, is
+    is also not paired with y if the distance of x from the primary surface, in any direction, is
     much smaller than the penetration |s|.
 
     On a surface that touches itself, both sides consist of all facets. A facet in the way of a

@@ -30,7 +30,7 @@ class Magnification:
     * an initial overlap (a press fit) is magnified as much as the displacement: the primary body is
       drawn larger. Its surface is shifted by (scale - 1) d n, and its inside by the polynomial of
       degree 2 at most that is nearest to these shifts;
-    * the remaining difference limits the scale, unless the user chooses the scale: neither a gap
+    * the rest of the jump limits the scale, unless the user chooses the scale: neither a gap
       between pressed surfaces nor any overlap may be visible (`INVISIBLE`). A displacement that
       would be invisible with this limit is drawn without magnification. Rigid obstacles are not
       shifted, so only this second rule applies to them.

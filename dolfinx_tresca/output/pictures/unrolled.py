@@ -167,7 +167,8 @@ def _side(angle: float, index: int, oblique: bool) -> str:
     """Return the text of a direction around an axis: "y side", "−x side", or degrees.
 
     Args:
-        angle: angle from the coordinate direction after the axis, in cyclic order [rad].
+        angle: angle of the direction, measured from the coordinate direction that follows the axis
+            in cyclic order [rad].
         index: number of the coordinate direction of the axis.
         oblique: whether the axis is not along a coordinate direction.
     """
