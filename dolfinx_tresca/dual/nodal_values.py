@@ -41,7 +41,7 @@ class NodalValues:
     """Evaluates the user's fields, and their derivatives, at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
-        """Keep the space; its element has its nodes as interpolation points."""
+        """Keep V, whose nodes are the interpolation points of its element."""
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
         #: Spaces of controls with their interpolation matrices, by the `id` of the space: keeping
@@ -204,8 +204,8 @@ class NodalValues:
         """Return the values (components, n) of a function at the nodes. Not collective.
 
         Raises:
-            InputError: the function returns neither one value nor one for each node, or values that
-                are no real numbers.
+            InputError: the function returns neither one value nor one value for each node, or
+                values that are not real numbers.
         """
         n = len(nodes)
         if n == 0:

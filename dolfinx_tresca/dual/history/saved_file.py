@@ -1,4 +1,4 @@
-"""The contents of the file of a state, and reading it on the first rank."""
+"""The contents of the file of a state, and the function that reads it on the first rank."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 #: Name of the array with the `surroundings` of the nodes, which locate the rows of displacements.
 SURROUNDINGS = "surroundings"
 
-#: Prefixes of the names of arrays that have positions of their own: arrays of the material's
-#: history, and of the unknowns of a mixed space that are no displacements.
+#: Prefixes of the names of arrays that come with positions of their own: arrays of the material's
+#: history, and of those unknowns of a mixed space that are not displacements.
 MATERIAL, UNKNOWN = "material ", "unknown "
 
-#: Distance of a node from its position in the file, divided by the extent of all nodes, up to which
-#: it is rounding.
+#: A node and a position in the file count as the same if their distance is at most this part of the
+#: extent of all nodes.
 SAME_PLACE = 1e-9
 
-#: The rank that reads and writes.
+#: The rank that reads and writes files.
 ROOT = 0
 
 

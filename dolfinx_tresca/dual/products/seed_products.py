@@ -20,16 +20,18 @@ from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 #: more groups they are constant on each group.
 FEW_GROUPS = 4
 
-#: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
+#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this part of
+#: the largest eigenvalue.
 INDEPENDENT = 1e-8
 
 
 def affine_tractions(jump: JumpOperator) -> Array:
     """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
 
-    On each group of pairs these are the pressures, and the tangential parts of the force densities,
-    that are affine functions of the position: nine on a flat surface in 3D. If there are more than
-    `FEW_GROUPS` groups, only the constant ones are returned.
+    On each group of pairs the affine tractions are the pressures that are affine functions of the
+    position, and the tangential parts of the force densities that are affine functions of the
+    position: nine on a flat surface in 3D. If there are more than `FEW_GROUPS` groups, only the
+    constant tractions are returned.
     """
     V = jump.system.V
     dim = V.mesh.geometry.dim
@@ -98,10 +100,11 @@ def seed_products(
 ) -> ProductStore:
     """Return a store with an estimate of diag(A) and the first products with A. Collective.
 
-    The diagonal is estimated from the product with a vector of random signs. With a near field this
-    is a product with the near field, since the effect of random signs is local; the store then has
-    no products with A. Without a near field the product with the random signs is stored, and with a
-    direct solver also the products with affine tractions, which are solved for as one block.
+    The diagonal is estimated from the product of A with a vector of random signs. If there is a
+    near field, it replaces A in this product, since the effect of random signs is local; the store
+    then has no products with A. Otherwise the store keeps the product with the random signs. With a
+    direct solver it also gets the products with affine tractions, which are solved for as one
+    block.
 
     Args:
         operator: A.

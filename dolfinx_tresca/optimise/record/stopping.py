@@ -14,9 +14,9 @@ from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.record.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 
-#: Least relative energy error that is requested if the mesh's error determines it; and, with
-#: `rtol`, the relative energy error below which the mesh's error is not estimated, since every mesh
-#: has a larger error.
+#: `LEAST_ACCURACY` is the least relative energy error that is requested if the mesh's error
+#: determines the request. With `rtol`, the mesh's error is not estimated if the relative energy
+#: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
@@ -53,9 +53,9 @@ class Stopping:
     def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
-        The two numbers belong to the first criterion that is not met; if all are met, to the last.
-        Unless the user set `accuracy=`, the first call with a small bound sets `accuracy` from the
-        error of the mesh. Collective.
+        The two numbers belong to the first criterion that is not met; if all criteria are met, they
+        belong to the last criterion. Unless the user set `accuracy=`, the first call with a small
+        bound sets `accuracy` from the error of the mesh. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -106,8 +106,8 @@ class Stopping:
     def tolerable_error(self, x: Array, r: Array) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
 
-        It is small compared with the error of the multipliers, since the local errors of the nodes
-        are computed from the gradient.
+        The tolerable error is small compared with the error of the multipliers, since the local
+        errors of the nodes are computed from the gradient.
 
         Args:
             x: (size,) multipliers in Lambda.

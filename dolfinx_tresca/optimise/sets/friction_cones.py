@@ -27,13 +27,13 @@ class FrictionCones:
     pressure minimises q over its own section, not over this set: see `fixed_point`.
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
-    at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of one
-    point, which `at` changes: they serve to move points near that point into the set.
+    at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of a
+    single point, which `at` sets; they serve to move nearby points into the set.
 
     Attributes:
         discs: Lambda with arbitrary radii, for the positions of normal and tangential multipliers.
-        normal_of: (n_discs,) position of the normal multiplier that each bound grows with; -1
-            for bounds that do not depend on a pressure.
+        normal_of: (n_discs,) position of the normal multiplier with which each bound grows; -1 for
+            bounds that do not depend on a pressure.
         constant: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
@@ -118,12 +118,13 @@ class FrictionCones:
     ) -> Callable[[Array, Array], Array]:
         """Return the function of (s, v) with the value s + Q s + S v, for Newton steps.
 
-        Here s is a step along the face, and v the right-hand side of its equation: for example
-        s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
-        node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
-        to the change of the bound with the slip. The change of a bound itself changes the slip, by
-        -D times this change. So both maps contain the factor 1 / (1 + h D), with the derivative h
-        of the bound with respect to the slip. Both map (size,) or (size, k).
+        Here s is a step along the face, and v the right-hand side of its equation: for example s =
+        (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping node's
+        pressure to the change of its bound, along the node's tangential multiplier. S maps v to the
+        change of the bound with the slip. The change of a bound itself changes the slip, by -D
+        times the change of the bound. So both maps contain the factor 1 / (1 + h D), with the
+        derivative h of the bound with respect to the slip. Both maps take arrays (size,) or (size,
+        k).
 
         Args:
             x: (size,) multipliers.
@@ -147,7 +148,7 @@ class FrictionCones:
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return the function of v with the value (I + Q') v, with the Q of `with_bound_change`.
 
-        It is the transpose of I + Q if no bound depends on the slip.
+        The function is the transpose of I + Q if no bound depends on the slip.
         """
         slope, _ = self.slopes(x, face)
 
