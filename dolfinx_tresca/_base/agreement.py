@@ -313,7 +313,7 @@ class _Description:
         return f"an object of type {type(value).__name__}"
 
     def _form(self, form: ufl.Form) -> str:
-        """Return the spaces of a form, the values of its constants and its signature."""
+        """Return a text with the spaces, the constants and the signature of a form."""
         spaces = [self._space(one.ufl_function_space()) for one in form.arguments()]
         constants = [np.asarray(getattr(one, "value", None)).tolist() for one in form.constants()]
         try:

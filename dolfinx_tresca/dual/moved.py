@@ -126,7 +126,7 @@ class Carry:
         return (self.physical((x.T * self._before.stress_scale).T).T / self._after.stress_scale).T
 
     def residuals(self, r: Array) -> Array:
-        """Return residuals (size,) or (size, k) for B after. Not collective."""
+        """Convert residuals (size,) or (size, k), like gradients, to the new B. Not collective."""
         return (self.physical((r.T * self._before.length_scale).T).T / self._after.length_scale).T
 
 

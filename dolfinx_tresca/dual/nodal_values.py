@@ -272,7 +272,7 @@ class NodalValues:
 
     @cached_property
     def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
-        """A scalar Function, and for each node of V its degree of freedom there. Collective."""
+        """A scalar Function, and the position of each node of V in its values. Collective."""
         scalar, dofs = collapse(self._V.sub(0))
         dofs //= self._V.dofmap.index_map_bs
         position = np.empty(len(dofs), dtype=np.int32)

@@ -19,12 +19,13 @@ from dolfinx_tresca.errors import InputError
 #: Relative accuracy of the displacement without contact, in the energy norm.
 LOAD_ACCURACY = 1e-6
 
-#: Largest length or force that is computed with: its square, times a stiffness or area of up to
-#: 1e28, is less than the largest number of double precision, 1.8e308.
+#: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
+#: less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
 
-#: Energy norm of a displacement below which it is rounding, divided by the energy norm of the
-#: displacement without contact. It is a square root, since the energy is a difference of energies.
+#: A displacement counts as rounding if its energy norm is below this part of the energy norm of the
+#: displacement without contact. The number is a square root, since the energy is computed as a
+#: difference of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
 #: Relative error of one operation in double precision.
@@ -68,7 +69,10 @@ class ElasticResponse(ABC):
     def of(
         cls, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
     ) -> ElasticResponse:
-        """Return the response for the solver for K. Arguments as in `__init__`. Not collective."""
+        """Return the response of the kind that suits the solver for K. Not collective.
+
+        The arguments are those of `__init__`.
+        """
         kind = DirectResponse if compliance.operator.exact else IterativeResponse
         return kind(compliance, guess, slip_origin)
 
@@ -144,9 +148,10 @@ class ElasticResponse(ABC):
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
         A displacement with which the convergence of the multipliers was checked is returned
-        unchanged. The error bound of a more accurate displacement may be larger, by more than the
-        two displacements differ in the energy norm: bounds close gaps by moving contact nodes
-        alone, which takes much energy if the difference is smooth and cells are flat.
+        unchanged, since a more accurate displacement may have a larger error bound. The two bounds
+        may differ by more than the energy norm of the difference of the two displacements: to close
+        gaps, bounds move contact nodes alone, which takes much energy if the difference is smooth
+        and cells are flat.
 
         Args:
             x: (size,) multipliers.

@@ -43,10 +43,11 @@ SADDLE = {
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
     """Return a solver with the Cholesky factors of K. Collective.
 
-    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If it fails,
-    MUMPS factors K, or gives the reason of the failure: PETSc may be built without CHOLMOD, factors
-    may have more entries than its 32-bit integers count, and CHOLMOD reports only the first bad
-    pivot of a K that is not positive definite. The user's options may choose another package.
+    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If CHOLMOD
+    fails, MUMPS factors K, or gives the reason of the failure. CHOLMOD fails if PETSc is built
+    without it, if the factors have more entries than its 32-bit integers count, and if K is not
+    positive definite; it then reports the first bad pivot only. The user's options may choose
+    another package.
 
     Args:
         K: the matrix.

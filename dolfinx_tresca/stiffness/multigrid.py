@@ -1,4 +1,4 @@
-"""Conjugate gradients with multigrid for K: the known coarser spaces, and GAMG below them."""
+"""Conjugate gradients for K, with multigrid on known coarser spaces, and GAMG below them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 KRYLOV = {
     "ksp_type": "cg",
-    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r): the error in the energy norm, nearly
+    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
     "ksp_rtol": 1e-10,
     "ksp_max_it": 500,
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
@@ -24,14 +24,14 @@ KRYLOV = {
 #: positive definite K: the preconditioner is positive definite without an estimate of eigenvalues.
 GAUSS_SEIDEL = {
     "mg_levels_ksp_type": "richardson",
-    "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
+    "mg_levels_pc_type": "sor",  # treats a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
 }
 
-#: Smoother on several ranks. Each rank has a Gauss-Seidel of its own rows, M = diag(M_i): the
-#: largest eigenvalue of M^-1 K may approach the number of ranks that meet at a node, and errors
-#: grow if it exceeds 2 (on three and more ranks the preconditioner was seen to be indefinite).
-#: Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth.
+#: Smoother on several ranks. Each rank applies the Gauss-Seidel method to its own rows, M =
+#: diag(M_i). The largest eigenvalue of M^-1 K may approach the number of ranks that meet at a node,
+#: and errors grow if this eigenvalue exceeds 2 (on three and more ranks the preconditioner was seen
+#: to be indefinite). Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "sor",
@@ -46,8 +46,8 @@ SMOOTHERS = [
     f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
 ]
 
-#: Solver on the coarsest space: two cycles of GAMG. They are cheap, since K of degree 1 has a
-#: fifteenth of the entries of K of degree 2; with one cycle there are a third more iterations.
+#: Solver on the coarsest space: two cycles of GAMG. The cycles are cheap, since K of degree 1 has a
+#: fifteenth of the entries of K of degree 2; with one cycle a solve takes a third more iterations.
 COARSEST = {
     "mg_coarse_ksp_type": "richardson",
     "mg_coarse_ksp_max_it": 2,

@@ -133,7 +133,7 @@ def _told(
 
     Args:
         comm: the ranks.
-        numbers: (n,) numbers of nodes that this rank knows; others may know them, too.
+        numbers: (n,) numbers of nodes that this rank knows; other ranks may know them, too.
         values: (n,) values at the nodes that this rank knows.
         asked: (m,) numbers of the nodes that this rank requests.
     """

@@ -225,7 +225,10 @@ class LoadSteps:
         self._set_start(stress / self.jump.stress_scale)
 
     def _carry_over(self, jump: JumpOperator) -> Carry:
-        """Replace B, convert the multipliers to it, and return the conversion. Not collective."""
+        """Replace B, convert the multipliers to the new B, and return the conversion.
+
+        Not collective.
+        """
         carry, self.jump = Carry(self.jump, jump), jump
         self.multipliers, self._accepted = (
             carry.multipliers(one) for one in (self.multipliers, self._accepted)

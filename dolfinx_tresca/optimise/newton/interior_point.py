@@ -133,7 +133,7 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 of each disc, positive inside; 1 for discs without a cone."""
+        """Return first^2 - |v|^2 of each disc, positive in the cone; 1 for discs without a cone."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 

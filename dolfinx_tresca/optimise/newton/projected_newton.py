@@ -153,7 +153,7 @@ class ProjectedNewton:
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
     def proposed_rho(self) -> float:
-        """Return rho from the lower bound of sigma_max; an arbitrary number without loads."""
+        """Return the step length rho from the bound of sigma_max; any number without loads."""
         stores = [self.store, self.problem.near_products()]
         known = [store.largest_ritz_value() for store in stores if store is not None]
         self.largest = max(self.largest, *known)

@@ -207,7 +207,7 @@ class FrictionCones:
         return result
 
     def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
-        """Return dg/dp and dg/dv (n_discs,) at x for the bounds g of slipping nodes, else 0."""
+        """Return dg/dp and dg/dv (n_discs,) at x for bounds g of slipping nodes, zero elsewhere."""
         by_pressure, by_slip = self._slopes(self._pressures(x))
         return np.where(face.slip, by_pressure, 0.0), np.where(face.slip, by_slip, 0.0)
 
