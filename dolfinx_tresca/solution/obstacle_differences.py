@@ -19,8 +19,8 @@ from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.solved_step import SolvedStep
 
-#: Largest difference of a component up to which a tangent with displaced obstacles and a tangent
-#: with the obstacles where they are count as the same row of T.
+#: A tangent with displaced obstacles and a tangent with the obstacles where they are count as the
+#: same row of T if none of their components differs by more than this number.
 TURNED = 0.05
 
 
@@ -188,6 +188,6 @@ class ObstacleDifferences(PetscOwner):
         return result + sum(weight * self.goal(goal, x, jumps) for weight, goal in goals)
 
 
-#: Function from a Constant and a direction in which its value changes to the differences of B; it
-#: returns None if no obstacle depends on the Constant.
+#: Function of a Constant and a direction in which its value changes. It returns the differences of
+#: B, or None if no obstacle depends on the Constant.
 FindDifferences: TypeAlias = "Callable[[fem.Constant, Array], ObstacleDifferences | None]"

@@ -61,7 +61,7 @@ class SurfaceTangent:
 class ContactTangent:
     """The change of a solution along a direction of the controls, to first order.
 
-    `ContactProblem.tangent` returns it.
+    `ContactProblem.tangent` returns this object.
 
     Attributes:
         u: change of the displacement [length].
@@ -278,7 +278,8 @@ def _directional(form: Any, control: Control, direction: Any, mesh: Any) -> Any:
         return None
     if isinstance(control, fem.Function):
         return ufl.derivative(form, control, direction)
-    # UFL differentiates with respect to Functions: take one with the control's value in all cells
+    # UFL differentiates with respect to Functions: take a Function with the control's value in all
+    # cells
     space = fem.functionspace(mesh, ("DG", 0, control.ufl_shape))
     m, change = fem.Function(space), fem.Function(space)
     for one, values in ((m, control.value), (change, direction)):

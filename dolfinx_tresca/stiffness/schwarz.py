@@ -1,4 +1,4 @@
-"""Approximation of K^-1 by two small problems: some degrees of freedom, and a coarse level."""
+"""Approximation of K^-1 by small solves: on some degrees of freedom, and on a coarse level."""
 
 from __future__ import annotations
 
