@@ -15,7 +15,9 @@ from dolfinx_tresca.errors import InputError, shown
 
 
 def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
-    """Check that controls are a list of Constants and Functions, and return it. Not collective.
+    """Check that controls are a list of Constants and Functions, and return the list.
+
+    Not collective.
 
     Args:
         controls: the argument of the user.

@@ -120,7 +120,7 @@ def goal_error(
     u: fem.Function,
     energy_error: float,
 ) -> GoalError:
-    """Return the value of a goal and its estimated error, for some 10 products. Collective.
+    """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
     Args:
         goal: the goal.
