@@ -26,8 +26,8 @@ GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 LEAST_DIVISOR = 1e-300
 
 #: The difference of two numbers counts as rounding up to this multiple of the sum of the absolute
-#: values of the terms from which the numbers are computed. It is the error of some hundred
-#: operations. Doubling or halving it changes no status and no number of products
+#: values of the terms from which the numbers are computed. This multiple is the rounding error of
+#: some hundred operations. Doubling or halving it changes no status and no number of products
 #: (benchmarks/ablation.py).
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 

@@ -7,8 +7,8 @@ along their circles, which grow with the pressure if the law says so) a solution
 
 where P projects onto the face, C is the curvature of the circles, and Q contains the slope of the
 slip bounds. If the load changes by df, the offsets (d; s), which are gaps and slip origins, by do,
-and the radii of the circles by dg along the unit vectors n of their multipliers, the tangent (du,
-dx) obeys
+and the radii of the circles by dg along the unit vectors n of their multipliers, the tangent
+(du, dx) obeys
 
     K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
 
@@ -52,7 +52,7 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 #: adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
 
-#: The residual of GCR counts as rounding of products up to this multiple of the first residual.
+#: The residual of GCR counts as rounding of products up to this multiple of its first value.
 RESIDUAL_ROUNDING = 1e-10
 
 #: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this

@@ -303,9 +303,9 @@ class DualProgram:
     def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and D(x) = 1/2 u'K u -
-        f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u is subtracted from
-        D. All products are over the degrees of freedom that are not prescribed.
+        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and
+        D(x) = 1/2 u'K u - f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u
+        is subtracted from D. All sums are over the degrees of freedom that are not prescribed.
 
         Args:
             x: multipliers in Lambda.

@@ -23,8 +23,8 @@ LOAD_ACCURACY = 1e-6
 #: less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
 
-#: A displacement counts as rounding if its energy norm is below this part of the energy norm of the
-#: displacement without contact. The number is a square root, since the energy is computed as a
+#: A displacement counts as rounding if its energy norm is below this fraction of the energy norm of
+#: the displacement without contact. The number is a square root, since the energy is computed as a
 #: difference of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
@@ -150,8 +150,8 @@ class ElasticResponse(ABC):
         A displacement with which the convergence of the multipliers was checked is returned
         unchanged, since a more accurate displacement may have a larger error bound. The two bounds
         may differ by more than the energy norm of the difference of the two displacements: to close
-        gaps, bounds move contact nodes alone, which takes much energy if the difference is smooth
-        and cells are flat.
+        gaps, the computation of a bound moves contact nodes alone, which takes much energy if the
+        difference is smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.

@@ -27,7 +27,7 @@ from dolfinx_tresca.scene.friction import (
 from dolfinx_tresca.scene.scalar_field import ScalarField
 
 #: A negative slip bound counts as rounding, and means zero, if its absolute value is at most this
-#: part of the largest finite bound of the pair.
+#: fraction of the largest finite bound of the pair.
 BOUND_ROUNDING = 1e-12
 
 #: Names of the terms of a bound in error messages; laws have their own name for the constant term.

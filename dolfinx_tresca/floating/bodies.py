@@ -113,6 +113,6 @@ def _tag_names(
 
 
 def _point(x: Array, size: float) -> str:
-    """Return coordinates as text; coordinates up to rounding of a body's size become zero."""
+    """Return coordinates as text; rounding errors relative to a body's size become zero."""
     shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

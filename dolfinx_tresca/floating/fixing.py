@@ -33,8 +33,8 @@ class FixingSprings:
     Solves use K_p in place of K. The equilibrium of the bodies (`floating/equilibrium.py`) removes
     the effect of the fixing springs again. On floating bodies the fixing springs then have no
     force. On softly held bodies, which soft springs of the scene hold, the displacements of the
-    `response` cancel the effect of the fixing springs. (Brzobohaty et al. 2011 also fix a few
-    nodes, but not by springs.)
+    `response` cancel the effect of the fixing springs. (The nodes on which springs act correspond
+    to the fixing nodes of Brzobohaty et al. 2011.)
 
     Attributes:
         modes: the rigid body modes R that the springs resist.

@@ -24,15 +24,15 @@ from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
 
 #: A body without prescribed displacements is held softly if the stiffness against one of its rigid
-#: body modes is at most this part of the stiffness of the body itself.
+#: body modes is at most this fraction of the stiffness of the body itself.
 SOFT_STIFFNESS = 0.03
 
 #: A negative stiffness against a rigid body mode counts as rounding if its absolute value is at
-#: most this part of the stiffness of the body itself.
+#: most this fraction of the stiffness of the body itself.
 NEGATIVE_STIFFNESS = 1e-8
 
-#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this part of
-#: the largest eigenvalue.
+#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
+#: fraction of the largest eigenvalue.
 DEPENDENT_MODES = 1e-10
 
 

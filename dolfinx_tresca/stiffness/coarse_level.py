@@ -54,8 +54,8 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     matrices, interpolations = [K], []
     for coarse, P in _spaces(V):
         coarse_free = _injected(P, free)
-        # if either scaling is left out, corrections change prescribed values, and more iterations
-        # follow
+        # if either scaling is left out, corrections change prescribed values, and far more
+        # iterations are needed
         P.diagonalScale(free, coarse_free)
         free.destroy()
         free = coarse_free

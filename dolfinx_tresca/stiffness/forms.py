@@ -35,7 +35,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         name: name of the form in errors.
         form: UFL form, compiled form, matrix or None.
         mesh: mesh of the problem.
-        maps: the argument `entity_maps` of `fem.form`, as a dict with this name; empty: there are
+        maps: a dict with the argument `entity_maps` of `fem.form` under this name; empty: there are
             no entity maps.
 
     Raises:

@@ -28,10 +28,11 @@ GAUSS_SEIDEL = {
     "mg_levels_ksp_max_it": 1,
 }
 
-#: Smoother on several ranks. Each rank applies the Gauss-Seidel method to its own rows, M =
-#: diag(M_i). The largest eigenvalue of M^-1 K may approach the number of ranks that meet at a node,
-#: and errors grow if this eigenvalue exceeds 2 (on three and more ranks the preconditioner was seen
-#: to be indefinite). Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth.
+#: Smoother on several ranks. Each rank applies the Gauss-Seidel method to its own rows,
+#: M = diag(M_i). The largest eigenvalue of M^-1 K may approach the number of ranks that meet at a
+#: node, and errors grow if this eigenvalue exceeds 2 (on three and more ranks the preconditioner
+#: was seen to be indefinite). Chebyshev's polynomial, made for this largest eigenvalue, avoids the
+#: growth.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "sor",

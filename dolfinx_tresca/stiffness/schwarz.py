@@ -19,10 +19,10 @@ class Schwarz(PetscOwner):
     A local system, with K on these degrees of freedom while all others are clamped, is solved
     twice. Between the two solves, a system on a coarse level of multigrid is solved. The right-hand
     side of each solve is the remaining residual. With the projections P_1 and P_0 onto the local
-    and the coarse space, which are orthogonal in the energy inner product, K^-1 - S = (1 - P_1)(1 -
-    P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite (Schwarz's method: Toselli and
-    Widlund 2005, chapter 2). If the solver for K has no coarse level, the local system is solved
-    once, and K^-1 - S = (1 - P_1) K^-1.
+    and the coarse space, which are orthogonal in the energy inner product,
+    K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite
+    (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
+    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
 
     Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
     """

@@ -23,9 +23,9 @@ ZERO_NORM = 1e-300
 #: of the iteration.
 NEAR_SOLUTION = 1e-3
 
-#: A solve without iteration counts as exact to rounding if its backward error |f - K u| / (|K| |u|
-#: + |f|), in the maximum norm, is at most this number. A factorisation leaves about 1e-16, whatever
-#: the condition of K.
+#: A solve without iteration counts as exact to rounding if its backward error
+#: |f - K u| / (|K| |u| + |f|), in the maximum norm, is at most this number. A factorisation leaves
+#: about 1e-16, whatever the condition of K.
 BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
 
 #: Advice for breakdowns without a solution, by PETSc's reason.

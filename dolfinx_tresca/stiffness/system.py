@@ -42,7 +42,7 @@ SYMMETRY = 1e-10
 #: largest diagonal entry; the form then lacks the hoop strain.
 HOOP_ROUNDING = 1e-12
 
-#: A negative radius counts as zero if its absolute value is at most this part of the largest
+#: A negative radius counts as zero if its absolute value is at most this fraction of the largest
 #: radius.
 RADIUS_ROUNDING = 1e-9
 

@@ -25,8 +25,8 @@ SURROUNDINGS = "surroundings"
 #: history, and of those unknowns of a mixed space that are not displacements.
 MATERIAL, UNKNOWN = "material ", "unknown "
 
-#: A node and a position in the file count as the same if their distance is at most this part of the
-#: extent of all nodes.
+#: A node and a position in the file count as the same if their distance is at most this fraction of
+#: the extent of all nodes.
 SAME_PLACE = 1e-9
 
 #: The rank that reads and writes files.

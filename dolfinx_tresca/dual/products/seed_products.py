@@ -20,8 +20,8 @@ from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 #: more groups they are constant on each group.
 FEW_GROUPS = 4
 
-#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this part of
-#: the largest eigenvalue.
+#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
+#: fraction of the largest eigenvalue.
 INDEPENDENT = 1e-8
 
 

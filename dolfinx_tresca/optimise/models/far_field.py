@@ -1,4 +1,4 @@
-"""The far field: an earlier A minus its cheap approximation, which the next model of A adds."""
+"""The far field: the part of A that a cheap approximation misses, kept for the next model of A."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FarField:
     accurate near the contact; the scale of F follows from the first products with the new A.
 
     Attributes:
-        W: (size, k) vectors for which the factor Z is exact, see Z.
+        W: (size, k) vectors with known products (A - D) W.
         Z: (size, k) factor of F, with Z Z'W = (A - D) W.
         scale: s, the ratio of the present A - D to the earlier A - D.
     """
@@ -65,8 +65,8 @@ class FarField:
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
         """Fit the scale of F so that w'(D + F) w is near w'A w for each column w of W. Collective.
 
-        The fit is by least squares. Columns w with a small w'F w are left out. If all columns were
-        like that, the scale would follow from rounding errors, and could be so large that no step
+        The fit is by least squares. Columns w with a small w'F w are left out. With such columns
+        alone the scale would follow from rounding errors, and could be so large that no step
         changes the multipliers.
 
         Args:

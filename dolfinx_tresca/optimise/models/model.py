@@ -124,8 +124,8 @@ class Model(ABC):
 
         They satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s, where Q
         is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the system is
-        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves s = Q
-        s + h (right - M s + G c), with the slope h of the bound.
+        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves
+        s = Q s + h (right - M s + G c), with the slope h of the bound.
 
         Args:
             face: face with the projector P.

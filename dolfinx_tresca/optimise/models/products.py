@@ -14,32 +14,34 @@ from dolfinx_tresca.optimise.models.far_field import FarField
 from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: The product of a vector x is kept if the new part of x, which is A-orthogonal to all pairs, has
-#: more than this part of the energy x'A x. When the new part is normalised, its rounding errors are
-#: divided by the root of this ratio.
+#: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
+#: vectors with known products, has more than this fraction of the energy x'A x. When the new part
+#: is normalised, its rounding errors are divided by the root of this ratio.
 NEW_ENERGY = 1e-10
 
-#: The Rayleigh quotient x'A x / x'x of a new part counts as rounding up to this multiple of the
-#: largest quotient so far. Such quotients occur: A is singular if rows of B are linearly dependent.
+#: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as
+#: rounding up to this multiple of the largest quotient so far. Such quotients occur: A is singular
+#: if rows of B are linearly dependent.
 NULL_ENERGY = 1e-12
 
-#: A product is kept if the energy norm of its new part exceeds this multiple of the product's
-#: error.
+#: A product is kept if its new part, which known products do not give, has an energy norm above
+#: this multiple of the product's error.
 RESOLVED = 1.5
 
-#: A known pair brings an error into the known part of a new product. The pair is removed if this
-#: error, in the norm sqrt(e'A^-1 e), hides the new part and exceeds this multiple of the new
-#: product's own error.
+#: A known pair (w, A w) brings an error into the known part of a new product. The pair is removed
+#: if this error, in the norm sqrt(e'A^-1 e), hides the new part and exceeds this multiple of the
+#: new product's own error.
 WORSE_ERROR = 2.0
 
-#: A pair is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most this part of
-#: its energy norm. Less accurate pairs spoil the model of A: with twice the limit one of some
-#: hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half the limit
-#: such steps take 18 products in place of 13, since more pairs must be found again.
+#: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
+#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit
+#: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
+#: the limit such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
-#: The part of a vector along the pairs counts as rounding if its norm is at most this multiple of
-#: the norm of the rest. With exact pairs the Gram-Schmidt process reaches this limit in two passes.
+#: The part of a vector along the vectors w of known pairs (w, A w) counts as rounding if its norm
+#: is at most this multiple of the norm of the rest. With exact pairs the Gram-Schmidt process
+#: reaches this limit in two passes.
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
 #: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
@@ -234,8 +236,9 @@ class ProductStore(KnownProducts):
             return known
         # for exact pairs the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
-        # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and |W v| <= 1 +
-        # |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds are added
+        # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
+        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds
+        # are added
         errors = self.errors @ np.abs(vectors)
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), known)

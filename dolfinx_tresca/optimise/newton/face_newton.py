@@ -21,7 +21,7 @@ from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 #: nodes; with a smaller value nodes change their states less often.
 RHO_DIAGONAL = 0.2
 
-#: A point whose natural residual is at most this part of the tolerance is accepted even if the
+#: A point whose natural residual is at most this fraction of the tolerance is accepted even if the
 #: model of q has not decreased. With twice the value no number of products of
 #: benchmarks/ablation.py changes; with 0.1 a cube held by springs with 1e-6 of its stiffness takes
 #: 160 products in place of 20.
@@ -90,7 +90,8 @@ class FaceNewton:
         admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho
         # Open nodes stay open unless c closes them. Otherwise rounding of c would cause pressures
-        # at open nodes, and their work across a wide gap would exceed the work of small loads.
+        # at open nodes, and the work of these pressures across a wide gap would exceed the work of
+        # small loads.
         normal = self._problem.feasible_set.normal
         slack = np.zeros_like(z)
         slack[normal] = np.where(z[normal] > 0.0, 0.0, rho * np.maximum(r[normal], 0.0))

@@ -39,8 +39,8 @@ LARGE = 1e100
 WORSE = 2.0
 
 #: The model is solved more accurately while the natural residual of its fixed point exceeds this
-#: part of the residual of the present point. (A wall of 52 bricks is pushed in accepted steps. Some
-#: of the steps end with NO_FIXED_POINT both with 0.5 and with 0.03.)
+#: fraction of the residual of the present point. (A wall of 52 bricks is pushed in accepted steps.
+#: Some of the steps end with NO_FIXED_POINT both with 0.5 and with 0.03.)
 REDUCTION = 0.003
 
 #: The solve ends after this number of consecutive iterations in which friction, computed with the

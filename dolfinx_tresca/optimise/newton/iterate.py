@@ -82,8 +82,8 @@ class Iterate(ABC):
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective.
 
-        No product is needed at zero, or if known pairs determine the gradient, for example at the
-        multipliers of the last solve with another load.
+        No product is needed at zero, or if known products determine the gradient, for example at
+        the multipliers of the last solve with another load.
 
         Args:
             multipliers: (size,) the point.
@@ -153,7 +153,7 @@ class Iterate(ABC):
         self.move_to(self.multipliers + step.direction, self.r + step.product, step.error)
 
     def _known_gradient(self, multipliers: Array, part: float) -> tuple[Array, float, float]:
-        """Return the gradient from b and known pairs, its error, and the sufficient error."""
+        """Return the gradient from b and known products, its error, and the sufficient error."""
         problem = self._problem
         if float(problem.inner(multipliers, multipliers)) == 0.0:
             return -problem.b, problem.response.b_error, np.inf

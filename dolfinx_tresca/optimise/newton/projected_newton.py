@@ -40,10 +40,10 @@ def solve(
 
     The model M (`near_model`) equals A on all vectors with known products. Newton's method on the
     faces of Lambda (`face_newton`) minimises q with M in place of A by small dense algebra, and
-    finds active sets and slip directions at once. Let d be the step to this minimiser. The product
-    A d is computed, the iteration goes to the minimiser of q along d, and M is updated with the
-    pair (d, A d). While the face does not change, the method is the conjugate gradient method with
-    M as the preconditioner; changes of the face need no products.
+    finds active sets and slip directions at the same time. Let d be the step to this minimiser. The
+    product A d is computed, the iteration goes to the minimiser of q along d, and M is updated with
+    the pair (d, A d). While the face does not change, the method is the conjugate gradient method
+    with M as the preconditioner; changes of the face need no products.
 
     A step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which is an upper bound
     of q after the gradient projection step p = P_Lambda(lambda - rho r) - lambda; otherwise the
@@ -68,7 +68,7 @@ class ProjectedNewton:
         problem: A, b, Lambda.
         options: tolerances.
         observe: called with each iterate, the first one included.
-        largest: lower bound of sigma_max, kept when pairs are dropped.
+        largest: lower bound of sigma_max, kept when known products are dropped.
         store: known products with A.
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.

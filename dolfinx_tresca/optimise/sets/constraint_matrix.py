@@ -85,8 +85,8 @@ class ConstraintMatrix:
         """The entries of G by nodes, and the positions of their products in G'D G. Collective.
 
         Returns:
-            the entries of G (size, width), with only those columns that the node of the row has
-            entries in; for any two entries of a row, the position of their product in the values of
+            the entries of G (size, width), where a row has only those columns in which its node has
+            entries; for any two entries of a row, the position of their product in the values of
             `pattern` (size * width^2,); and `pattern` (k, k), a matrix with the sparsity of G'D G
             and a full diagonal.
         """

@@ -113,10 +113,10 @@ class EqualityConstraints:
     ) -> tuple[Array, Array]:
         """Return the point x of Lambda nearest to y that satisfies the equations, and a change dc.
 
-        The multipliers of the equations become c + dc. The point and dc minimise |x - y|^2 / 2 +
-        rho dc'S dc / 2 under the condition G'x + S (c + dc) = e, so that x is P_Lambda(y + rho G
-        dc). For y = z - rho r with the gradient r at z, this is the gradient projection step from
-        z.
+        The multipliers of the equations become c + dc. The point and dc minimise
+        |x - y|^2 / 2 + rho dc'S dc / 2 under the condition G'x + S (c + dc) = e, so that x is
+        P_Lambda(y + rho G dc). For y = z - rho r with the gradient r at z, this is the gradient
+        projection step from z.
 
         Args:
             feasible_set: Lambda.

@@ -33,7 +33,7 @@ class Face:
             move along their circles.
         radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
             zero elsewhere.
-        discs: Lambda, which knows the positions of the discs' multipliers.
+        discs: Lambda, with the positions of the discs' multipliers.
     """
 
     stick: Mask
