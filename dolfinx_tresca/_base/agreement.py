@@ -144,9 +144,9 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:
     """Call a function of the user; an exception on one rank is raised on all ranks.
 
-    The function may make collective calls of this package. If it raises on one rank, the other
-    ranks receive the exception in their next collective call of this package. Ranks that wait in a
-    collective call of another library do not receive it.
+    The function may make collective calls of this package. If it raises an exception on one rank,
+    the other ranks receive the exception in their next collective call of this package. Ranks that
+    wait in a collective call of another library do not receive the exception.
 
     Collective.
 
@@ -187,7 +187,7 @@ def check_agreement(
         error: an exception of this rank, which is raised on all ranks; None if there is none.
 
     Raises:
-        BaseException: the exception of the lowest rank that has one.
+        BaseException: the exception of the lowest rank that has an exception.
         InputError: the ranks are in different calls, or a value differs between them.
     """
     comm = _comm_of_group(comm)

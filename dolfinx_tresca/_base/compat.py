@@ -65,8 +65,8 @@ def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -
 
     Args:
         comm: the communicator.
-        cells: (n, k) geometry nodes of the cells that this rank brings.
-        x: coordinates of the geometry nodes that this rank brings [length].
+        cells: (n, k) geometry nodes of the cells that this rank contributes.
+        x: coordinates of the geometry nodes that this rank contributes [length].
         domain: coordinate element.
         ghosts: whether each rank also gets the cells that share a facet with its own cells.
     """
@@ -147,7 +147,7 @@ def prescribed_function(bc: Any, kind: type) -> Any:
         kind: a subclass of `fem.Function`.
     """
     value = bc.g
-    # isinstance would import lazy modules, of which there may be some among all objects
+    # isinstance would import lazy modules, if there are any among the objects
     found = (one for one in gc.get_objects() if issubclass(type(one), kind))
     return next((one for one in found if getattr(one, "_cpp_object", None) is value), value)
 

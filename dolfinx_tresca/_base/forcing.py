@@ -13,8 +13,9 @@ from __future__ import annotations
 #: Krylov iterations; with half of it they take 4 % fewer products and 1 % more Krylov iterations.
 FORCING = 0.1
 
-#: Relative error of quantities that only decide between alternatives, or scale other quantities.
-#: Doubling or halving it changes numbers of products in benchmarks/ablation.py by one at most.
+#: Relative error that is requested of quantities that only decide between alternatives, or scale
+#: other quantities. Doubling or halving it changes numbers of products in benchmarks/ablation.py by
+#: one at most.
 ROUGH = 1e-3
 
 #: Largest accepted ratio of an error to the requested error. It is above 1, since the evaluation

@@ -33,7 +33,7 @@ _logged_warnings: ContextVar[set[tuple[str, str]] | None] = ContextVar(
 def each_warning_once() -> Iterator[None]:
     """Log each warning of the enclosed block only once, whatever numbers the message contains.
 
-    It serves functions that solve one problem on many meshes. Not collective.
+    This context manager serves functions that solve one problem on many meshes. Not collective.
     """
     token = _logged_warnings.set(set())
     try:

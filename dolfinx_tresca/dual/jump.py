@@ -37,7 +37,7 @@ class JumpOperator(PetscOwner):
     multipliers, then its tangential multipliers. Physical tractions are `stress_scale` times
     multipliers.
 
-    Owns PETSc objects: call `destroy()`. The linear system stays the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps the linear system.
 
     Attributes:
         system: linear system of the displacements.

@@ -99,7 +99,7 @@ def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array
 
 
 class Carry:
-    """Carries tractions and jumps over to another B of the same pairs, at the same nodes.
+    """Carries tractions and jumps over to another B of the same pairs, node by node.
 
     A tangential vector loses its part that is normal to the new tangents. Values at new nodes are
     zero.
@@ -108,7 +108,7 @@ class Carry:
     def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
         """Find the nodes of the new B among the nodes of the old B. Not collective."""
         self._before, self._after = before, after
-        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last for new nodes
+        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last is for new nodes
         known = [np.arange(count) for count in counts]
         found = [
             _position(new.nodes, old.nodes)

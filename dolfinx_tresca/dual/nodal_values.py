@@ -102,7 +102,7 @@ class NodalValues:
             the field does not depend on the control.
 
         Raises:
-            InputError: the control is no scalar Function.
+            InputError: the control is a Function with components, or on another mesh.
         """
         if control not in inputs_of(field):
             return None
@@ -136,7 +136,7 @@ class NodalValues:
             None if the field does not depend on the control.
 
         Raises:
-            InputError: the control is no scalar Function.
+            InputError: the control is a Function with components, or on another mesh.
         """
         if control not in inputs_of(field):
             return None
@@ -229,7 +229,7 @@ class NodalValues:
         """Check that a Function or an expression is on the mesh of the space. Not collective.
 
         Raises:
-            InputError: it is on another mesh.
+            InputError: the expression is on another mesh.
         """
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"

@@ -76,7 +76,7 @@ class DualProblem(InnerProduct, Protocol):
 
     @property
     def reductions(self) -> Reductions:
-        """Sums and agreements over all ranks."""
+        """Sums over all ranks, and values on which all ranks agree."""
         ...
 
     @property

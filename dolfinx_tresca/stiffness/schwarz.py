@@ -24,7 +24,7 @@ class Schwarz(PetscOwner):
     (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
     level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
 
-    Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps the solver for K.
     """
 
     def __init__(self, solver: StiffnessSolver, dofs: Indices) -> None:

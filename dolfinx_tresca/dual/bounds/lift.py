@@ -43,7 +43,7 @@ class Lift(PetscOwner):
     `MOST_ITERATIONS` steps; the energy norm of w counts as infinite if B w then misses the jump by
     more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
 
-    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """
 
     def __init__(self, jump: JumpOperator) -> None:

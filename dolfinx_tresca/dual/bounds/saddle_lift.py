@@ -24,7 +24,7 @@ class SaddleLift(PetscOwner):
     nearly infinite, energy. This lift has the least energy of all lifts, and needs a factorisation
     as large as the factorisation of K.
 
-    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """
 
     def __init__(self, jump: JumpOperator) -> None:

@@ -282,7 +282,7 @@ class LoadSteps:
         Args:
             path: path of the file; the first rank's path is used.
             step: number of the step, which is stored, and which `load` returns.
-            moved_by: displacement [length] at which the surfaces were paired; None:
+            moved_by: displacement [length] at which the surfaces were paired; None: the bodies were
                 undeformed.
             material: Functions of the material's history.
 

@@ -15,7 +15,7 @@ from dolfinx_tresca.errors import InputError
 #: Name and version of the format of the file.
 FORMAT = "dolfinx_tresca state 4"
 
-#: Arrays in every file.
+#: Names of the arrays that every file has.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
 #: Name of the array with the `surroundings` of the nodes, which locate the rows of displacements.
@@ -61,7 +61,7 @@ def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
     """Check for contents that `save_state` never writes. Not collective.
 
     Raises:
-        ValueError: values are not finite, or some are missing.
+        ValueError: values are not finite, or some values are missing.
     """
     for name, values in content.items():
         if values.dtype.kind not in "fiuU":

@@ -50,7 +50,7 @@ class ContactCompliance(PetscOwner):
 
     Data that not every solve needs are computed on first access.
 
-    Owns PETSc objects, the solver among them: call `destroy()`. B stays the caller's.
+    Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
         jump: B.

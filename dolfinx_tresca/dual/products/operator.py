@@ -18,7 +18,7 @@ class DualOperator(PetscOwner):
     If bodies float, K stands for K_p, which is K with springs that fix these bodies
     (`floating/fixing.py`).
 
-    Owns PETSc objects: call `destroy()`. B and the solver stay the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver.
 
     Attributes:
         jump: B.

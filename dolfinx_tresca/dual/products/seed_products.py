@@ -71,9 +71,9 @@ def affine_tractions(jump: JumpOperator) -> Array:
 def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
     """Return the numbers of the pairs in each group. Collective.
 
-    If there are few pairs (`FEW_GROUPS`), each is a group of its own. Otherwise the pairs that join
-    the same bodies are one group: a body with 50 strips of surface responds to forces on the strips
-    as it responds to forces on one surface.
+    If there are few pairs (`FEW_GROUPS`), each pair is a group of its own. Otherwise the pairs that
+    join the same bodies are one group: a body with 50 strips of surface responds to forces on the
+    strips as it responds to forces on one surface.
     """
     if len(jump.pairs) <= FEW_GROUPS:
         return [[k] for k in range(len(jump.pairs))]
@@ -120,8 +120,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the probe comes last, since the newest product sets the scale of the model: the order of
-        # the affine tractions is arbitrary
+        # the vector of random signs comes last, since the newest product sets the scale of the
+        # model: the order of the affine tractions is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

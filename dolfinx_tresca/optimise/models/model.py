@@ -22,8 +22,8 @@ class NodalMaps:
     """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
 
     Here M is the model of A, and G c the contribution of equality constraints. Such equations
-    determine Newton steps on a face, and steps to an adjoint. Each map couples only multipliers of
-    the same node, and is applied to arrays (size,) or (size, columns).
+    determine Newton steps on a face, and steps towards an adjoint solution. Each map couples only
+    multipliers of the same node, and is applied to arrays (size,) or (size, columns).
 
     Attributes:
         test: T, with P T = T.
@@ -122,10 +122,10 @@ class Model(ABC):
     ) -> tuple[Array, Array]:
         """Return a Newton step s on a face, and the step c of the constraints' multipliers.
 
-        They satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s, where Q
-        is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the system is
-        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves
-        s = Q s + h (right - M s + G c), with the slope h of the bound.
+        Both steps satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s,
+        where Q is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the
+        system is symmetric. Along the radius of a disc whose bound depends on the slip, the step
+        solves s = Q s + h (right - M s + G c), with the slope h of the bound.
 
         Args:
             face: face with the projector P.

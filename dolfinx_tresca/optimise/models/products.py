@@ -68,7 +68,7 @@ class ProductStore(KnownProducts):
         far: difference between an earlier A and the diagonal or near field of that A; None if there
             was no earlier A.
         capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
-            capacity / 2 combinations of them, for the largest eigenvalues of A.
+            capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
@@ -132,7 +132,7 @@ class ProductStore(KnownProducts):
         Args:
             x: (size,) vector.
             product: (size,) A x.
-            error: error of the product in the norm sqrt(e'A^-1 e), without rounding.
+            error: error of the product in the norm sqrt(e'A^-1 e), without rounding errors.
 
         Returns:
             True if the new part exceeds its error. The pair was then added, unless its new part is
@@ -247,7 +247,7 @@ class ProductStore(KnownProducts):
         """Scale the far field of an earlier A so that it fits the pairs. Collective.
 
         Args:
-            base: model of the near field, in place of the diagonal; None: the diagonal.
+            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
         """
         if self.far is not None and len(self) > 0:
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
@@ -274,7 +274,7 @@ class ProductStore(KnownProducts):
         """Return the model of A: diagonal and far field, updated with all pairs. Collective.
 
         Args:
-            base: model of the near field, in place of the diagonal; None: the diagonal.
+            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
         """
         if self.far is not None:
             base = (self._diagonal_model() if base is None else base).plus(self.far.root)

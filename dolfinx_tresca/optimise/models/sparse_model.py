@@ -146,7 +146,7 @@ class SparseModel(Model):
 
 
 def _groups(nodes: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return all pairs of multipliers of the same node, and numbers of multipliers in each node.
+    """Return all pairs of multipliers of the same node, and each multiplier's number in its node.
 
     Returns:
         the positions of the first multiplier (m,) and of the second multiplier (m,) of each pair;

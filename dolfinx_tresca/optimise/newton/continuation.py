@@ -63,8 +63,8 @@ def along_load(
     Collective. Needs no product with A.
 
     Args:
-        problem: cones and inner product.
-        model: M.
+        problem: the dual problem, with friction cones and constraints.
+        model: model M of A.
         start: point in the cones; its residual is not used.
         rho: step length with which the natural residual is measured.
         tolerance: requested natural residual.
@@ -134,7 +134,7 @@ def nearest_fixed_point(
     a constant from then on. If the model has no softness, there is one run, with exact constraints.
 
     Args:
-        newton: method and problem.
+        newton: Newton's method on the faces, with its problem.
         start: initial guess.
         tolerance: requested natural residual.
         refine: whether the start is nearly a fixed point: the third run then comes first.
@@ -158,7 +158,7 @@ def _nearest_fixed_point(
     part of the step with the least residual is taken.
 
     Args:
-        newton: method and problem.
+        newton: Newton's method on the faces, with its problem.
         start: initial guess.
         tolerance: requested natural residual.
         softness: softness of the constraints in the first step.
@@ -196,7 +196,7 @@ def _part_of_step(
     residual; if none does, the part with the least residual is returned.
 
     Args:
-        newton: method and problem.
+        newton: Newton's method on the faces, with its problem.
         start: multipliers, multipliers of the constraints, and gradient at the start.
         end: these three at the end of the step; the gradient is linear between start and end.
         residual: residual at the start.

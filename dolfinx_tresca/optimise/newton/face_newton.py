@@ -46,19 +46,19 @@ class FaceNewton:
 
     On a face, the multipliers of slipping nodes only move along the circles that bound their
     friction discs. At the solution on the face, slipping nodes satisfy r + kappa lambda = 0 with
-    kappa = |r| / g, so that
+    kappa = |r| / g, where g is the slip bound. Hence
 
         (P M P + diag(kappa)) s = -P r
 
-    is the exact Newton system of the face. It is symmetric and positive definite; equality
-    constraints add rows and columns. The convergence is quadratic once the active sets no longer
-    change (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a
-    slipping node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand
-    side, where Q contains the slope of g. The number of equations and the cost stay the same, but
-    the system is no longer symmetric. If g also depends on the slip v, which is the component of -r
-    along the radius of the disc, the radial component of s solves s = Q s + h (change of v) with
-    the slope h = dg/dv. Steps may leave Lambda: a multiplier outside Lambda changes the active sets
-    of the next step.
+    is the exact Newton system of the face, with the projector P onto the face and the model M of A.
+    The system is symmetric and positive definite; equality constraints add rows and columns. The
+    convergence is quadratic once the active sets no longer change (docs/theory/algorithms.md). If
+    slip bounds grow with the pressure, the multiplier of a slipping node also moves outwards with
+    its pressure: s is replaced by P s + Q s on the left-hand side, where Q contains the slope of g.
+    The number of equations and the cost stay the same, but the system is no longer symmetric. If g
+    also depends on the slip v, which is the component of -r along the radius of the disc, the
+    radial component of s solves s = Q s + h (change of v) with the slope h = dg/dv. Steps may leave
+    Lambda: a multiplier outside Lambda changes the active sets of the next step.
 
     Methods are collective, and need no product with A.
     """
@@ -74,7 +74,7 @@ class FaceNewton:
 
         Args:
             problem: admissible multipliers, constraints and inner product.
-            model: M.
+            model: model M of A.
             rho: step length with which natural residuals are measured.
             constraints: equality constraints; None: those of the problem.
         """
@@ -168,7 +168,7 @@ def from_face_to_face(newton: FaceNewton, start: Point, good: Callable[[Point], 
     """Return the iterate of Newton's method on faces with the least residual. Collective.
 
     Args:
-        newton: the method.
+        newton: Newton's method on the faces, with its problem.
         start: first point.
         good: whether a point is accurate enough.
     """
@@ -207,7 +207,7 @@ def minimise(
 
     Args:
         problem: Lambda and the inner product.
-        model: M.
+        model: model M of A.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
         rho: step length with which the natural residual is measured.

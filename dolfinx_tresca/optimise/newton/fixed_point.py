@@ -218,8 +218,8 @@ def fixed_point_of_model(
     Collective. Needs no product with A.
 
     Args:
-        problem: cones and inner product.
-        model: M.
+        problem: the dual problem, with friction cones and constraints.
+        model: model M of A.
         multipliers: (size,) point in the cones.
         gradient: (size,) gradient at this point.
         rho: step length with which the natural residual is measured.

@@ -67,7 +67,7 @@ def central_path(
 
     Args:
         problem: Lambda and the inner product.
-        model: M.
+        model: model M of A.
         multipliers: (size,) the origin of d.
         gradient: (size,) r at the origin.
     """
@@ -251,7 +251,8 @@ class _CentralPath:
         """Reduce the barrier below the present mean of the products of multipliers and duals.
 
         Args:
-            part: the part of the Newton step that was taken; nearly whole steps reduce it more.
+            part: the part of the Newton step that was taken; nearly whole steps reduce the barrier
+                more.
         """
         if self.count == 0:
             return

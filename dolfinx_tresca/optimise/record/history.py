@@ -67,7 +67,7 @@ class History:
         Args:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: see `error_of_product`.
         """
         problem, residual = self._problem, self.residual
         if error is None:
@@ -127,7 +127,7 @@ class History:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
             status: reason for the end of the iteration.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: see `error_of_product`.
         """
         problem, rho = self._problem, self.residual.rho
         lam = problem.admissible.at(x, r, rho).section(x)

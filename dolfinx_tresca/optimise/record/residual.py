@@ -8,7 +8,8 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: Residual, divided by its scale or by |b|, up to which rounding may be the cause of a stagnation.
+#: Rounding may be the cause of a stagnation if the residual, divided by its scale or by |b|, is at
+#: most this number.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -25,7 +26,7 @@ class NaturalResidual:
 
     Attributes:
         rho: step length.
-        scale: residual at the origin; zero if the origin is the solution.
+        scale: the divisor of relative residuals, see above.
         origin_is_solution: whether the residual at the origin is rounding.
         rounding: largest residual that counts as rounding.
         origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.

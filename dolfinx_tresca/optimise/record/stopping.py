@@ -28,9 +28,9 @@ class Stopping:
 
     With `accuracy=`, only the bound of the energy error is checked. By default the requested energy
     error is a part of the discretisation error, and the traction of every node must be near its
-    local minimiser, since energies say little about peaks and states. With `rtol=`, the residual is
-    checked in addition: for slender bodies, for example, the energy error may be large although the
-    residual is small.
+    local minimiser (`DualProblem.local_error`), since energies say little about peaks and states.
+    With `rtol=`, the residual is checked in addition: for slender bodies, for example, the energy
+    error may be large although the residual is small.
 
     Attributes:
         accuracy: relative error in the energy norm that is requested at present; inf if it is not
@@ -74,7 +74,7 @@ class Stopping:
     ) -> Iterator[tuple[float, float]]:
         """Yield the reached and the requested value of each criterion in turn. Collective.
 
-        A criterion is computed only if the caller asks for it, after the earlier ones are met.
+        A criterion is computed only if the caller asks for it, after the earlier criteria are met.
 
         Args:
             x: (size,) multipliers in Lambda.

@@ -27,10 +27,11 @@ DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 #: longer where phi is flat. `MORE_DAMPING` is applied if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
-#: Line search for the part t of a step s. Let l be the longest part known to be too short. A part t
-#: is too long if (t - l) s'g(t) exceeds OVERSHOOT times the larger one of slope^2 / curvature and
-#: -l s'g(l), a lower bound of the descent at l. A shortened step is too short if the slope at its
-#: end is steeper than SLOPE_LEFT times the slope at its start.
+#: Line search for the part t of a step s, with the gradient g(t) of phi there. Let l be the longest
+#: part known to be too short. A part t is too long if (t - l) s'g(t) exceeds OVERSHOOT times the
+#: larger one of slope^2 / curvature and -l s'g(l), which is a lower bound of the descent at l. A
+#: shortened step is too short if the slope at its end is steeper than SLOPE_LEFT times the slope at
+#: its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
@@ -123,7 +124,7 @@ def constrained_projection(
         if ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
         if (np.abs(excess) <= small + cancelled).all():
-            if z.any():  # at z = 0, rounding would cause pressure at open nodes
+            if z.any():  # from z = 0, this step would press open nodes by rounding
                 # one more step, kept if it reduces the residual: the residual times the
                 # multipliers c enters the energy of every later step
                 step = newton(x, excess, ROUNDING)

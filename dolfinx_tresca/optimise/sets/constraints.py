@@ -266,7 +266,7 @@ class EqualityConstraints:
 
     @cached_property
     def _inverse(self) -> Matrix:
-        """S^-1 on its range, zero on its kernel, (k, k)."""
+        """S^-1 on the range of S, zero on the kernel of S, (k, k)."""
         values, vectors = self._range
         return (vectors * (1.0 / values)) @ vectors.T
 

@@ -106,7 +106,7 @@ class FeasibleSet:
 
     @property
     def has_curves(self) -> bool:
-        """Whether coefficients of friction are functions of pressure and slip: there are none."""
+        """Whether coefficients depend on pressure and slip: False, there are no coefficients."""
         return False
 
     def at(self, x: Array, r: Array, rho: float | Array) -> FeasibleSet:
@@ -132,7 +132,7 @@ class FeasibleSet:
         parts, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
             return np.bincount(self.node, parts, minlength=n).astype(np.float64)
-        size = len(parts)  # stored by columns, so that the nodes need no conversion
+        size = len(parts)  # stored by columns, so that `node` needs no conversion
         total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
         return np.asarray(total @ parts)
 
