@@ -133,7 +133,7 @@ class NodalValues:
             name: name of the field in errors.
 
         Returns:
-            None if the field does not depend on the control.
+            the derivative; None if the field does not depend on the control.
 
         Raises:
             InputError: the control is a Function with components, or on another mesh.

@@ -126,8 +126,8 @@ class ElasticResponse(ABC):
         """Return r = A x - b, and an estimate of its error. Collective.
 
         An iterative solver for K starts from a known displacement near x and solves to the
-        requested accuracy only. This counts as a product, unless the known displacement is already
-        accurate enough. The error includes the rounding of r: products are differences of
+        requested accuracy only. Such a solve counts as a product, unless the known displacement is
+        already accurate enough. The error includes the rounding of r: products are differences of
         gradients, and for steps that are small compared with the gaps these differences may be pure
         rounding.
 
@@ -164,7 +164,7 @@ class ElasticResponse(ABC):
 
     @abstractmethod
     def known(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement that the gradient at x was computed from. Collective."""
+        """Set u to the displacement from which the gradient at x was computed. Collective."""
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
         """Solve like `displacement`, and let the next solve start from the result. Collective."""
@@ -300,7 +300,7 @@ class IterativeResponse(ElasticResponse):
         return error
 
     def known(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement that the gradient at x was computed from. Collective."""
+        """Set u to the displacement from which the gradient at x was computed. Collective."""
         near = self._guess.near(x)
         near.copy(u)
         near.destroy()

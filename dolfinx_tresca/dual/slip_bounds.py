@@ -175,8 +175,8 @@ class SlipBounds:
         Values at zero pressure may be infinite: they are multiplied by the pressure.
 
         Raises:
-            InputError: the function has an error, or does not return a number or an array (n,); or
-                a value is negative, or NaN, or infinite under pressure.
+            InputError: the function raises an error, or does not return a number or an array (n,);
+                or a value is negative, or NaN, or infinite under pressure.
         """
         name = TERMS["coefficient"]
         with errors_on_all_ranks(self._comm), np.errstate(all="ignore"):

@@ -57,7 +57,8 @@ class Equilibrium:
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 
-    contact forces, and soft springs of the scene with their stiffness S, balance the loads.
+    that is, contact forces and the soft springs of the scene, with their stiffness S, balance the
+    loads.
 
     Attributes:
         constraints: the equations of equilibrium G'lambda + S c = e.
@@ -291,7 +292,7 @@ def _solvable(
     factors: Array,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
-    """Return equations that have a solution in Lambda, equal to the given ones up to rounding.
+    """Return equations with a solution in Lambda, equal to the given equations up to rounding.
 
     If no solution exists only because of the rounding of the loads, the right-hand sides change.
 

@@ -46,10 +46,10 @@ class FixingSprings:
     def columns(self) -> csr_array:
         """The matrix Z (owned degrees of freedom, k) of the springs, sparse. Collective.
 
-        The springs act on a few nodes of each body, spread over it, and make the body about as
-        stiff against its rigid modes as it is against deformation. There are few such nodes, since
-        the springs couple each of them with all others, but more nodes than modes, since the body
-        would yield around a single node.
+        The springs act on a few nodes of each body, spread over the body, and make the body about
+        as stiff against its rigid modes as it is against deformation. There are few such nodes,
+        since the springs couple each of these nodes with all others, but more nodes than modes,
+        since the body would yield around a single node.
         """
         modes = self.modes
         dim = modes.dim

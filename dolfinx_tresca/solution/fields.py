@@ -188,7 +188,7 @@ class SlipFields:
         total: (n, d) sums of the slip vectors of all steps [length].
         increment: (n, d) slip vectors of this step [length]; None in the first step, where they
             equal `total`.
-        path: (n,) lengths of the paths [length].
+        path: (n,) lengths of the slip paths of the nodes [length].
     """
 
     total: Array

@@ -227,10 +227,10 @@ def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
 def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     """Return the mean (nodes,) of a patch's weight round each node of a pair. Collective.
 
-    A multiplier is the mean of the pressure under its node's hat function. If the goal took the
-    weight's values at the nodes, its weight would be linear between nodes, and the error of this
-    interpolation would exceed the discretisation error of elements of degree 2. With means by the
-    multiplier basis, the difference between the linear weight and the patch's weight has a zero
+    A multiplier is the mean of the pressure under its node's hat function. If the goal used the
+    values of the weight at the nodes, the weight would be linear between nodes, and the error of
+    this interpolation would exceed the discretisation error of elements of degree 2. With means by
+    the multiplier basis, the difference between the linear weight and the patch's weight has a zero
     mean round each node.
     """
     index_map = V.dofmap.index_map

@@ -32,8 +32,8 @@ def hint_at_scene(
 ) -> None:
     """Log likely mistakes in the contact pairs. Collective.
 
-    They are coefficients of friction that no material has, overlaps as deep as a body, and pairs
-    with both sides on one body.
+    These mistakes are coefficients of friction that no material has, overlaps as deep as a body,
+    and pairs with both sides on one body.
 
     Args:
         V: space of the displacement.

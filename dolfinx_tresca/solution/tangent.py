@@ -90,7 +90,7 @@ class ContactTangent:
             goal: see `ContactProblem.gradient`.
 
         Raises:
-            InputError: the goal is wrong.
+            InputError: the goal does not suit this problem.
         """
         return self._of(goal)
 

@@ -107,7 +107,7 @@ def choose(
         expected_solves: expected number of contact solves with the same K.
         comm: communicator of the log.
         saddle: whether K belongs to a mixed space.
-        refined: whether the mesh was refined from coarser ones, which multigrid can use.
+        refined: whether the mesh was refined from coarser meshes, which multigrid can use.
     """
     if method != "auto":
         return method, "requested"

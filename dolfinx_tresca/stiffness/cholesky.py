@@ -76,9 +76,9 @@ def saddle_cholesky(
         petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database.
         constraints: number of unknowns other than displacements, such as pressures. The number of
-            negative pivots must equal it. By Sylvester's law of inertia A + B'C^-1 B is then
-            positive definite; if C is zero, A is positive definite on the vectors u with B u = 0.
-            None: the pivots are not checked.
+            negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
+            then positive definite; if C is zero, A is positive definite on the vectors u with
+            B u = 0. None: the pivots are not checked.
 
     Raises:
         StiffnessError: K is singular, the number of negative pivots is wrong, or the factorisation

@@ -1,4 +1,4 @@
-"""Multigrid levels below a space: degree 1 below degree 2, coarser meshes below a refined one."""
+"""Multigrid levels below a space: degree 1 below degree 2, coarser meshes below a refined mesh."""
 
 from __future__ import annotations
 

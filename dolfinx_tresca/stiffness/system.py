@@ -411,7 +411,7 @@ class LinearSystem(PetscOwner):
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
-        """Return a(u, u) / 2 [energy], for the coefficients that K was assembled with. Collective.
+        """Return a(u, u) / 2 [energy], for the coefficients with which K was assembled. Collective.
 
         Args:
             u: displacement, with prescribed values.
