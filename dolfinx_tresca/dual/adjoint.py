@@ -79,8 +79,9 @@ class LinearisedContact:
     Attributes:
         face: states of the nodes.
         curvature: (size,) diagonal of C, the curvature of the circles of slipping nodes.
-        with_bound_change: applies I + Q, with the change Q of slip bounds with the pressure.
-        with_bound_change_transpose: applies I + Q'.
+        with_bound_change: function that applies I + Q, with the change Q of slip bounds with the
+            pressure.
+        with_bound_change_transpose: function that applies I + Q'.
     """
 
     face: Face
@@ -321,9 +322,10 @@ def _solved(
 ) -> tuple[Array, Array]:
     """Return multipliers y (size,) of the adjoint or the tangent, and c (k,). Collective.
 
-    For the adjoint (`transpose`) P (I + Q') ((A + C) y - G c) = right with y = P y; for the tangent
-    P ((A + C) y - G c) = right with y = (I + Q) P y. In both cases G'y + S c = missing. P, Q and C
-    are maps of the contact state; G and S are matrices of the equilibrium of floating bodies.
+    They satisfy P (I + Q') ((A + C) y - G c) = right with y = P y for the adjoint (`transpose`),
+    and P ((A + C) y - G c) = right with y = (I + Q) P y for the tangent. In both cases
+    G'y + S c = missing. P, Q and C are maps of the contact state; G and S are matrices of the
+    equilibrium of floating bodies.
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, including products of this call. The second

@@ -187,8 +187,8 @@ class JumpOperator(PetscOwner):
             slip_bounds: for each pair the slip bounds at its nodes, with their ellipses.
 
         Raises:
-            InputError: the direction of two bounds is not finite, is zero, or is normal to the
-                surface.
+            InputError: the direction that belongs to two slip bounds is not finite, is zero, or is
+                normal to the surface.
         """
         pairs = [
             pair

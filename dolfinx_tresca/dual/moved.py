@@ -80,8 +80,8 @@ def moved_jump(
 def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array:
     """Return a displacement (nodes, dim of space) with bent primary edges only. Collective.
 
-    N of the result enters the gap. If the true surfaces are given, edges stay straight: the height
-    of these surfaces over the facets is kept.
+    N of the result enters the gap. If the pair gives the true surfaces (`geometry`), edges stay
+    straight: the height of these surfaces over the facets is kept.
 
     Args:
         V: the space of the displacement.

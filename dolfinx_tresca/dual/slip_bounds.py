@@ -79,7 +79,7 @@ class SlipBounds:
     """Evaluates slip bounds at nodes of a vector space.
 
     Attributes:
-        values: evaluates any field of the user at nodes of the space.
+        values: object that evaluates any field of the user at nodes of the space.
     """
 
     def __init__(self, V: Any) -> None:

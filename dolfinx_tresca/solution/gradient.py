@@ -131,10 +131,10 @@ class Differentiation:
             pairs: the pairs of the problem.
             forms: forms and conditions of the bodies at u.
             u: displacement in the forms, to which `backwards` gives the values of each solution.
-            values: evaluates fields of friction and gaps at the nodes of u.
+            values: object that evaluates fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
-            find_differences: returns the central differences of B for displaced obstacles; None:
-                obstacles depend on no control.
+            find_differences: function that returns the central differences of B for displaced
+                obstacles; None: obstacles depend on no control.
         """
         self._find_differences = find_differences
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values

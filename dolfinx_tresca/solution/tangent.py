@@ -155,11 +155,13 @@ def tangent_of(
         pairs: the pairs of the problem.
         surfaces: secondary surfaces of the pairs.
         forms: forms and conditions of the bodies at the solution.
-        values: evaluates fields of friction and gaps at the nodes of u.
+        values: object that evaluates fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
         directions: changes of the controls, see `checked_directions`.
-        find_differences: returns the central differences of B for displaced obstacles.
-        checked_goal: checks and returns a goal that a user gives to `ContactTangent.of`.
+        find_differences: function that returns the central differences of B for displaced
+            obstacles.
+        checked_goal: function that checks and returns a goal that a user gives to
+            `ContactTangent.of`.
 
     Raises:
         InputError: the derivative with respect to a control is not known.

@@ -312,8 +312,8 @@ class StiffnessSolver(PetscOwner):
         """Ratio by which an error in the energy norm may exceed sqrt(r'M^-1 r).
 
         Here r is the residual and M the preconditioner. The ratio is lambda_min(M^-1 K)^(-1/2). It
-        is estimated by the Lanczos process in conjugate gradients: exactly in the limit of many
-        iterations, too low after few iterations. It is 1 for direct solvers.
+        is estimated by the Lanczos process in conjugate gradients. The estimate is exact in the
+        limit of many iterations, and too low after few iterations. It is 1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 

@@ -275,7 +275,7 @@ class LinearSystem(PetscOwner):
             )
 
     def _eliminate(self) -> None:
-        """Replace prescribed rows and columns of K by those of the identity.
+        """Replace prescribed rows and columns of K by rows and columns of the identity.
 
         The old columns are stored: they give the forces that prescribed values cause. Collective.
         """

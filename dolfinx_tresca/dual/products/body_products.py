@@ -82,8 +82,8 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
 def _solve(matrix: csr_array, right: Array) -> Array:
     """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
 
-    On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors a
-    third of the memory.
+    On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
+    take a third of the memory.
 
     Raises:
         StiffnessError: the factorisation failed.

@@ -130,7 +130,7 @@ class ContactCompliance(PetscOwner):
         return result
 
     def _far_field(self) -> ProductStore | None:
-        """Return a store with the far field of an earlier compliance; None: unknown. Collective.
+        """Return a store with the far field of an earlier compliance; None if unknown. Collective.
 
         The far field is the contribution to A of the bodies away from the contact, see `FarField`.
         """

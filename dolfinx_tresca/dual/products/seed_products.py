@@ -112,7 +112,8 @@ def seed_products(
             directions of a friction disc.
         affine: whether to compute products with affine tractions, which save later products only if
             the iteration starts far from the solution.
-        near_field: applies the near field; None: there is none.
+        near_field: function that applies the near field to multipliers (size,); None: there is
+            none.
     """
     jump = operator.jump
     probe = rademacher_vector(jump)

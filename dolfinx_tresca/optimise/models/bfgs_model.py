@@ -98,8 +98,8 @@ class BlockBFGSModel(Model):
         that the system has a solution even if the second equation has none. Collective.
 
         Args:
-            inverse: applies (D + C)^-1, or its part along a face, to arrays of shape (size,) or
-                (size, columns); C couples only multipliers of the same node.
+            inverse: function that applies (D + C)^-1, or its part along a face, to arrays of shape
+                (size,) or (size, columns); C couples only multipliers of the same node.
             right: (size,) right-hand side of the first equation.
             G: (size, k) columns of length 1.
             softness: (k, k) S.

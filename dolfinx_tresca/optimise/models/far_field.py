@@ -57,8 +57,10 @@ class FarField:
         """Return the far field for another pairing of the same bodies. Collective.
 
         Args:
-            multipliers: maps multipliers (size, k) to multipliers of the other pairing.
-            products: maps products A x (size, k) to products with A of the other pairing.
+            multipliers: function that maps multipliers (size, k) to multipliers of the other
+                pairing.
+            products: function that maps products A x (size, k) to products with A of the other
+                pairing.
         """
         W, Z = multipliers(self.W), products(self.root)
         return FarField(self._reductions, W, Z @ self._inner(Z, W), W.shape[1])

@@ -108,7 +108,8 @@ class ProductStore(KnownProducts):
             diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
             base: model of the near field of this A, which is subtracted from A in place of the
                 diagonal; None: the diagonal is subtracted. The other A has its own near field.
-            carry: maps the far field to another pairing; None: the pairing is the same.
+            carry: function that maps the far field to another pairing; None: the pairing is the
+                same.
         """
         result = ProductStore(self._reductions, diagonal, self.capacity)
         W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
@@ -257,8 +258,8 @@ class ProductStore(KnownProducts):
 
         Args:
             x: (size,) vector.
-            apply_base: applies D, the model of A without known pairs, to an array (size,); it is
-                called once.
+            apply_base: function that applies D, the model of A without known pairs, to an array
+                (size,); it is called once.
         """
         new, known = self.split(x)
         image = apply_base(new)

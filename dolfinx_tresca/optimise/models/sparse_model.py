@@ -55,8 +55,8 @@ class SparseModel(Model):
             rows: (size, n) this rank's rows of A, with columns for the multipliers of all ranks.
             first: position of this rank's first row in A.
             nodes: (size,) the node of each of this rank's multipliers.
-            solve: solves a system of equations with a sparse matrix that is not symmetric; every
-                rank calls it.
+            solve: function that solves a system of equations with a sparse matrix that is not
+                symmetric; every rank calls it.
         """
         self._reductions, self._rows, self._solve = reductions, rows, solve
         size, n = rows.shape

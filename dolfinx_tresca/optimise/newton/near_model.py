@@ -39,7 +39,7 @@ def solve(
 
     Args:
         problem: Lambda, D, and the known products with D and A.
-        solve_model: solves the problem for M with D~ in place of D.
+        solve_model: function that solves the problem for M with D~ in place of D.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
         residual: the natural residual, with its step length.

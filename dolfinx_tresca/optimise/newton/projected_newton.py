@@ -56,7 +56,7 @@ def solve(
         problem: A, b, Lambda; the products of this solve are added to its store.
         start: (size,) first multipliers; projected onto Lambda.
         options: tolerances.
-        observe: called with each iterate, the first one included.
+        observe: function that is called with each iterate, the first one included.
     """
     return ProjectedNewton(problem, options, observe).run(start)
 
@@ -67,7 +67,7 @@ class ProjectedNewton:
     Attributes:
         problem: A, b, Lambda.
         options: tolerances.
-        observe: called with each iterate, the first one included.
+        observe: function that is called with each iterate, the first one included.
         largest: lower bound of sigma_max, kept when known products are dropped.
         store: known products with A.
         residual: natural residual and its scale.

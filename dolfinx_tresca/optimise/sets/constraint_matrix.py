@@ -69,8 +69,8 @@ class ConstraintMatrix:
         This is the Hessian of phi in `constrained_projection` if all equations are exact.
 
         Args:
-            derivative: applies D to (size, columns); D is symmetric and couples only multipliers of
-                the same node.
+            derivative: function that applies D to an array (size, columns); D is symmetric and
+                couples only multipliers of the same node.
         """
         if not issparse(self.columns):
             return self.reductions.inner(self.columns, derivative(self.columns))
