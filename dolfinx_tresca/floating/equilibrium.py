@@ -143,8 +143,9 @@ class FloatingBodies:
             reductions: sums over the ranks.
 
         Raises:
-            MechanismError: contact cannot hold a body, which is named with its motion; `motion` has
-                the displacements (owned degrees of freedom,) of all bodies.
+            MechanismError: contact cannot hold a body; the message names the body and its motion,
+                and the error's `motion` has the displacements (owned degrees of freedom,) of all
+                bodies.
         """
         response = self._response
         resultants, sizes = response.resultants(load)

@@ -69,8 +69,8 @@ class SurfaceFields:
         name: name of the pair.
         mesh: the mesh of the surface.
         pressure: contact pressure [stress], positive in compression.
-        traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
-            secondary body its opposite. None without friction.
+        traction: tangential traction lambda_tau [stress], a vector; it acts on the primary body,
+            and the opposite traction acts on the secondary body. None without friction.
         slip: tangential jump T u [length], a vector; secondary minus primary. In a process it is
             the sum of the slip vectors of all steps. None without friction.
         slip_increment: slip since the last accepted step, T u - s [length], a vector along the

@@ -95,7 +95,7 @@ class ObstacleDifferences(PetscOwner):
         Args:
             pair: number of the pair.
             rows: positions of the pair's tangential multipliers.
-            x: (size,) multipliers, divided by `JumpOperator.stress_scale`.
+            x: (size,) multipliers, which are tractions divided by `JumpOperator.stress_scale`.
         """
 
         def vectors(jump: JumpOperator) -> Array:

@@ -20,9 +20,9 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 class SaddleLift(PetscOwner):
     """The w of least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
 
-    `Lift` moves contact nodes only. In a body that cannot change its volume this costs infinite, or
-    nearly infinite, energy. This lift has the least energy of all lifts, and needs a factorisation
-    as large as the factorisation of K.
+    `Lift` moves contact nodes only. In a body that cannot change its volume, moving contact nodes
+    alone costs infinite, or nearly infinite, energy. This lift has the least energy of all lifts,
+    and needs a factorisation as large as the factorisation of K.
 
     Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """

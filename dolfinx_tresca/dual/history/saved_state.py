@@ -43,11 +43,11 @@ from dolfinx_tresca.errors import InputError
 class SavedState:
     """The multipliers and the history at which a solve starts.
 
-    The file has one row for each contact node, with the node's pair, its number in the mesh file
-    and its coordinates. The number is independent of the partition, except on refined meshes, where
-    the coordinates identify a node. The tractions and slips in a row are vectors, since the
-    tangents are arbitrary. Displacements and the slip of all steps have separate rows for all
-    nodes.
+    The file that `write` makes has one row for each contact node, with the node's pair, its number
+    in the mesh file and its coordinates. The number is independent of the partition, except on
+    refined meshes, where the coordinates identify a node. The tractions and slips in a row are
+    vectors, since the tangents are arbitrary. Displacements and the slip of all steps have separate
+    rows for all nodes.
 
     Attributes:
         multipliers: (size,) multipliers times `JumpOperator.stress_scale` [stress].

@@ -205,7 +205,7 @@ class ContactCompliance(PetscOwner):
         return self._store is not None and len(self._store) > 0
 
     def near_products(self, is_first_solve: bool) -> ProductStore | None:
-        """Return the store of products with the near field, which solves fill. Collective.
+        """Return the store of products with the near field, to which solves add. Collective.
 
         The first call computes the first products with A, if there are none.
 

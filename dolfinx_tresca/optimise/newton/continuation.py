@@ -198,7 +198,8 @@ def _part_of_step(
     Args:
         newton: Newton's method on the faces, with its problem.
         start: multipliers, multipliers of the constraints, and gradient at the start.
-        end: these three at the end of the step; the gradient is linear between start and end.
+        end: the same three arrays at the end of the step; the gradient is linear between start and
+            end.
         residual: residual at the start.
     """
     found: list[tuple[Iterate, Point]] = []

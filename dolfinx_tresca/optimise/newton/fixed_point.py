@@ -295,7 +295,7 @@ def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
     """Return the motion along which friction is too weak for the constraints. Collective.
 
     Args:
-        problem: cones and constraints.
+        problem: the dual problem, with friction cones and constraints.
         x: (size,) multipliers whose pressures determine the slip bounds.
 
     Returns:

@@ -85,7 +85,7 @@ class _CentralPath:
         x: (size,) multipliers.
         r: (size,) gradient of the model at x.
         c: (k,) multipliers of the equality constraints.
-        dual: (size,) z of normal, s of tangential multipliers, zero elsewhere.
+        dual: (size,) z for normal multipliers, s for tangential multipliers, zero elsewhere.
         t: (n_discs,) first components of the duals of friction discs.
         barrier: mu.
     """

@@ -18,11 +18,11 @@ class NaturalResidual:
 
     The relative residual is this residual divided by its scale. The scale is the residual at
     lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
-    on the initial guess. If zero does not satisfy the equality constraints, the origin takes the
-    place of zero: the nearest point to zero that satisfies them. The scale is then at least
-    |A lambda| at the origin. In a load step whose initial multipliers have a larger residual than
-    the origin, the scale is also at least |A lambda| at these multipliers: friction may support a
-    body that no load presses.
+    on the initial guess. If zero does not satisfy the equality constraints, the origin, which is
+    the nearest point to zero that satisfies them, takes the place of zero. The scale is then at
+    least |A lambda| at the origin. In a load step whose initial multipliers have a larger residual
+    than the origin, the scale is also at least |A lambda| at these multipliers: friction may
+    support a body that no load presses.
 
     Attributes:
         rho: step length.
