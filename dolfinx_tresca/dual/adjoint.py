@@ -194,7 +194,7 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
 
 
 def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return whether the traction of each disc (n_discs,) equals the slip bound within its error.
+    """Return for each disc (n_discs,) whether its traction equals the slip bound within the error.
 
     Args:
         lam: Lambda.

@@ -40,8 +40,8 @@ class ObstacleDifferences(PetscOwner):
         bounds: slip bounds at the nodes of each pair.
         present: B with the obstacles where they are.
         origin: (size,) slip origin, divided by `JumpOperator.length_scale`, if at each node it is a
-            fixed vector, whose components change with the tangents; None: its components are
-            constant.
+            fixed vector, whose components change with the tangents; None: the components of the
+            slip origin are constant.
     """
 
     after: JumpOperator

@@ -46,8 +46,8 @@ def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None)
     On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If CHOLMOD
     fails, MUMPS factors K, or gives the reason of the failure. CHOLMOD fails if PETSc is built
     without it, if the factors have more entries than its 32-bit integers count, or if K is not
-    positive definite, and then reports the first bad pivot only. The user's options may choose
-    another package.
+    positive definite; in the last case it reports the first bad pivot only. The user's options may
+    choose another package.
 
     Args:
         K: the matrix.

@@ -35,7 +35,7 @@ class Component(PetscOwner):
 
         Args:
             space: the mixed space.
-            index: index of its sub-space.
+            index: index of the sub-space in the mixed space.
         """
         self._space, self._index = space, index
         self.V, self._dofs = collapse(space.sub(index))

@@ -28,7 +28,7 @@ from dolfinx_tresca.errors import InputError
 def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return name -> rows of the file for this rank's own nodes, to be written. Collective.
 
-    These are the values, and the `surroundings` of the nodes.
+    The rows are the values, and the `surroundings` of the nodes.
 
     Args:
         V: the space of the displacement.

@@ -207,7 +207,7 @@ def fixed_point_of_model(
       friction, which has one solution; bodies that the reduced friction cannot support are held by
       springs as soft as the bodies;
     * the solution with all nodes sticking;
-    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. They
+    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. Sweeps
       approach the fixed point if friction is too weak to reverse pressures. Bounds of a sweep may
       be too small to support a floating body; springs then support the body at its position in the
       previous sweep, as in the method of multipliers.

@@ -235,8 +235,8 @@ class EqualityConstraints:
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
-        For floating bodies it is the energy norm of the rigid displacements that are missing for
-        equilibrium.
+        For floating bodies the result is the energy norm of the rigid displacements that are
+        missing for equilibrium.
         """
         missing = self.residual(x, c)
         return float(np.sqrt(missing @ self._inverse @ missing))

@@ -24,7 +24,8 @@ class Face:
     A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
     Attributes:
-        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside.
+        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside the
+            disc.
         slip: (n_discs,) discs whose multiplier is on the circle.
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
             of (38.12), tangential multipliers of sticking nodes, and all multipliers of bonded

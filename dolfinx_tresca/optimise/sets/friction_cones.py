@@ -75,8 +75,8 @@ class FrictionCones:
         Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere it is
         evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
         distance rho v from the circle with radius g(v). At a solution of the problem this v equals
-        |r|. At other points it depends less on r than |r| does, and bounds that grow steeply with
-        the slip stay moderate.
+        |r|. At other points this v depends less on r than |r| does, so that bounds that grow
+        steeply with the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
