@@ -16,13 +16,14 @@ For a goal q_u'u + q_x'x the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-The goal changes by z'df + y'do + (q_x - B z)'n dg. Its discretisation error is a(u - u_h, z - z_h)
-(Becker and Rannacher, An optimal control approach to a posteriori error estimation in finite
-element methods, 2001), plus a term from nodes that change their state. This term is of order h^2
-for elements of any degree: at the distance r from the edge of a contact zone, y grows like
-r^(-1/2). If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact forces
-balance the load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other
-right-hand sides.
+For Q = 0 both systems have the same matrix; slip bounds that follow the pressure make it
+unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. Its discretisation error is
+a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
+estimation in finite element methods, 2001), plus a term from nodes that change their state. This
+term is of order h^2 for elements of any degree: at the distance r from the edge of a contact zone,
+y grows like r^(-1/2). If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact
+forces balance the load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with
+other right-hand sides.
 """
 
 from __future__ import annotations
