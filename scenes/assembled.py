@@ -49,6 +49,12 @@ def dual_program(
             yield dual
 
 
+def dense_matrix(dual: DualProgram) -> np.ndarray:
+    """Return A from its products with unit vectors, of a scene on one rank."""
+    A = np.column_stack([dual.apply(unit) for unit in np.eye(len(dual.b))])
+    return 0.5 * (A + A.T)
+
+
 def points_of(scene: Scene, operators: PairOperators) -> np.ndarray:
     """Return where the contact nodes of this rank are, (n, 3)."""
     points: np.ndarray = scene.V.tabulate_dof_coordinates()[operators.nodes]

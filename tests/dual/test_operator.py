@@ -16,7 +16,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.products.seed_products import affine_tractions, seed_products
 from dolfinx_tresca.stiffness.system import LinearSystem
-from scenes.assembled import dual_program, points_of
+from scenes.assembled import dense_matrix, dual_program, points_of
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, no_load
 from scenes.nodal import global_vector
@@ -94,7 +94,7 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
     order = np.lexsort(np.round(points, 9).T)
     m = len(points)
     with dual_program(scene) as dual:
-        mine = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+        mine = dense_matrix(dual)
         where = points_of(scene, dual.jump.pairs[0])
         own = np.lexsort(np.round(where, 9).T)
         assert np.allclose(where[own], points[order], atol=1e-12)
@@ -317,7 +317,7 @@ def test_products_claim_what_was_reached():
     """Where the solver for K ends at its largest number of steps, or by its options, too early."""
     scene = two_bricks(MPI.COMM_SELF, 2)
     with dual_program(scene) as dual:
-        A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+        A = dense_matrix(dual)
     few = {"pc_type": "jacobi", "ksp_max_it": 20}
     with dual_program(scene, "multigrid", **few) as dual:
         operator = dual.compliance.operator

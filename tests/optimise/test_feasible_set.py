@@ -32,28 +32,6 @@ def test_projection_is_that_of_the_definition(case):
 
 @BOUNDED
 @given(cases())
-def test_projection_obeys_its_variational_inequality(case):
-    lam, rng = case
-    y = 3 * rng.standard_normal(lam.size)
-    p = lam.project(y)
-    for _ in range(10):
-        z = brute_projection(lam, 3 * rng.standard_normal(lam.size))
-        assert (y - p) @ (z - p) <= ROUNDING * (y @ y + z @ z)
-
-
-@BOUNDED
-@given(cases())
-def test_projection_is_idempotent_and_does_not_expand(case):
-    lam, rng = case
-    y, z = 3 * rng.standard_normal((2, lam.size))
-    py, pz = lam.project(y), lam.project(z)
-    assert np.linalg.norm(lam.project(py) - py) <= ROUNDING * np.linalg.norm(py)
-    rounding = ROUNDING * (np.linalg.norm(y) + np.linalg.norm(z))
-    assert np.linalg.norm(py - pz) <= np.linalg.norm(y - z) + rounding
-
-
-@BOUNDED
-@given(cases())
 def test_a_point_is_the_solution_for_its_gradient_at_rest(case):
     lam, rng = case
     x = lam.project(2 * rng.standard_normal(lam.size))

@@ -171,16 +171,6 @@ def test_reported_numbers_belong_to_the_answer(problem, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_load_is_solved_at_once(method):
-    problem = random_problem(2, 6, 1.0)
-    problem.b = np.zeros_like(problem.b)
-    found = run(problem, method)
-    assert found.status is ContactStatus.CONVERGED
-    assert found.iterations == 0
-    assert not found.multipliers.any()
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_no_multiplier_at_all(method):
     """A rank, or a scene, may have none."""
     empty = np.zeros(0, dtype=np.intp)

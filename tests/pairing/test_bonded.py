@@ -12,8 +12,8 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import Bonded, ContactState, ContactStatus, Frictionless
-from scenes.patches import KINDS, LOWER, UPPER, patch
+from dolfinx_tresca import Bonded, ContactState, ContactStatus
+from scenes.patches import KINDS, UPPER, patch
 from scenes.scene import Scene
 
 RTOL = 1e-8
@@ -119,25 +119,3 @@ def test_initial_gap_stays(comm, gap):
     size = comm.allreduce(np.abs(exact).max(), op=MPI.MAX)
     assert np.abs(solution.u.x.array - exact.ravel()).max(initial=0.0) <= TOLERANCE * size
     assert np.abs(solution.gap.x.array).max(initial=0.0) <= TOLERANCE * size
-
-
-def test_only_bonded_blocks_bear_tension(comm):
-    """Under tension the contact force is zero for a frictionless pair, and not for a bonded one."""
-    forces = []
-    for friction in (Frictionless(), Bonded()):
-        scene = patch(comm, "hexahedron", pressure=-2.5, friction=friction)
-        with scene.problem() as problem:
-            forces.append(problem.solve(rtol=RTOL).normal_force)
-    assert forces[0] == 0.0
-    assert forces[1] == pytest.approx(-2.5, rel=TOLERANCE)
-
-
-def test_exchange_of_secondary_and_primary_changes_energy_little(comm):
-    """The multiplier spaces differ."""
-    energies = []
-    for secondary, primary in ((UPPER, LOWER), (LOWER, UPPER)):
-        scene = patch(comm, "hexahedron", friction=Bonded(), pressure=0.0)
-        scene = scene.but(secondary=secondary, primary=primary)
-        with scene.problem(L=loaded(scene)) as problem:
-            energies.append(problem.solve(rtol=RTOL).primal_energy)
-    assert energies[0] == pytest.approx(energies[1], rel=0.05)

@@ -325,20 +325,6 @@ def test_prescribed_secondary_side_is_an_error(comm, kind):
         scene.problem(bcs=[*scene.bcs, fem.dirichletbc(scene.data.exact, dofs)])
 
 
-@pytest.mark.parallel(kind=["hexahedron"], degree=[1])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("degree", [1, 2])
-def test_search_distance(comm, kind, degree):
-    scene = patch(comm, kind, degree, gap=0.1)
-    assert comm.allreduce(len(scene.but(search_distance=0.11).operators().nodes)) > 0
-    with pytest.raises(
-        PairingError, match=r"do not face each other.*within 0\.09.*search distance"
-    ):
-        scene.but(search_distance=0.09).operators()
-    with pytest.raises(PairingError, match=r"do not face each other"):
-        scene.but(search_distance=0.09).problem()
-
-
 @pytest.mark.parallel(kind=["triangle", "tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_nodes_shared_by_both_sides_carry_no_multiplier(comm, kind):

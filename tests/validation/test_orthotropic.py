@@ -28,7 +28,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.scene.friction import Friction
-from scenes.assembled import dual_program
+from scenes.assembled import dense_matrix, dual_program
 from scenes.blocks import ABOVE, BELOW, FRONT, RIGHT, block, floor
 from scenes.blocks import BOUND as BLOCK_BOUND
 from scenes.nodal import global_vector, nodal, node_function, surface_nodes_of
@@ -75,7 +75,7 @@ def conic_tractions(scene: Any, bounds: np.ndarray, direction: Sequence[float]) 
     """
     with dual_program(scene) as dual:
         jump, (pair,) = dual.jump, dual.jump.pairs
-        A, b = np.column_stack([dual.apply(e) for e in np.eye(dual.b.size)]), dual.b
+        A, b = dense_matrix(dual), dual.b
         scale, (normal, tangential) = jump.stress_scale, jump.slices[0]
         # in units of stress, and with numbers of size 1
         A, b = A / np.outer(scale, scale), b / scale
@@ -104,7 +104,7 @@ def conic_tractions(scene: Any, bounds: np.ndarray, direction: Sequence[float]) 
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
         solver = clarabel.DefaultSolver(
-            csc_array(np.triu(0.5 * (A + A.T) / factor)),
+            csc_array(np.triu(A / factor)),
             -b / factor,
             csc_array(np.vstack(rows)),
             np.concatenate(right),
