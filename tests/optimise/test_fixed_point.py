@@ -26,6 +26,7 @@ from scenes.dense import (
     DenseProblem,
     OneRank,
     brute_projection,
+    cones_over,
     random_balanced_problem,
     random_cone_problem,
     random_dry_problem,
@@ -34,7 +35,7 @@ from scenes.dense import (
 from scenes.scene import EPS
 
 RTOL = 1e-7
-FEW = settings(deadline=None, derandomize=True, max_examples=30)
+FEW = settings(max_examples=30)
 
 
 @st.composite
@@ -111,7 +112,7 @@ def test_converged_means_what_it_says(problem, method):
     assert np.linalg.norm(moved) <= 100 * EPS * np.linalg.norm(found.multipliers)
 
 
-@settings(deadline=None, derandomize=True, max_examples=10)
+@settings(max_examples=10)
 @given(cone_problems(most=0.3, most_decades=1.0))
 def test_methods_agree(problem):
     """Friction is weak here, and A well conditioned: there is one fixed point."""
@@ -279,13 +280,7 @@ def test_inexact_products(problem, seed):
 def test_balanced_loads(seed, softness):
     """Equations besides the cones, as for floating bodies: those of the conic solver, too."""
     problem = random_balanced_problem(seed, 8, 2, 1.0, softness)
-    lam = problem.feasible_set
-    normal_of = np.full(len(lam.radius), -1)
-    normal_of[: len(lam.normal)] = lam.normal[: len(normal_of)]
-    count = len(normal_of)
-    problem.cones = FrictionCones(
-        lam, normal_of, lam.radius, np.full(count, 0.3), np.full(count, np.inf)
-    )
+    problem.cones = cones_over(problem.feasible_set, 0.3)
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.CONVERGED
     x, constraints = found.multipliers, problem.constraints

@@ -54,7 +54,7 @@ def check_residual(problem: DenseProblem, seed: int) -> None:
     assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(problems(), st.integers(0, 100))
 def test_the_residual_is_reached_in_truth(problem, seed):
     """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""

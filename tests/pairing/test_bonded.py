@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import Bonded, ContactState, ContactStatus
+from scenes.assembled import direct_solver
 from scenes.patches import KINDS, UPPER, patch
 from scenes.scene import Scene
 
@@ -42,11 +42,7 @@ def plain_solution(scene: Scene, L) -> fem.Function:
     for bc in scene.bcs:
         bc.set(f.x.array)
     f.x.scatter_forward()
-    ksp = PETSc.KSP().create(scene.mesh.comm)
-    ksp.setOperators(K)
-    ksp.setType("preonly")
-    ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")
+    ksp = direct_solver(K)
     ksp.solve(f.x.petsc_vec, u.x.petsc_vec)
     u.x.scatter_forward()
     ksp.destroy()

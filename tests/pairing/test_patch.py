@@ -21,7 +21,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from scenes.patches import KINDS, LOWER, SIDES, TOP, UPPER, patch
+from scenes.patches import KINDS, LOWER, SIDES, TOP, UPPER, dim_of, patch
 from scenes.scene import EPS, Scene
 
 RTOL = 1e-12
@@ -29,14 +29,7 @@ RTOL = 1e-12
 #: Relative error of stresses and displacements: the residual times the condition number of A.
 TOLERANCE = 1e3 * RTOL
 
-TURNS = {
-    2: np.array([[0.6, -0.8], [0.8, 0.6]]),
-    3: rotation(11),
-}
-
-
-def dim_of(kind: str) -> int:
-    return 2 if kind in ("triangle", "quadrilateral") else 3
+TURNS = {dim: rotation(11, dim) for dim in (2, 3)}
 
 
 def largest(comm, values) -> float:

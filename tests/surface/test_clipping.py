@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from dolfinx_tresca.surface.clipping import clip, overlaps
 from scenes.scene import EPS
 
-SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
+SEEDS = settings(max_examples=60)
 
 
 def convex(rng: np.random.Generator, number: int, corners: int) -> np.ndarray:

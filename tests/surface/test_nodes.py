@@ -94,7 +94,7 @@ def frames(rng: np.random.Generator, n: int, dim: int) -> tuple[np.ndarray, np.n
     return normals, rng.standard_normal((len(normals), 2, dim))
 
 
-SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
+SEEDS = settings(max_examples=60)
 
 
 @SEEDS
