@@ -53,7 +53,8 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 #: adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
 
-#: The residual of GCR counts as rounding of products up to this multiple of its first value.
+#: The residual of GCR counts as rounding up to this multiple of the terms whose difference the
+#: right-hand side is.
 RESIDUAL_ROUNDING = 1e-10
 
 #: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this
@@ -242,14 +243,16 @@ def tangent(
     start = jump.contact_force(grown).copy()
     start.aypx(-1.0, force)
     followed = FollowedDisplacement.of(dual.compliance, start, w)
-    right = followed.solve_start() - offset
+    jump_at_start = followed.solve_start()
+    right = face.project(jump_at_start - offset)
+    terms = np.abs(jump_at_start) + np.abs(offset)
     missing, size = -dual.inner(constraints.columns, grown), norm(dual, grown)
     free = force.copy()
     free.array[jump.system.prescribed] = 0.0
     if dual.equilibrium is not None:
         resultant, largest = dual.equilibrium.resultants(free)
         missing, size = missing + resultant, size + largest
-    x, c = _solved(dual, state, False, followed, face.project(right), missing, accuracy)
+    x, c = _solved(dual, state, False, followed, right, terms, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, x) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * (size + norm(dual, x)):
         raise _none(False)
@@ -298,8 +301,10 @@ def adjoint(
     z = fem.Function(dual.jump.system.V, name="adjoint")
     u = z.x.petsc_vec
     followed = FollowedDisplacement.of(dual.compliance, force, u)
-    right = state.projected(followed.solve_start() - on_x)
-    y, c = _solved(dual, state, True, followed, right, missing, accuracy)
+    jump_at_start = followed.solve_start()
+    right = state.projected(jump_at_start - on_x)
+    terms = np.abs(jump_at_start) + np.abs(on_x)
+    y, c = _solved(dual, state, True, followed, right, terms, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
         raise _none(True)
@@ -318,6 +323,7 @@ def _solved(
     transpose: bool,
     followed: FollowedDisplacement,
     right: Array,
+    terms: Array,
     missing: Array,
     accuracy: float,
 ) -> tuple[Array, Array]:
@@ -333,6 +339,9 @@ def _solved(
     equation therefore holds from the first step on. The displacement is updated with y, so that the
     error of a product only has to be small compared with its step.
 
+    `terms` (size,) are the absolute values of the terms whose difference is `right`. If all nodes
+    slip, `right` may be nothing but the rounding error of these terms.
+
     Raises:
         ConvergenceError: no solution exists.
     """
@@ -345,13 +354,13 @@ def _solved(
     images: Array = np.empty((len(right), 0))
     residual = right
     root, wanted = np.sqrt(weight), 0.0
-    whole = norm(dual, root * right)
+    rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
     for count in range(MOST_STEPS):
         maps = state.maps(model.diagonal, transpose)
         step_y, step_c = model.solve_between(maps, residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
-        if count and (size <= wanted or norm(dual, root * residual) <= RESIDUAL_ROUNDING * whole):
+        if count and (size <= wanted or norm(dual, root * residual) <= rounding):
             return step_y + found[: len(right)], step_c + found[len(right) :]
         product, error = followed.product(found[: len(right)], step_y, size)
         store.add(step_y, product, error)
@@ -371,7 +380,8 @@ def _solved(
         found, residual = found + length * step, residual - length * image
         followed.advance(length)
         model = store.model()
-    if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
+    accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
+    if norm(dual, root * residual) > max(accepted, rounding):
         raise _none(transpose)
     return found[: len(right)], found[len(right) :]
 
