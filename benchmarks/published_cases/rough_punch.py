@@ -11,6 +11,7 @@ the cell size at the edge of the punch, over its half width.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from functools import cache
 
 from mpi4py import MPI
@@ -80,16 +81,14 @@ def theory() -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         p, q = np.split(np.linalg.solve(rows, right), 2)
         return p, q
 
-    low, high = 1, STRIPS  # the last strip that sticks is at its limit
-    while high - low > 1:
-        middle = (low + high) // 2
-        p, q = solved(middle)
-        if q[middle - 1] <= COEFFICIENT * p[middle - 1]:
-            low = middle
-        else:
-            high = middle
-    p, q = solved(low)
-    return float(ends[low]), x, p, q
+    def slips(sticks: int) -> bool:
+        """Return whether the last of so many strips that stick exceeds its limit."""
+        p, q = solved(sticks)
+        return bool(q[sticks - 1] > COEFFICIENT * p[sticks - 1])
+
+    last = 1 + bisect_left(range(2, STRIPS), True, key=slips)
+    p, q = solved(last)
+    return float(ends[last]), x, p, q
 
 
 def solve(comm: MPI.Comm, h: float) -> Result:

@@ -42,8 +42,8 @@ def exchange(
     _logger.debug("%d bytes to %d ranks", sent.nbytes, np.count_nonzero(counts))
     row = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * prod(rows.shape[1:])).Commit()
     comm.Alltoallv(
-        [_bytes(sent), (counts, _starts(counts)), row],
-        [_bytes(received), (incoming, _starts(incoming)), row],
+        [_bytes(sent), counts, row],
+        [_bytes(received), incoming, row],
     )
     row.Free()
     return received, np.repeat(np.arange(comm.size), incoming)
@@ -66,7 +66,3 @@ def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any])
 
 def _bytes(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     return rows.reshape(-1).view(np.uint8)
-
-
-def _starts(counts: npt.NDArray[np.intc]) -> npt.NDArray[np.intc]:
-    return (np.cumsum(counts) - counts).astype(np.intc)
