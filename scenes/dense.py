@@ -48,6 +48,10 @@ class OneRank:
         """Return x'y."""
         return csr_array(x.T @ y)
 
+    def stacked(self, rows: csr_array) -> csr_array:
+        """Return the rows."""
+        return rows
+
 
 @dataclass
 class DenseProblem(OneRank):

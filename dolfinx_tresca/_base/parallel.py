@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, issparse
+from scipy.sparse import csr_array, issparse, vstack
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.lines import fill
@@ -164,6 +164,12 @@ class RankReductions:
         """Return x'y for sparse x and y (size, k), summed in the order of ranks. Collective."""
         first, *others = self.comm.allgather(csr_array(x.T @ y))
         return sum(others, start=first)
+
+    def stacked(self, rows: csr_array) -> csr_array:
+        """Return the rows of all ranks, sparse (size, k), in the order of ranks. Collective."""
+        if self.comm.size == 1:
+            return rows
+        return csr_array(vstack(self.comm.allgather(rows)))
 
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x on all ranks, since x may differ by rounding. Collective."""

@@ -29,6 +29,10 @@ class Reductions(InnerProduct, Protocol):
         """Return x'y over all ranks, equal on all ranks, for sparse x and y of shape (size, k)."""
         ...
 
+    def stacked(self, rows: csr_array) -> csr_array:
+        """Return the rows (size, k) of all ranks in the order of ranks, (n, k)."""
+        ...
+
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; on the other ranks x may differ by rounding."""
         ...

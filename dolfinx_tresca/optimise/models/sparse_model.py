@@ -61,12 +61,11 @@ class SparseModel(Model):
         self._reductions, self._rows, self._solve = reductions, rows, solve
         size, n = rows.shape
         self._mine = slice(first, first + size)
-        place = np.arange(first, first + size)
-        self._placed = csr_array((np.ones(size), (np.arange(size), place)), shape=(size, n))
-        self.diagonal: Array = (rows @ self._placed.T).diagonal()
+        identity = csr_array(eye_array(size))
+        self.diagonal: Array = rows[:, self._mine].diagonal()
         self._unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
-        self._groups = _groups(nodes)
-        self._shifted = csr_array(rows + SHIFT * self._unit * self._placed)
+        self._same_node, self._place = _groups(nodes)
+        self._shifted = csr_array(rows + SHIFT * self._unit * self._in_own_columns(identity))
 
     @property
     def number(self) -> int:
@@ -108,19 +107,20 @@ class SparseModel(Model):
         self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
         """Return V s and c, see `Model`; S is increased by `LEAST_SOFTNESS`. Collective."""
-        size, unit = len(right), self._unit
-        test, trial, stiffness, projector = (
-            self._matrix(one) for one in (maps.test, maps.trial, maps.stiffness, maps.projector)
+        unit, k = self._unit, len(missing)
+        test, trial, stiffness, fixed = (
+            self._matrix(one)
+            for one in (maps.test, maps.trial, maps.stiffness, lambda x: x - maps.projector(x))
         )
-        G = csr_array(G)
-        k = len(missing)
-        A = 1.0 / unit * (self._shifted + stiffness @ self._placed)
-        rows = test @ (A @ self._everywhere(trial @ self._placed))
-        rows = self._everywhere(rows + (eye_array(size) - projector) @ self._placed)
-        columns = self._everywhere(test @ G)
-        equations = self._reductions.sparse_inner(G, trial @ self._placed)
+        trial, G = self._in_own_columns(trial), csr_array(G)
+        A = (1.0 / unit) * (self._shifted + self._in_own_columns(stiffness))
+        rows = test @ (A @ self._everywhere(trial)) + self._in_own_columns(fixed)
+        equations = self._reductions.sparse_inner(G, trial)
         soft = csr_array(unit * softness) + LEAST_SOFTNESS * eye_array(k)
-        matrix = csr_array(block_array([[rows, -columns], [equations, soft]]) if k else rows)
+        matrix = self._everywhere(rows)
+        if k:
+            columns = self._everywhere(test @ G)
+            matrix = csr_array(block_array([[matrix, -columns], [equations, soft]]))
         wanted = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         found = self._reductions.from_first_rank(self._solve(matrix, wanted))
         return maps.trial(found[self._mine]), unit * found[len(found) - k :]
@@ -133,31 +133,35 @@ class SparseModel(Model):
 
     def _everywhere(self, rows: csr_array) -> csr_array:
         """Return the rows of all ranks, (n, columns). Collective."""
-        return self._reductions.sparse_inner(self._placed, csr_array(rows))
+        return self._reductions.stacked(rows)
+
+    def _in_own_columns(self, matrix: csr_array) -> csr_array:
+        """Return a matrix (size, size) in the columns of this rank's multipliers, (size, n)."""
+        indices = matrix.indices + self._mine.start
+        return csr_array((matrix.data, indices, matrix.indptr), shape=self._rows.shape)
 
     def _matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
         """Return the matrix (size, size) of a map that couples only multipliers of one node."""
-        row, column, place = self._groups
-        size, width = self._placed.shape[0], int(place.max(initial=0)) + 1
-        units = np.zeros((size, width))
-        units[np.arange(size), place] = 1.0
-        values = nodal(units)[row, place[column]]
-        return csr_array((values, (row, column)), shape=(size, size))
+        pattern, place = self._same_node, self._place
+        units = np.zeros((len(place), int(place.max(initial=0)) + 1))
+        units[np.arange(len(place)), place] = 1.0
+        row = np.repeat(np.arange(len(place)), np.diff(pattern.indptr))
+        values = nodal(units)[row, place[pattern.indices]]
+        return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
 
 
-def _groups(nodes: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return all pairs of multipliers of the same node, and each multiplier's number in its node.
+def _groups(nodes: Indices) -> tuple[csr_array, Indices]:
+    """Return which multipliers belong to the same node, and each multiplier's number in its node.
 
     Returns:
-        the positions of the first multiplier (m,) and of the second multiplier (m,) of each pair;
-        and for each multiplier (size,) its number 0, 1, ... among the multipliers of its node.
+        a matrix (size, size) with an entry for each two multipliers of the same node; and for each
+        multiplier (size,) its number 0, 1, ... among the multipliers of its node.
     """
     size = len(nodes)
     _, index = np.unique(nodes, return_inverse=True)
     member = csr_array((np.ones(size), (np.arange(size), index)), shape=(size, size))
-    pairs = (member @ member.T).tocoo()
     order = np.argsort(index, kind="stable")
     numbers = np.bincount(index)
     place = np.empty(size, dtype=np.intp)
     place[order] = np.arange(size) - (np.cumsum(numbers) - numbers)[index[order]]
-    return pairs.row, pairs.col, place
+    return csr_array(member @ member.T), place
