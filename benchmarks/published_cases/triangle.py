@@ -183,7 +183,7 @@ CASE = Case(
     argument="cells along a side",
     sizes=(2, 4, 8),
     solve=solve,
-    axes=("T / (F_c N)", f"pressure over N with F = {BELOW} F_c"),
+    axes=("T / (F_c N)", f"pressure over N, F = {BELOW} F_c"),
     curve=(np.array([0.0, BELOW, 1.0, JUMP]), np.array([1.0, 1.0, 0.0, 0.0])),
 )
 
