@@ -7,7 +7,7 @@ contact problems in elasticity, J. Appl. Mech. 50, 1983; N. Kikuchi and J. T. Od
 in Elasticity, 1988: an elastic block with a pressure on its top and one on a side, held by nothing
 but a rigid plane with friction. Their dimensions, loads and figures were not at hand: those here
 are ours, plane strain, chosen so that a part of the contact opens, a part slips and a part sticks.
-The values of another program are those of GetFEM 5.4.2 (`benchmarks/peer_solvers/getfem_block.py`),
+The values of another program are those of GetFEM 5.4.4 (`benchmarks/peer_solvers/getfem_block.py`),
 with 128 cells along the block, multipliers whose conditions are integrals in place of nodal ones,
 and its own assembly and Newton method. With 64 cells its values differ by 7e-4 of themselves or
 less, and the lift by 3e-3. The argument is the number of cells along the block; they
