@@ -85,9 +85,12 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         SHORT: math.sqrt(5 * second[0]) / short,
         PEAK: peak_of(np.hypot(x, y), p) / peak,
     }
-    return Result(values, V)
+    along = np.flatnonzero((points[:, 0] < 1e-9) & (y < 1.4))
+    along = along[np.argsort(y[along])]
+    return Result(values, V, y[along], p[along] / peak)
 
 
+X = np.linspace(0.0, 1.4, 281)
 LONG, SHORT, PEAK = (f"{one} over Hertz's" for one in ("long axis", "short axis", "peak pressure"))
 CASE = Case(
     name="crossed",
@@ -97,6 +100,8 @@ CASE = Case(
     argument="cells along a side",
     sizes=(8, 16, 32),
     solve=solve,
+    axes=("place over the long semi-axis", "pressure over the peak"),
+    curve=(X, np.sqrt(np.maximum(1.0 - X**2, 0.0))),
 )
 
 if __name__ == "__main__":

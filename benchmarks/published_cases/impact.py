@@ -20,6 +20,7 @@ from unittest import mock
 
 from mpi4py import MPI
 
+import numpy as np
 from case import Case, Result, exactly
 
 DEMO = Path(__file__).parents[2] / "demos" / "demo_impact.py"
@@ -42,7 +43,11 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         found["rebound"] / found["impact_speed"],
         found["moved"][-1] / found["stopping_distance"],
     )
-    return Result(dict(zip(PUBLISHED, map(float, ratios), strict=True)), found["V"])
+    time = found["times"] * found["wave_speed"] / found["bar"]["length"]
+    pressure = found["pressures"] / found["wave_pressure"]
+    first = int(np.flatnonzero(pressure)[0])
+    values = dict(zip(PUBLISHED, map(float, ratios), strict=True))
+    return Result(values, found["V"], time[first:] - time[first], pressure[first:])
 
 
 CASE = Case(
@@ -54,6 +59,8 @@ CASE = Case(
     sizes=(25, 50, 100),
     solve=solve,
     order=2 / 3,
+    axes=("time over l / c", "pressure over rho c v"),
+    curve=(np.array([0.0, 2.0, 2.0, 2.5]), np.array([1.0, 1.0, 0.0, 0.0])),
 )
 
 if __name__ == "__main__":

@@ -56,8 +56,14 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     middle = (6 * last.force * reduced**2 / (np.pi**3 * radius**2)) ** (1 / 3)
     slope = (down[-1].force - up[0].force) / (down[-1].depth - up[0].depth)
     values = {YIELD: middle / last.stress, SLOPE: slope / (2 * reduced * down[-1].contact_radius)}
-    return Result(values, found["V"])
+    strain, mean = np.array([(step.strain, step.mean_pressure / limit) for step in down]).T
+    return Result(values, found["V"], strain, mean)
 
+
+#: E* a / (Y R) and mean pressure over Y: first yield by Hertz's formulas; full plasticity, about,
+#: by Johnson, section 6.3.
+STRAINS = (0.5 * np.pi * pressure_at_yield(), 40.0)
+PRESSURES = (2 / 3 * pressure_at_yield(), 3.0)
 
 CASE = Case(
     name="indentation",
@@ -68,6 +74,8 @@ CASE = Case(
     sizes=(9, 12, 16),
     solve=solve,
     order=1.0,
+    axes=("E* a / (Y R)", "mean pressure over Y"),
+    marks=(STRAINS, PRESSURES),
 )
 
 if __name__ == "__main__":

@@ -43,6 +43,9 @@ STIFFNESS = AREA * (
 #: T/N where the node sticks, where it may do everything, and where it must be open.
 ONE, THREE, JUMP = 1.2, 1.75, 2.2
 
+#: T/N of the load steps that the picture shows.
+PULLS = np.linspace(0.0, JUMP, 46)
+
 
 def slipping() -> float:
     """Return the normal force over N of the solution that slips."""
@@ -82,9 +85,11 @@ def solve(comm: MPI.Comm, _: float) -> Result:
         one, _ = force_at(problem, ONE)
         three, _ = force_at(problem, THREE)
         _, u = force_at(problem, JUMP)
+    with ContactProblem(a, L, [pair], bcs) as problem:
+        path = np.array([force_at(problem, pull)[0] for pull in PULLS])
     free = np.linalg.solve(STIFFNESS, PRESSED * np.array([-JUMP, -1.0]))
     values = (one, cold, three, float(u @ free / (free @ free)))
-    return Result(dict(zip(PUBLISHED, values, strict=True)), V)
+    return Result(dict(zip(PUBLISHED, values, strict=True)), V, PULLS, path)
 
 
 ALL = by_group({"sticks": 1.0, "slips": slipping(), "open": 0.0})
@@ -102,6 +107,8 @@ CASE = Case(
     argument="triangles",
     sizes=(1,),
     solve=solve,
+    axes=("T / N", "normal force over N"),
+    curve=(np.array([0.0, COEFFICIENT, COEFFICIENT, JUMP]), np.array([1.0, 1.0, 0.0, 0.0])),
 )
 
 if __name__ == "__main__":

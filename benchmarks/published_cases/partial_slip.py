@@ -17,6 +17,9 @@ from case import RTOL, Case, Result, exactly
 from scenes.cattaneo import COEFFICIENT, Cattaneo, cattaneo
 from scenes.cattaneo_cycle import AMPLITUDE, APPROACH, Found
 
+#: Stick half width over the contact's, for the shear force of this shift.
+RATIO = 0.3554
+
 CONTACT, STICK = "contact half width over theory's", "stick half width over theory's"
 
 
@@ -35,9 +38,14 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         CONTACT: found.dome_radius(found.pressure) / theory.radius,
         STICK: found.dome_radius(short) / theory.stick_radius(tangential),
     }
-    return Result(values, scene.V)
+    order = np.argsort(found.r)
+    order = order[found.r[order] < 1.2 * theory.radius]
+    shear = sign * found.traction[order] / (COEFFICIENT * theory.peak)
+    return Result(values, scene.V, found.r[order] / theory.radius, shear)
 
 
+X = np.linspace(0.0, 1.2, 481)
+DOMES = (np.sqrt(np.maximum(one, 0.0)) for one in (1.0 - X**2, RATIO**2 - X**2))
 CASE = Case(
     name="partial_slip",
     title="Cattaneo and Mindlin, 2D",
@@ -46,6 +54,8 @@ CASE = Case(
     argument="cells along a body",
     sizes=(48, 96, 192),
     solve=solve,
+    axes=("distance from the middle over half width", "shear stress over mu p0"),
+    curve=(X, next(DOMES) - next(DOMES)),
 )
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ PAIRINGS = (("nodes", 1), ("mortar", 1), ("mortar", 2))
 def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n cells along the contact of the upper block. Collective."""
     values = {}
+    curve = {}
     for pairing, degree in PAIRINGS:
         ratios = []
         for kind in KINDS:
@@ -37,12 +38,15 @@ def solve(comm: MPI.Comm, n: float) -> Result:
             with scene.problem() as problem:
                 solution = problem.solve(rtol=RTOL)
                 solution.raise_if_failed()
-            _, fields = surface_nodes_of(solution)
-            (pressure,) = gathered(comm, fields["pressure"])
+            points, fields = surface_nodes_of(solution)
+            x, pressure = gathered(comm, points[:, 0], fields["pressure"])
             ratios.append(pressure / scene.data.pressure)
+            curve[kind] = x, ratios[-1]
         off = max(float(np.abs(one - 1.0).max()) for one in ratios)
         values[quantity(pairing, degree)] = 1.0 + off
-    return Result(values, scene.V)
+    x, ratio = curve["quadrilateral"]  # of the last pairing
+    order = np.argsort(x)
+    return Result(values, scene.V, x[order], ratio[order])
 
 
 def quantity(pairing: str, degree: int) -> str:
@@ -59,6 +63,8 @@ CASE = Case(
     argument="cells along the contact",
     sizes=(2, 4),
     solve=solve,
+    axes=("place along the contact", "pressure over the exact one"),
+    curve=(np.array([0.0, 1.0]), np.ones(2)),
 )
 
 if __name__ == "__main__":

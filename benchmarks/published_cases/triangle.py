@@ -55,6 +55,9 @@ BELOW, BEYOND = 0.8, 1.2
 #: larger one; and where it must be open.
 SLIPS, THREE, JUMP = 0.9, 1.1, 1.3
 
+#: T / N over F_c of the load steps that the picture shows.
+PULLS = np.linspace(0.0, JUMP, 53)
+
 
 def slipping(pull: float, friction: float) -> float:
     """Return the pressure over N where all of the triangle slips.
@@ -142,6 +145,8 @@ def solve(comm: MPI.Comm, n: float) -> Result:
 
     with problem_of(one, BELOW) as problem:
         slips, _ = after(problem, SLIPS)
+    with problem_of(one, BELOW) as problem:
+        path = np.array([after(problem, pull)[0] for pull in PULLS])
     with problem_of(one, 1.0) as problem:
         ray, _ = after(problem, 1.0)
     with problem_of(one, BEYOND) as problem:
@@ -159,7 +164,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         three,
         size(u, free) / size(free, free),
     )
-    return Result(dict(zip(PUBLISHED, found, strict=True)), one.V)
+    return Result(dict(zip(PUBLISHED, found, strict=True)), one.V, PULLS, path)
 
 
 ALL = by_group({"sticks": 1.0, "slips": slipping(THREE, BEYOND), "open": 0.0})
@@ -178,6 +183,8 @@ CASE = Case(
     argument="cells along a side",
     sizes=(2, 4, 8),
     solve=solve,
+    axes=("T / (F_c N)", f"pressure over N, F = {BELOW} F_c"),
+    curve=(np.array([0.0, BELOW, 1.0, JUMP]), np.array([1.0, 1.0, 0.0, 0.0])),
 )
 
 if __name__ == "__main__":

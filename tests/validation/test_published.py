@@ -96,6 +96,8 @@ def test_compressed_plate(steps):
         ("bulk_tension", 48, 0.03),
         ("triangle", 2, 1e-6),
         ("getfem_disc", 1.0, 0.01),
+        ("beam_gap", 16, 0.02),
+        ("pushed_block", 32, 0.04),
         ("tilted_punch", 0.032, 0.03),
         pytest.param("twisting", 24, 0.05, marks=pytest.mark.long),
     ],

@@ -1,0 +1,130 @@
+"""A block that is pressed on a rigid plane and pushed along it: Kikuchi and Oden's example.
+
+    tools/fenicsx python3 benchmarks/published_cases/pushed_block.py 64
+
+J. T. Oden and E. B. Pires, Nonlocal and nonlinear friction laws and variational principles for
+contact problems in elasticity, J. Appl. Mech. 50, 1983; N. Kikuchi and J. T. Oden, Contact Problems
+in Elasticity, 1988: an elastic block with a pressure on its top and one on a side, held by nothing
+but a rigid plane with friction. Their dimensions, loads and figures were not at hand: those here
+are ours, plane strain, chosen so that a part of the contact opens, a part slips and a part sticks.
+The values of another program are those of GetFEM 5.4.4 (`benchmarks/peer_solvers/getfem_block.py`),
+with 128 cells along the block, multipliers whose conditions are integrals in place of nodal ones,
+and its own assembly and Newton method. With 64 cells its values differ by 7e-4 of themselves or
+less, and the lift by 3e-3. The argument is the number of cells along the block; they
+become smaller towards the corners on the plane.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, by_group
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity
+from scenes.nodal import gathered, nodal, surface_nodes_of
+
+WIDTH, HEIGHT = 4.0, 2.0
+YOUNG, POISSON, COEFFICIENT = 1000.0, 0.3, 0.5
+ABOVE, BESIDE = 100.0, 80.0
+
+#: Quantity -> value of GetFEM.
+GETFEM = {
+    "displacement of the upper left corner, across": 0.19703,
+    "displacement of the upper right corner, down": 0.23081,
+    "slip of the lower left corner": 0.067134,
+    "lift of the lower left corner": 0.0015247,
+    "slip at a quarter of the width": 0.012676,
+    "pressure in the middle": 98.283,
+    "shear stress in the middle": 39.145,
+    "part of the normal force on the left half": 0.3766,
+    "part of the friction force on the left half": 0.45466,
+}
+
+#: GetFEM's shear stresses by their distance from the left end.
+SHEAR = {
+    0.1522: 14.554,
+    0.5858: 35.276,
+    1.2346: 44.634,
+    2.0: 39.145,
+    2.7654: 37.872,
+    3.4142: 42.306,
+    3.8478: 57.205,
+}
+
+#: Place up to which the picture shows shear stresses, which grow without bound at the right corner.
+SHOWN = 3.9
+
+
+def graded(x: np.ndarray) -> np.ndarray:
+    """Return points (n, 2) of the block from those of the unit square."""
+    across = 0.5 * WIDTH * (1.0 - np.cos(np.pi * x[:, 0]))
+    return np.stack([across, HEIGHT * x[:, 1] ** 2], axis=1)
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along the block and half as many above each other. Collective."""
+    body = Body((int(n), int(n) // 2), [(0.0, 1.0), (0.0, 1.0)], move=graded)
+    made = boxes(comm, "quadrilateral", [body], degree=2)
+    sides = {1: (1, 0.0), 2: (1, 1.0), 3: (0, 0.0)}  # bottom, top, left
+    tags = made.tags(
+        *((tag, [0], lambda x, i=i, c=c: np.isclose(x[:, i], c)) for tag, (i, c) in sides.items())
+    )
+    V, mesh = made.V, made.mesh
+    ds, v = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.TestFunction(V)
+    L = fem.Constant(mesh, BESIDE) * v[0] * ds(3) - fem.Constant(mesh, ABOVE) * v[1] * ds(2)
+    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
+    pair = ContactPair(tags, 1, plane, Coulomb(COEFFICIENT))
+    with ContactProblem(elasticity(V, YOUNG, POISSON), L, [pair], []) as problem:
+        solution = problem.solve(rtol=RTOL)
+        solution.raise_if_failed()
+        points, fields = surface_nodes_of(solution)
+        x, p, q, weights = gathered(
+            comm, points[:, 0], fields["pressure"], fields["traction"][:, 0], fields["weights"]
+        )
+        u = nodal(solution.u)
+        places, u = gathered(comm, V.tabulate_dof_coordinates()[: len(u), :2], u)
+
+    def at(*place: float) -> np.ndarray:
+        """Return the displacement of a node."""
+        return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
+
+    order = np.argsort(x)
+    x, p, q, weights = x[order], p[order], np.abs(q[order]), weights[order]
+    below = np.flatnonzero(places[:, 1] < 1e-9)
+    below = below[np.argsort(places[below, 0])]
+    left = weights * np.where(np.isclose(x, 0.5 * WIDTH), 0.5, x < 0.5 * WIDTH)
+    found = (
+        at(0.0, HEIGHT)[0],
+        -at(WIDTH, HEIGHT)[1],
+        *at(0.0, 0.0),
+        np.interp(0.25 * WIDTH, places[below, 0], u[below, 0]),
+        np.interp(0.5 * WIDTH, x, p),
+        np.interp(0.5 * WIDTH, x, q),
+        left @ p / (weights @ p),
+        left @ q / (weights @ q),
+    )
+    shown = x < SHOWN
+    return Result(dict(zip(GETFEM, map(float, found), strict=True)), V, x[shown], q[shown])
+
+
+CASE = Case(
+    name="pushed_block",
+    title="Pushed block",
+    published={name: by_group({"GetFEM": known}) for name, known in GETFEM.items()},
+    source="programs",
+    argument="cells along the block",
+    sizes=(32, 64, 128),
+    solve=solve,
+    order=1.5,
+    axes=("distance from the left end", "shear stress"),
+    marks=(list(SHEAR), list(SHEAR.values())),
+)
+
+if __name__ == "__main__":
+    CASE.main()
