@@ -221,11 +221,11 @@ def draw(path: Path, rows: list[Row]) -> None:
         case = case_of(name)
         finest = max((row for row in curves if row["case"] == name), key=lambda row: row["level"])
         if case.curve is not None:
-            panel.plot(*case.curve, color="0.7", lw=4, label="published")
+            panel.plot(*case.curve, color="0.7", lw=4, label="reference")
             panel.set_xlim(case.curve[0][0], case.curve[0][-1])
         panel.plot(finest["x"], finest["y"], color="tab:blue", lw=1, label="computed")
         if case.marks is not None:
-            panel.plot(*case.marks, "o", color="tab:orange", ms=4, label="published")
+            panel.plot(*case.marks, "o", color="tab:orange", ms=4, label="reference")
         assert case.axes is not None
         panel.set(title=case.title, xlabel=case.axes[0], ylabel=case.axes[1])
         end = panel.get_xlim()[1]

@@ -24,7 +24,7 @@ from dolfinx_tresca import (
     NonlinearContactProblem,
 )
 from scenes.blocks import ABOVE, LEFT, RIGHT, block
-from scenes.elasticity import elasticity, fixed
+from scenes.elasticity import fixed
 from scenes.nodal import surface_nodes_of
 from scenes.scene import Scene
 
