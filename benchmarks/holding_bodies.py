@@ -17,10 +17,10 @@ to the equilibrium G'x = e. All ways solve it until the relative natural residua
 
 The slip bounds are either given, namely the bounds of Coulomb's solution for the same wall, or they
 follow Coulomb's law. The package then solves for the fixed point directly; smalbe and springs solve
-a sequence of problems with given bounds (sweeps). No way knows multipliers or products at the start. Seconds
-are the processor's, from B and the factors of K to the multipliers. Products with A are solves with
-K for 2 bricks; for more bricks all ways use 32 solves to compute A as a sparse matrix, and smalbe
-and springs multiply by it.
+a sequence of problems with given bounds (sweeps). All begin without known multipliers and products.
+Seconds are the processor's, from B and the factors of K to the multipliers. Products with A are
+solves with K for 2 bricks; for more bricks all ways use 32 solves to compute A as a sparse matrix,
+and smalbe and springs multiply by it.
 """
 
 from __future__ import annotations
