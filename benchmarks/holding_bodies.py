@@ -43,6 +43,7 @@ from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.models.known_products import SparseProducts
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.positive_definite import factored
 from scenes.wall import HEIGHT, wall
@@ -66,19 +67,19 @@ class AugmentedLagrangian:
         outer: number of outer iterations, each of which corrects the rigid motions.
     """
 
-    def __init__(self, program: DualProgram, scale: float, springs: bool) -> None:
+    def __init__(self, program: DualProgram, residual: NaturalResidual, springs: bool) -> None:
         """Begin at the least multipliers that satisfy the equilibrium.
 
         Args:
             program: A, b, G and e.
-            scale: natural residual that counts as 1.
+            residual: step length and scale of natural residuals.
             springs: whether springs are used in place of projectors.
         """
         store, G = program.known_products(), csr_array(program.constraints.columns)
         e, transposed = program.constraints.values, csr_array(G.T)
         inverse = factored(csr_array(transposed @ G))
         assert inverse is not None
-        self.products, self.outer, self._scale = 0, 0, scale
+        self.products, self.outer, self._residual = 0, 0, residual
 
         def apply(x: np.ndarray) -> np.ndarray:
             self.products += 1
@@ -114,11 +115,12 @@ class AugmentedLagrangian:
 
     def residual(self, bounds: FeasibleSet) -> float:
         """Return the larger one of the two relative residuals."""
-        return max(self._natural(bounds, self.x, self._gradient), self._missing(self.x))
+        natural = self._natural(bounds, self.x, self._gradient)
+        return max(self._residual.relative(natural), self._missing(self.x))
 
     def _natural(self, bounds: FeasibleSet, x: np.ndarray, r: np.ndarray) -> float:
-        move = x - bounds.project(x - r / self.norm)
-        return float(np.linalg.norm(move)) * self.norm / self._scale
+        rho = self._residual.rho
+        return float(np.linalg.norm(x - bounds.project(x - rho * r))) / rho
 
     def minimise(self, bounds: FeasibleSet, tolerance: float) -> None:
         """Solve for given slip bounds to a relative residual.
@@ -133,8 +135,8 @@ class AugmentedLagrangian:
             natural = self._natural(bounds, x, r)
             return (
                 self.products > MOST
-                or natural * self._scale <= M * self._distance(x)
-                or max(natural, self._missing(x)) <= tolerance
+                or natural <= M * self._distance(x)
+                or max(self._residual.relative(natural), self._missing(x)) <= tolerance
             )
 
         while True:
@@ -160,9 +162,9 @@ def largest_eigenvalue(hessian: Callable[[np.ndarray], np.ndarray], size: int) -
     return 1.01 * float(value)
 
 
-def solve(program: DualProgram, scale: float, springs: bool) -> tuple[np.ndarray, Row]:
+def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tuple[np.ndarray, Row]:
     """Solve by augmented Lagrangians; with Coulomb's law by sweeps."""
-    at = AugmentedLagrangian(program, scale, springs)
+    at = AugmentedLagrangian(program, residual, springs)
     admissible, bounds, tolerance, sweeps = program.admissible, program.feasible_set, RTOL, 0
     if not isinstance(admissible, FeasibleSet):  # in the first sweep all nodes stick
         bounds = dataclasses.replace(bounds, radius=np.full_like(bounds.radius, np.inf))
@@ -179,7 +181,7 @@ def solve(program: DualProgram, scale: float, springs: bool) -> tuple[np.ndarray
     return at.x, {**figures, "converged": left <= RTOL}
 
 
-def newton(program: DualProgram, scale: float) -> tuple[np.ndarray, Row]:
+def newton(program: DualProgram, residual: NaturalResidual) -> tuple[np.ndarray, Row]:
     """Solve by the package's method."""
     products, start = program.products, np.zeros_like(program.b)
     found = methods.solve(program, start, SolverOptions(rtol=RTOL), lambda iteration: False)
@@ -187,8 +189,8 @@ def newton(program: DualProgram, scale: float) -> tuple[np.ndarray, Row]:
     return found.multipliers, {**figures, "converged": found.status.name == "CONVERGED"}
 
 
-#: Name -> function that returns the multipliers for a program and its scale, and figures.
-WAYS: dict[str, Callable[[DualProgram, float], tuple[np.ndarray, Row]]] = {
+#: Name -> function that returns the multipliers, and figures.
+WAYS: dict[str, Callable[[DualProgram, NaturalResidual], tuple[np.ndarray, Row]]] = {
     "newton": newton,
     "smalbe": partial(solve, springs=False),
     "springs": partial(solve, springs=True),
@@ -211,13 +213,18 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         problem.solve(rtol=RTOL)
         program, x, _ = problem._contact.solved
         forces = program.jump.contact_force
-        expected, scale = forces(x).array.copy(), float(np.linalg.norm(program.apply(x)))
+        expected = forces(x).array.copy()
         if case["law"] == "given":
             program = program.section(x)
+        rho = 1.0 / program.known_products().largest_ritz_value()
+        origin = program.constraints.project(
+            program.admissible, np.zeros_like(x), np.zeros(len(program.constraints)), rho
+        )[0]
+        residual = NaturalResidual(program, rho, origin, program.apply(origin) - program.b)
         row: Row = {}
         for name, way in WAYS.items():
             program.compliance.forget()
-            seconds, (x, figures) = timed(comm, partial(way, program, scale))
+            seconds, (x, figures) = timed(comm, partial(way, program, residual))
             error = np.linalg.norm(forces(x).array - expected) / np.linalg.norm(expected)
             figures |= {"seconds": seconds, "error": float(error)}
             figures["ratio"] = seconds / row.get("newton_seconds", seconds)
