@@ -34,6 +34,7 @@ RUNS = {
     "cholesky": ("--sizes 2 --packages MUMPS", "solve"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
     "assemblies": ("--bricks 2", "push_products"),
+    "holding_bodies": ("--bricks 2 --pushes 0.2", "springs_products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),
     "changed_stiffness": (
         "--sizes 3 --scenes free_end_2 --backends cholesky --asked default --changes wave_of_10_%",
@@ -94,6 +95,17 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
     for table in importlib.import_module(name).BENCHMARK.tables:
         if table.lines(rows):
             assert table.markdown(rows) in printed
+
+
+def test_three_ways_to_hold_bodies_find_the_same_forces(tmp_path, monkeypatch):
+    ways = importlib.import_module("holding_bodies")
+    result = tmp_path / "rows.json"
+    arguments = ["--bricks", 52, "--pushes", 0.2, "--here", "--changed", "--json", result]
+    run(monkeypatch, "holding_bodies", *arguments)
+    for row in kept(result):
+        assert row["status"] == "CONVERGED"
+        for way in ways.WAYS:
+            assert row[f"{way}_error"] <= 10.0 * ways.RTOL, (row["law"], way)
 
 
 @pytest.fixture

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from peer_solvers.discrete import Answer, residual_norm
 from scenes.assembled import dual_program
 
@@ -36,46 +38,72 @@ def fista(scene: Any, rtol: float) -> Answer:
 
 
 def mpgp(scene: Any, rtol: float) -> Answer:
-    """Modified proportioning with gradient projections: conjugate gradients on faces.
+    """Modified proportioning with gradient projections, see `proportioning`; A is the Hessian."""
+    with dual_program(scene) as dual:
+        rho, residual = residual_norm(dual)
+        x, _, iterations = proportioning(
+            dual.apply,
+            np.zeros_like(dual.b),
+            -dual.b,
+            dual.feasible_set,
+            1.9 * rho,
+            lambda x, r: residual(x, r) <= rtol,
+        )
+        _displacement(dual, x)
+        return Answer(x, _work(dual, iterations))
+
+
+def proportioning(
+    hessian: Callable[[np.ndarray], np.ndarray],
+    x: np.ndarray,
+    r: np.ndarray,
+    bounds: FeasibleSet,
+    alpha: float,
+    done: Callable[[np.ndarray, np.ndarray], bool],
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Minimise a quadratic function over Lambda by MPGP: conjugate gradients on faces.
 
     Dostal, Kozubek: "An optimal algorithm and superrelaxation for minimization of a quadratic
     function subject to separable convex constraints with applications" (2012); proportioning
-    constant 1, steps 1.9 / |A| as recommended. Multipliers on their bound are held in conjugate
-    gradients, also those on their circle; gradient projection moves and frees them.
+    constant 1. Multipliers on their bound are held in conjugate gradients, also those on their
+    circle; gradient projection moves and frees them.
+
+    Args:
+        hessian: multiplies with the Hessian H.
+        x: (size,) first point, in Lambda.
+        r: (size,) gradient there.
+        bounds: Lambda.
+        alpha: step length, recommended 1.9 / |H|.
+        done: whether a point with its gradient is accurate enough.
+
+    Returns:
+        the last point, its gradient, and the number of iterations.
     """
-    with dual_program(scene) as dual:
-        bounds = dual.feasible_set
-        rho, residual = residual_norm(dual)
-        alpha = 1.9 * rho
-        x = np.zeros_like(dual.b)
-        r = -dual.b
-        free = _inside(bounds, x)
-        p = np.where(free, r, 0.0)
-        iterations = 0
-        while residual(x, r) > rtol:
-            iterations += 1
-            reduced = (x - bounds.project(x - alpha * r)) / alpha
-            inner, boundary = np.where(free, reduced, 0.0), np.where(free, 0.0, reduced)
-            if boundary @ boundary > inner @ r:  # not proportional
-                x, p = bounds.project(x - alpha * r), None
-                r = dual.apply(x) - dual.b
+    free = _inside(bounds, x)
+    p = np.where(free, r, 0.0)
+    iterations = 0
+    while not done(x, r):
+        iterations += 1
+        reduced = (x - bounds.project(x - alpha * r)) / alpha
+        inner, boundary = np.where(free, reduced, 0.0), np.where(free, 0.0, reduced)
+        end = None
+        if boundary @ boundary > inner @ r:  # not proportional
+            end = bounds.project(x - alpha * r)
+        else:
+            image = hessian(p)
+            step = (r @ p) / (p @ image)
+            longest = _longest_step(bounds, x, p)
+            x, r = x - min(step, longest) * p, r - min(step, longest) * image
+            if step > longest:  # to the boundary, and along it
+                end = bounds.project(x - alpha * np.where(free, r, 0.0))
             else:
-                image = dual.apply(p)
-                step = (r @ p) / (p @ image)
-                longest = _longest_step(bounds, x, p)
-                if step <= longest:
-                    x, r = x - step * p, r - step * image
-                    gradient = np.where(free, r, 0.0)
-                    p = gradient - (gradient @ image) / (p @ image) * p
-                else:  # to the boundary, and along it
-                    x, r = x - longest * p, r - longest * image
-                    x = bounds.project(x - alpha * np.where(free, r, 0.0))
-                    r, p = dual.apply(x) - dual.b, None
-            if p is None:
-                free = _inside(bounds, x)
-                p = np.where(free, r, 0.0)
-        _displacement(dual, x)
-        return Answer(x, _work(dual, iterations))
+                gradient = np.where(free, r, 0.0)
+                p = gradient - (gradient @ image) / (p @ image) * p
+        if end is not None:
+            x, r = end, r + hessian(end - x)
+            free = _inside(bounds, x)
+            p = np.where(free, r, 0.0)
+    return x, r, iterations
 
 
 def _inside(bounds: Any, x: np.ndarray) -> np.ndarray:
