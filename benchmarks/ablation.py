@@ -470,12 +470,12 @@ def with_ratios(rows: list[Row]) -> list[Row]:
         return []
     found = [{**row, **ratios(row, reference)} for row in found]
     same = [row["total_seconds"] for row in found if does_same_work(row)]
-    middle = median(same)
     return [
         {
             **row,
-            "seconds_ratio": row["total_seconds"] / middle,
-            "by_chance": min(same) <= row["total_seconds"] <= max(same),
+            "seconds_ratio": row["total_seconds"] / median(same),
+            "beyond_chance": row["total_seconds"]
+            / float(np.clip(row["total_seconds"], min(same), max(same))),
         }
         for row in found
     ]
@@ -507,14 +507,14 @@ def ratios(row: Row, reference: Row) -> Row:
     }
 
 
-#: Change of products, Krylov iterations or time that is worth a part; and of products in one scene.
+#: Change of products, Krylov iterations, or of time beyond its range by chance, that is worth a
+#: part; and change of products in one scene.
 WORTH, WORTH_IN_A_SCENE = 0.05, 0.1
 
 
 def matters(row: Row) -> bool:
     """Whether a row has another status, or products, iterations or a time worth telling."""
-    ratios = [row["products_ratio"], row["krylov_ratio"]]
-    ratios += [] if row["by_chance"] else [row["seconds_ratio"]]
+    ratios = (row["products_ratio"], row["krylov_ratio"], row["beyond_chance"])
     return (
         row["moved"] > 0
         or any(abs(ratio - 1.0) >= WORTH for ratio in ratios)
