@@ -101,7 +101,10 @@ class ProgressBar:
             self._view = _Line()
 
     def __call__(self, iteration: Iteration) -> None:
-        """Show the progress at an iteration."""
+        """Show the progress at an iteration.
+
+        A new solve begins a new bar, which ends when the solve has converged.
+        """
         if self._view is None:
             return
         newton = iteration.newton

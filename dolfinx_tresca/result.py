@@ -46,20 +46,21 @@ class ContactSolution(Evaluation, Tabulated):
         options: the options of the solve.
         units: names of units in tables and pictures; None if the problem has none.
         axisymmetric: whether forces, areas and energies are those of rings about the axis x = 0;
-            the radial component of a resultant is the sum of radial forces round the ring, which
-            balance each other.
+            the radial component of a resultant is the sum of the radial components round the ring;
+            as vectors in space these forces balance each other.
         iterations: number of outer iterations.
         sliding: explanation of the status `NO_FIXED_POINT` if friction cannot hold a body: the
-            body, its motion, and by how much the loads exceed friction. With finite sliding also
-            the reason why configurations did not converge, with advice. Else empty.
+            body, its motion, and by how much the loads exceed friction. If the configurations of
+            finite sliding did not converge: the reason, with advice. In all other cases empty.
         sweeps: number of successive Tresca problems if slip bounds depend on the pressure; 0 for
             projected Newton, which finds the fixed point with its model of A.
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. The last
-            -q is `dual_energy` minus the dual energy at lambda = 0, which is -1/2 f'K^-1 f; with
-            floating bodies, at the smallest lambda that balances the loads.
+            -q is the difference of `dual_energy` and the dual energy of a reference state. This
+            state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies it is the
+            smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
             an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
             for the slip since the last accepted step.

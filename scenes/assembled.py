@@ -1,4 +1,4 @@
-"""A scene's dual problem, put together by hand."""
+"""A scene's dual problem, put together by hand, and PETSc's own solver for comparisons."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from petsc4py import PETSc
+
 import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx import fem
 
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -49,7 +54,40 @@ def dual_program(
             yield dual
 
 
+def dense_matrix(dual: DualProgram) -> np.ndarray:
+    """Return A from its products with unit vectors, of a scene on one rank."""
+    A = np.column_stack([dual.apply(unit) for unit in np.eye(len(dual.b))])
+    return 0.5 * (A + A.T)
+
+
+def on_one_rank(matrix: PETSc.Mat) -> csr_array:
+    """Return a matrix of one rank as a scipy matrix."""
+    return csr_array(matrix.getValuesCSR()[::-1], shape=matrix.size)
+
+
 def points_of(scene: Scene, operators: PairOperators) -> np.ndarray:
     """Return where the contact nodes of this rank are, (n, 3)."""
     points: np.ndarray = scene.V.tabulate_dof_coordinates()[operators.nodes]
     return points
+
+
+def linear_solution(a: Any, L: Any, bcs: list[Any], *, axisymmetric: bool = False) -> fem.Function:
+    """Return the displacement of bodies that nothing touches. Collective."""
+    with LinearSystem(a, L, bcs, axisymmetric=axisymmetric) as system:
+        u = fem.Function(system.space)
+        system.assemble_stiffness()
+        system.assemble_load()
+        with cholesky(system.K, {}, None) as solver:
+            solver.solve(system.f.x.petsc_vec, u.x.petsc_vec)
+    u.x.scatter_forward()
+    return u
+
+
+def direct_solver(matrix: PETSc.Mat) -> PETSc.KSP:
+    """Return MUMPS as PETSc runs it, nothing of the package in it. The caller destroys it."""
+    ksp = PETSc.KSP().create(matrix.comm)
+    ksp.setOperators(matrix)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+    return ksp

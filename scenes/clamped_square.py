@@ -12,8 +12,7 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.assembled import linear_solution
 from scenes.elasticity import elasticity, no_load
 from scenes.manufactured import norm
 
@@ -43,13 +42,8 @@ def clamped_square(
     near = np.minimum(x, 2.0 - x)
     mesh.geometry.x[:, :2] = 0.5 * np.where(x < 1.0, near**grading, 2.0 - near**grading)
     V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
-    a, u, plates = elasticity(V, 1.0, poisson), fem.Function(V), fem.Function(V)
+    a, plates = elasticity(V, 1.0, poisson), fem.Function(V)
     held = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1] * (1.0 - x[1]), 0.0))
     plates.interpolate(lambda x: np.stack([0.5 * x[1], -x[1]]))
-    with LinearSystem(a, no_load(V), [fem.dirichletbc(plates, held)]) as system:
-        system.assemble_stiffness()
-        system.assemble_load()
-        with cholesky(system.K, {}, None) as solver:
-            solver.solve(system.f.x.petsc_vec, u.x.petsc_vec)
-    u.x.scatter_forward()
+    u = linear_solution(a, no_load(V), [fem.dirichletbc(plates, held)])
     return a, u, norm(comm, ufl.action(ufl.action(a, u), u))

@@ -218,10 +218,13 @@ class DenseProblem(OneRank):
         return float(0.5 * x @ self.A @ x - x @ self.b)
 
     def natural_residual(self, x: np.ndarray, rho: float) -> float:
-        """|x - P(x - rho r)| / rho over its value at zero, unless that is zero; computed anew."""
-        lam = self.feasible_set
-        at = np.linalg.norm(x - brute_projection(lam, x - rho * (self.A @ x - self.b)))
-        zero = np.linalg.norm(brute_projection(lam, rho * self.b))
+        """|x - P(x - rho r)| / rho over its value at zero, unless that is zero; computed anew.
+
+        Bounds that depend on the pressure are those at x, and at zero.
+        """
+        here, none = (self.admissible.section(y) for y in (x, np.zeros_like(x)))
+        at = np.linalg.norm(x - brute_projection(here, x - rho * (self.A @ x - self.b)))
+        zero = np.linalg.norm(brute_projection(none, rho * self.b))
         return float(at / zero if zero > 0.0 else at)
 
 
@@ -288,6 +291,18 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
     )
     problem.feasible_set = problem.cones.section(np.zeros(lam.size))
     return problem
+
+
+def cones_over(lam: FeasibleSet, coefficient: float) -> FrictionCones:
+    """Cones with the bounds of the discs plus a coefficient times the pressure of their nodes.
+
+    The first discs and the first normal multipliers belong together.
+    """
+    count = len(lam.radius)
+    normal_of = np.full(count, -1)
+    normal_of[: len(lam.normal)] = lam.normal[:count]
+    coefficients, infinite = np.full(count, coefficient), np.full(count, np.inf)
+    return FrictionCones(lam, normal_of, lam.radius, coefficients, infinite)
 
 
 def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float) -> DenseProblem:

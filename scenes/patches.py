@@ -58,6 +58,11 @@ _TETRAHEDRA = (
 )  # fmt: skip
 
 
+def dim_of(kind: str) -> int:
+    """Return the dimension of cells of a kind."""
+    return 2 if kind in KINDS[:2] else 3
+
+
 def patch(
     comm: MPI.Comm,
     kind: str,
@@ -122,7 +127,7 @@ def patch(
         move: maps points (n, 3) of the blocks as described above to those of the mesh.
         axis: (3,) where the last axis went: the upper block presses against it.
     """
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     span = [(0.0, 1.0)] * (dim - 1) if span is None else list(span)
     R = np.eye(3)
     if turn is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx_tresca import ContactPair, Frictionless
 from scenes.boxes import Body, Map, Where, boxes
 from scenes.elasticity import elasticity, fixed, no_load
+from scenes.patches import dim_of
 from scenes.scene import Scene
 
 #: Tags of facets: faces of the block and the plate that touch, and those that are held.
@@ -77,7 +78,7 @@ def block_on_plate(comm: MPI.Comm, kind: str, name: str, n: int, degree: int = 1
         n: cells along the plate.
         degree: of the displacement.
     """
-    rim, dim = RIMS[name], 2 if kind in ("triangle", "quadrilateral") else 3
+    rim, dim = RIMS[name], dim_of(kind)
     start, end = (one + rim.shift / n for one in rim.span)
     wide = [(0.0, 1.0)] * (dim - 2)
     across = [(start, end), *(wide if rim.strip else [(start, end)] * (dim - 2))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -59,6 +59,10 @@ class RubberBlock:
     F: Any
     bcs: list[Any]
     push: fem.Constant
+
+    def but(self, **changes: Any) -> RubberBlock:
+        """Return the same with attributes of its pairs changed."""
+        return replace(self, scene=self.scene.but(**changes))
 
     def problem(self, **changes: Any) -> NonlinearContactProblem:
         """Return the problem; `changes` replace or add arguments. Collective."""

@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_tresca import Tresca
-from scenes.patches import patch
+from scenes.patches import dim_of, patch
 from scenes.scene import Scene
 
 #: Young's modulus of the upper block, and the slip bound over it.
@@ -40,7 +40,7 @@ def rubbing(
         young: modulus of the upper block; the lower one is twice as stiff.
         arguments: others of `patch`.
     """
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     given = {"friction": Tresca(BOUND * young), "young": (young, 2.0 * young), **arguments}
     scene = patch(comm, kind, degree, turn=turn, shift=shift, scale=scale, **given)
     R = np.eye(dim) if turn is None else np.asarray(turn)

@@ -13,6 +13,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, Coulomb
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, fixed, no_load
+from scenes.patches import dim_of
 from scenes.scene import Scene
 
 #: Tags of the lower and upper face of the slot, the bottom and the top.
@@ -45,7 +46,7 @@ def slot(
         across: divisions across; seven are along the last axis.
         degree: of the displacement.
     """
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     low, high = 0.5 * (1.0 - HEIGHT), 0.5 * (1.0 + HEIGHT)
 
     def solid(x: np.ndarray) -> np.ndarray:

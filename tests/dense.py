@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import clarabel
 import numpy as np
+from conic import conic_minimum
 from hypothesis import strategies as st
-from scipy.sparse import csc_array
 
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
@@ -61,17 +61,6 @@ def clarabel_minimum(
         else:
             block = np.vstack([np.zeros(lam.size), -identity[own]])
             add(block, np.r_[g / size, np.zeros(len(own))], clarabel.SecondOrderConeT(len(own) + 1))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    solver = clarabel.DefaultSolver(
-        csc_array(np.triu(A)),
-        -b / size,
-        csc_array(np.vstack(rows)),
-        np.concatenate(right),
-        cones,
-        settings,
-    )
-    solution = solver.solve()
+    solution = conic_minimum(A, -b / size, rows, right, cones, tolerance)
     assert str(solution.status) in ("Solved", "AlmostSolved"), solution.status
     return size * np.array(solution.x)[: lam.size]

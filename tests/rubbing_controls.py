@@ -11,6 +11,8 @@ from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactForce,
+    ContactProblem,
+    ContactSolution,
     Coulomb,
     Frictionless,
     MeanPressure,
@@ -21,6 +23,9 @@ from dolfinx_tresca import (
 )
 from scenes.elasticity import elasticity
 from scenes.rubbing import rubbing
+
+#: Residual of the solves that differences are taken of.
+RTOL = 1e-12
 
 
 def values_of(control) -> np.ndarray:
@@ -56,6 +61,14 @@ def along(derivative, direction) -> float:
     index_map, size = derivative.x.index_map, derivative.x.block_size
     owned = index_map.size_local * size
     return index_map.comm.allreduce(float(derivative.x.array[:owned] @ direction[:owned]))
+
+
+def solved(problem: ContactProblem) -> ContactSolution:
+    """Return the solution of linear bodies for the present controls."""
+    problem.update_stiffness()
+    solution = problem.solve(rtol=RTOL)
+    solution.raise_if_failed()
+    return solution
 
 
 GOALS = [

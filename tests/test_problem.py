@@ -19,7 +19,6 @@ from dolfinx import fem
 from dolfinx_tresca import (
     ContactError,
     ContactProblem,
-    ContactState,
     ContactStatus,
     ConvergenceError,
     NormalForce,
@@ -114,22 +113,13 @@ def test_a_changed_slip_bound_is_seen(comm, kind):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("kind", ["function", "expression", "callable"])
-def test_a_bound_that_varies_is_taken_at_the_nodes(comm, kind):
+def test_a_bound_that_varies_is_taken_at_the_nodes(comm):
     """Where everything slips the traction is the bound at that node."""
 
     def values(x):
         return 1e-4 * (1.0 + x[0] + 2 * x[1])
 
-    scene = two_bricks(comm, 4)
-    mesh = scene.mesh
-    bound = {
-        "function": lambda: node_function(mesh, values),
-        "expression": lambda: values(ufl.SpatialCoordinate(mesh)),
-        "callable": lambda: values,
-    }[kind]()
-    pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
-    with scene.problem(pairs=[pair]) as problem:
+    with two_bricks(comm, 4).but(friction=Tresca(values)).problem() as problem:
         solution = problem.solve(rtol=RTOL)
     points, fields = surface_nodes_of(solution)
     traction = np.linalg.norm(fields["traction"], axis=1)
@@ -395,38 +385,6 @@ def ends():
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
-def test_contact_and_friction_laws_hold_in_the_fields(comm, ends, end):
-    """(38.2) and (38.3), node by node, to solver tolerance."""
-    _, solution = ends[end]
-    assert solution.status is ContactStatus.CONVERGED
-    _, fields = surface_nodes_of(solution)
-    pressure, gap, state = fields["pressure"], fields["gap"], fields["state"]
-    traction = np.linalg.norm(fields["traction"], axis=1)
-    slip = np.linalg.norm(fields["slip"], axis=1)
-    # jumps err by the residual, rtol of a displacement; stresses by that over the compliance
-    length = 1e3 * RTOL * comm.allreduce(np.abs(solution.u.x.array).max(), op=max)
-    stress = 1e4 * RTOL * comm.allreduce(pressure.max(initial=0.0), op=max)
-    assert pressure.min(initial=0.0) >= 0.0
-    assert gap.min(initial=0.0) >= -length
-    assert np.abs(np.minimum(pressure / stress, gap / length)).max(initial=0.0) <= 1.0
-    assert traction.max(initial=0.0) <= SLIP_BOUND * (1 + 100 * EPS)
-    below = traction < SLIP_BOUND - stress
-    assert slip[below].max(initial=0.0) <= length
-    # slip points along the traction
-    cosine = np.einsum("ni,ni->n", fields["traction"], fields["slip"])
-    clear = slip > 1e3 * length
-    assert (cosine[clear] >= (1 - 1e-4) * traction[clear] * slip[clear]).all()
-    touching = state >= ContactState.PRESSED
-    assert touching[pressure > stress].all()
-    assert comm.allreduce(int(touching.sum())) == solution.counts.contact
-    sticking = state == ContactState.STICK
-    assert comm.allreduce(int(sticking.sum())) == solution.counts.contact_stick
-    assert comm.allreduce(len(state)) == solution.counts.nodes == 36
-    assert solution.counts.slip == solution.counts.nodes - solution.counts.stick
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
 def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
     """K u - f, assembled without supports, is zero but at supports and contact nodes.
 
@@ -646,15 +604,6 @@ def test_options_of_one_solve_do_not_stay(comm):
         assert problem.solve().options == options
         # whichever is asked for last decides
         assert problem.solve(accuracy=1e-2).options.rtol is None
-
-
-@pytest.mark.parallel
-def test_problems_can_be_built_many_times(comm):
-    """PETSc objects are freed: as many communicators as MPI has would be used up otherwise."""
-    scene = two_bricks(comm, 2)
-    for _ in range(30):
-        with scene.problem() as problem:
-            problem.solve(rtol=1e-6)
 
 
 @pytest.mark.parallel

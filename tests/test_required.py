@@ -7,14 +7,11 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-import numpy as np
-import pytest
-
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from harness.factorisations import Factorisations
 
 import dolfinx_tresca.dual.products.compliance
-from dolfinx_tresca import Bonded, ContactPair, Frictionless, RigidPlane, Tresca
+from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca
 from scenes.patches import patch
 from scenes.two_bricks import bricks_problem, two_bricks
 
@@ -27,21 +24,6 @@ def multipliers(comm, problem) -> int:
 def entries(problem) -> int:
     """Of N and T together."""
     return int(problem._contact.jump.matrix.getInfo(2)["nz_used"])  # 2: of all ranks
-
-
-@pytest.mark.parametrize(
-    ("kind", "friction", "per_node"),
-    [
-        ("tetrahedron", Tresca(1.0), 3),
-        ("tetrahedron", Frictionless(), 1),
-        ("tetrahedron", Bonded(), 3),
-        ("triangle", Tresca(1.0), 2),
-        ("triangle", Frictionless(), 1),
-    ],
-)
-def test_multipliers_of_a_node(comm, kind, friction, per_node):
-    with patch(comm, kind, friction=friction).problem() as problem:
-        assert multipliers(comm, problem) == per_node * problem.contact_nodes
 
 
 def test_a_mixed_scene_has_the_sum(comm):
@@ -75,16 +57,6 @@ def test_an_obstacle_has_one_side(comm):
         mortar = entries(problem) / multipliers(comm, problem)
     assert 2 * obstacle <= matching
     assert mortar > matching / rows
-
-
-def test_surfaces_out_of_reach_carry_no_multiplier(comm):
-    scene = patch(comm, "tetrahedron", friction=Tresca(1.0), span=[(0.0, 1.5), (0.0, 1.0)])
-    with scene.problem() as problem:
-        near = problem.contact_nodes
-    upper = comm.allreduce(
-        int((np.abs(scene.V.tabulate_dof_coordinates()[:, 2] - 1.0) < 1e-9).sum()), op=MPI.SUM
-    )
-    assert 0 < near < upper
 
 
 def test_one_factorisation_for_any_number_of_solves(comm):

@@ -1,4 +1,4 @@
-"""Comparison of the arguments of collective calls between the ranks, before their bodies run."""
+"""Comparison of the arguments of collective functions between the ranks, before a function runs."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ from dolfinx_tresca.errors import InputError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Number of entries up to which the values of an array are compared: points and directions are
-#: compared; larger arrays, such as fields, are not.
+#: Largest number of entries of an array whose values are compared between the ranks. Points and
+#: directions are compared; larger arrays, such as fields, are not.
 MAX_COMPARED_VALUES = 16
 
-#: Communicators of comparisons, one for each group of processes; the list ends with the one that
-#: was used last, which serves calls whose wrong arguments have no communicator.
+#: Communicators for the comparisons, one for each group of processes. The last entry is the
+#: communicator that was used last. It serves calls whose arguments are wrong and have no
+#: communicator.
 _comms: list[MPI.Comm] = []
 
-#: Name of an argument, or of a part of an argument -> text that must be equal on all ranks.
+#: Maps the name of an argument, or of a part of an argument, to a text that must be equal on all
+#: ranks.
 Texts = dict[str, str]
 
 
@@ -46,15 +48,16 @@ def collective(
 
     The body may then check values without communication, since all ranks get the same result. Data
     that differ between the ranks by design, such as the values of a Function, are not compared. The
-    comparison costs one reduction of five integers, and nothing on one rank. A rank whose arguments
-    have no communicator, since they are wrong, compares them with the processes of its last
+    comparison costs one reduction of five integers, and nothing on one rank. If the arguments of a
+    rank are wrong and have no communicator, the rank compares them with the processes of its last
     collective call.
 
     Args:
         comm: function that is given a mapping name -> argument and returns the communicator, or
             None if no argument has a communicator; the body must then raise an error.
         ignored: names of arguments that may differ between the ranks.
-        extra_values: function that takes `self` and returns name -> further value that must agree.
+        extra_values: function that takes `self` and returns a mapping name -> further value that
+            must agree between the ranks.
     """
 
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -114,8 +117,8 @@ def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    It is the communicator of the first argument that has a mesh; arguments without a mesh, which
-    may be wrong, are passed over.
+    The function returns the communicator of the first argument that has a mesh. Arguments without a
+    mesh, which may be wrong, are passed over.
     """
 
     def find(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -141,9 +144,9 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:
     """Call a function of the user; an exception on one rank is raised on all ranks.
 
-    The function may make collective calls of this package. If it raises on one rank, the other
-    ranks receive the exception in their next collective call of this package. Ranks that wait in a
-    collective call of another library do not receive it.
+    The function may make collective calls of this package. If it raises an exception on one rank,
+    the other ranks receive the exception in their next collective call of this package. Ranks that
+    wait in a collective call of another library do not receive the exception.
 
     Collective.
 
@@ -184,7 +187,7 @@ def check_agreement(
         error: an exception of this rank, which is raised on all ranks; None if there is none.
 
     Raises:
-        BaseException: the exception of the lowest rank that has one.
+        BaseException: the exception of the lowest rank that has an exception.
         InputError: the ranks are in different calls, or a value differs between them.
     """
     comm = _comm_of_group(comm)
@@ -310,18 +313,18 @@ class _Description:
         return f"an object of type {type(value).__name__}"
 
     def _form(self, form: ufl.Form) -> str:
-        """Return the spaces of a form, the values of its constants and its signature."""
+        """Return a text with the spaces, the constants and the signature of a form."""
         spaces = [self._space(one.ufl_function_space()) for one in form.arguments()]
         constants = [np.asarray(getattr(one, "value", None)).tolist() for one in form.constants()]
         try:
             signature = form.signature()[:8]
-        except Exception:  # DOLFINx reports an invalid form when it compiles it
+        except Exception:  # DOLFINx reports an invalid form when it compiles the form
             signature = "none"
         with_constants = f", constants {constants}" if constants else ""
         return f"a form on {' and '.join(spaces)}{with_constants}, signature {signature}"
 
     def _space(self, V: Any) -> str:
-        """Return the number, the element and the mesh of a function space."""
+        """Return a text with the number, the element and the mesh of a function space."""
         if V not in self._spaces:
             self._spaces.append(V)
         mesh = self._mesh(V.mesh) if hasattr(V, "mesh") else "none"

@@ -15,23 +15,25 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 #: A matrix, dense or sparse.
 Matrix: TypeAlias = Array | csr_array
 
-#: Integer types of DOLFINx that number nodes, cells, facets or rows: locally on one rank, and
-#: globally over all ranks or in the mesh file.
+#: Integer types with which DOLFINx numbers nodes, cells, facets or rows. Local numbers are those on
+#: one rank; global numbers are those over all ranks, or in the mesh file.
 LocalNumbers: TypeAlias = npt.NDArray[np.int32]
 GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 
-#: Lower bound that is imposed on divisors and on arguments of logarithms: below any length,
-#: stiffness, energy or barrier of a scene in any units, and its reciprocal does not overflow.
+#: Lower bound that is imposed on divisors and on arguments of logarithms. It is smaller than any
+#: length, stiffness, energy or barrier of a scene in any units, and its reciprocal does not
+#: overflow.
 LEAST_DIVISOR = 1e-300
 
-#: Largest difference of two numbers that counts as rounding, divided by the sum of the absolute
-#: values of the terms from which the numbers are computed: the error of some hundred operations.
-#: Doubling or halving it changes no status and no number of products (benchmarks/ablation.py).
+#: The difference of two numbers counts as rounding up to this multiple of the sum of the absolute
+#: values of the terms from which the numbers are computed. This multiple is the rounding error of
+#: some hundred operations. Doubling or halving it changes no status and no number of products
+#: (benchmarks/ablation.py).
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 
 def scaled_rows(matrix: csr_array, factors: Array) -> csr_array:
-    """Return a matrix (n, m) with each row times its factor (n,)."""
+    """Return a matrix (n, m) whose rows are multiplied by factors (n,)."""
     values = matrix.data * np.repeat(factors, np.diff(matrix.indptr))
     return csr_array((values, matrix.indices, matrix.indptr), matrix.shape)
 

@@ -32,7 +32,7 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
-    """Yield a temporary path to write to, and move what was written to `path` afterwards.
+    """Yield a temporary path to write to; after the block, move the written files to `path`.
 
     The temporary path has the same name, in a new folder beside `path`. At the end of the block all
     files in the new folder are moved to the folder of `path`; after an exception no file is moved.
@@ -43,8 +43,8 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
         path: the file or folder that the block writes; the block may write further files beside
             the temporary path.
         room: upper bound of the size of all files together [bytes]. The free space is checked
-            here, since libraries crash on a full disk: VTK by a segmentation fault, HDF5 and
-            ADIOS2 abort or hang.
+            before the block, since libraries crash on a full disk: VTK ends with a segmentation
+            fault; HDF5 and ADIOS2 abort or hang.
 
     Raises:
         InputError: files cannot be written to the folder of `path`.

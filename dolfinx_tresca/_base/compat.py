@@ -17,7 +17,7 @@ from dolfinx.cpp.fem import DirichletBC_float64
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca.errors import ContactError
 
-# DOLFINx 0.10 renamed io.gmshio to io.gmsh; model_to_mesh returns a record, not a 3-tuple.
+# DOLFINx 0.10 renamed io.gmshio to io.gmsh, and its model_to_mesh returns a record, not a 3-tuple.
 try:
     import dolfinx.io.gmsh as _gmsh_reader
 except ImportError:
@@ -52,7 +52,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]
     )
 
 
-# DOLFINx 0.11 requires the largest number of cells at a facet.
+# The partitioner of DOLFINx 0.11 has a further argument: the largest number of cells at a facet.
 try:
     dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none)
     _CELLS_AT_FACET: tuple[int, ...] = ()
@@ -65,8 +65,8 @@ def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -
 
     Args:
         comm: the communicator.
-        cells: (n, k) geometry nodes of the cells that this rank brings.
-        x: coordinates of the geometry nodes that this rank brings [length].
+        cells: (n, k) geometry nodes of the cells that this rank contributes.
+        x: coordinates of the geometry nodes that this rank contributes [length].
         domain: coordinate element.
         ghosts: whether each rank also gets the cells that share a facet with its own cells.
     """
@@ -82,9 +82,9 @@ EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return the submesh of `entities`, its geometry nodes' numbers in `mesh`, and entity maps.
+    """Return the submesh of `entities`, the numbers of its geometry nodes in `mesh`, and the maps.
 
-    Forms on the parent mesh that hold Functions on the submesh need the entity maps.
+    Forms on the parent mesh that hold Functions on the submesh need these entity maps.
     """
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     if not isinstance(cells, np.ndarray):
@@ -111,12 +111,12 @@ def same_topology(tags: Any, mesh: Any) -> bool:
 
 
 def _same(first: Any, second: Any) -> bool:
-    """Return whether two topologies are the same; since 0.10 some are wrapped in Python."""
+    """Return whether two topologies are the same; since DOLFINx 0.10 some have a Python wrapper."""
     return getattr(first, "_cpp_object", first) is getattr(second, "_cpp_object", second)
 
 
 def with_one_tag(tags: Any, some: Mask, tag: int) -> Any:
-    """Return tags of some of the tagged entities, chosen by a mask (n,), all with one tag."""
+    """Return new tags: the tagged entities that a mask (n,) selects, all with the same tag."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
     entities = tags.indices[some]
     values = np.full(len(entities), tag, dtype=np.int32)
@@ -147,7 +147,7 @@ def prescribed_function(bc: Any, kind: type) -> Any:
         kind: a subclass of `fem.Function`.
     """
     value = bc.g
-    # isinstance would import lazy modules, of which there may be some among all objects
+    # isinstance would import lazy modules, if there are any among the objects
     found = (one for one in gc.get_objects() if issubclass(type(one), kind))
     return next((one for one in found if getattr(one, "_cpp_object", None) is value), value)
 
@@ -163,7 +163,7 @@ def geometry_dofmap(mesh: Any) -> LocalNumbers:
 
 
 def collapse(space: Any) -> tuple[Any, LocalNumbers]:
-    """Collapse a subspace; return it and its degrees of freedom in the parent space."""
+    """Return the collapsed copy of a subspace, and its degrees of freedom in the parent space."""
     V, dofs = space.collapse()  # in 0.11 dofs is a list of arrays, one for each type of cell
     return V, np.asarray(dofs, dtype=np.int32).ravel()
 

@@ -17,7 +17,7 @@ _logger = logging.getLogger("dolfinx_tresca")
 def deprecated(replacement: str) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Decorate a function that users should not call any more: each call warns. Not collective.
 
-    The warning is a `DeprecationWarning`, and a warning in the log as well: DOLFINx 0.9 redirects
+    Each call issues a `DeprecationWarning` and also logs a warning, since DOLFINx 0.9 redirects
     Python's warnings to a logger that prints nothing.
 
     Args:

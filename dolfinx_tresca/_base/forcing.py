@@ -6,20 +6,21 @@ their definition that says why they differ.
 
 from __future__ import annotations
 
-#: Error of an inner problem, divided by the error, or the change, of the outer problem. It limits
-#: the error of a product divided by the step, the error of the last gradient divided by the
-#: requested error, and the residual of a model's solution divided by the tolerance. With twice this
-#: value the scenes of benchmarks/ablation.py take 3 % more products and 9 % fewer Krylov
-#: iterations; with half of it 4 % fewer products and 1 % more Krylov iterations.
+#: Largest accepted error of an inner problem, relative to the error or the change of the outer
+#: problem. The constant limits three ratios: the error of a product to the step, the error of the
+#: last gradient to the requested error, and the residual of a model's solution to the tolerance.
+#: With twice this value the scenes of benchmarks/ablation.py take 3 % more products and 9 % fewer
+#: Krylov iterations; with half of it they take 4 % fewer products and 1 % more Krylov iterations.
 FORCING = 0.1
 
-#: Relative error of quantities that only decide between alternatives, or scale other quantities.
-#: Doubling or halving it changes numbers of products in benchmarks/ablation.py by one at most.
+#: Relative error that is requested of quantities that only decide between alternatives, or scale
+#: other quantities. Doubling or halving it changes numbers of products in benchmarks/ablation.py by
+#: one at most.
 ROUGH = 1e-3
 
-#: Largest accepted ratio of an error to the requested error. It is above 1, since rounding differs
-#: between the evaluation that ended an iteration and a later one. With twice or half the distance
-#: from 1 no number of products changes.
+#: Largest accepted ratio of an error to the requested error. It is above 1, since the evaluation
+#: that ended an iteration and a later evaluation differ by rounding. If its distance from 1 is
+#: doubled or halved, no number of products changes.
 SLACK = 1.01
 
 #: Relative error, in the energy norm, that is requested where only rounding errors are allowed.

@@ -12,7 +12,7 @@ UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
 def fill(text: str, first: str = "", further: str = "  ") -> str:
-    """Break a text into lines; `first` precedes the first line, `further` each of the others."""
+    """Break a text into lines; `first` precedes the first line, and `further` each further line."""
     lines = textwrap.fill(
         text,
         LINE_WIDTH,

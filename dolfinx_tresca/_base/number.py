@@ -11,8 +11,8 @@ import numpy as np
 def real(value: Any) -> float | None:
     """Convert a real number of any type to float; return None if the value is not a real number.
 
-    Scalars of numpy, fractions and arrays without dimensions, such as the value of a
-    `fem.Constant`, are numbers; bools are not.
+    Scalars of numpy, fractions and zero-dimensional arrays, such as the value of a `fem.Constant`,
+    are numbers; bools are not.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]

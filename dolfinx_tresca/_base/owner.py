@@ -18,10 +18,10 @@ _T = TypeVar("_T", bound="PetscOwner")
 class PetscOwner(ABC):
     """Base class of PETSc owners: `destroy()`, or the end of a `with` block, frees the objects.
 
-    `ContactError` is raised on all ranks together, so the objects are freed after it, too. If there
-    are several ranks, objects are left to petsc4py after any other exception: freeing them is
-    collective and would wait for ranks that may not have raised the exception, so that nobody would
-    ever see it.
+    A `ContactError` is raised on all ranks together, so the objects are freed after it, too. After
+    any other exception on several ranks the objects are left to petsc4py. Freeing them is
+    collective: it would wait for ranks that may not have raised the exception, and the exception
+    would never be shown.
     """
 
     @property
@@ -48,8 +48,8 @@ def free_unused(comm: MPI.Comm) -> None:
     collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
 
     Args:
-        comm: the communicator of the objects; for objects on a mesh `mesh.comm`, which is a
-            duplicate of the communicator that the mesh was made with.
+        comm: the communicator of the objects. Objects on a mesh have the communicator `mesh.comm`,
+            which is a duplicate of the communicator that the mesh was made with.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)

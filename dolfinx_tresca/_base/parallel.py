@@ -22,7 +22,8 @@ from dolfinx_tresca._base.lines import fill
 
 _logger = logging.getLogger("dolfinx_tresca")
 
-#: Warnings (message, subject) logged within `each_warning_once`; None outside of it.
+#: Warnings (message, subject) logged so far in a block of `each_warning_once`; None outside of such
+#: a block.
 _logged_warnings: ContextVar[set[tuple[str, str]] | None] = ContextVar(
     "_logged_warnings", default=None
 )
@@ -32,7 +33,7 @@ _logged_warnings: ContextVar[set[tuple[str, str]] | None] = ContextVar(
 def each_warning_once() -> Iterator[None]:
     """Log each warning of the enclosed block only once, whatever numbers the message contains.
 
-    It serves functions that solve one problem on many meshes. Not collective.
+    This context manager serves functions that solve one problem on many meshes. Not collective.
     """
     token = _logged_warnings.set(set())
     try:
@@ -68,15 +69,15 @@ def log(
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     """Raise on every rank an exception that the enclosed block raised on any rank.
 
-    Otherwise the remaining ranks would wait for ever in their next collective call. The block
+    Without this the remaining ranks would wait for ever in their next collective call. The block
     itself must not communicate, since a rank that has raised takes no part in communication.
 
     Collective: all ranks enter and leave together.
 
     Raises:
         BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included; on a
-            rank that has none, the exception of the lowest rank that failed, or a RuntimeError with
-            the message of this exception if it cannot be pickled.
+            rank without an exception, the exception of the lowest rank that failed, or a
+            RuntimeError with the message of this exception if it cannot be pickled.
     """
     error: BaseException | None = None
     try:
@@ -140,7 +141,7 @@ def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Reductions over the ranks, for vectors that are distributed over them.
+    """Reductions over the ranks for distributed vectors.
 
     All methods are collective.
     """
@@ -154,7 +155,7 @@ class RankReductions:
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y, summed over all ranks, for x and y (size,) or (size, k). Collective.
 
-        Either may be sparse.
+        Both x and y may be sparse.
         """
         product: Any = x.T @ y
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
@@ -165,7 +166,7 @@ class RankReductions:
         return sum(others, start=first)
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x, so that ranks decide alike where x differs by rounding."""
+        """Return the first rank's x on all ranks, since x may differ by rounding. Collective."""
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:

@@ -36,7 +36,7 @@ def nodes_of_vertices(V: Any) -> LocalNumbers:
 def numbers_in_file(V: Any) -> GlobalNumbers:
     """Return for each node of V the number of its vertex in the mesh file. Not collective.
 
-    The numbers do not depend on the degree of V, nor on the partition, unless the mesh was refined.
+    If the mesh was not refined, the numbers depend neither on the degree of V nor on the partition.
     Nodes that are not at vertices have the number 0.
     """
     index_map, vertices = V.dofmap.index_map, entities_per_cell(V, 0)

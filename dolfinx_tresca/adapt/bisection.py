@@ -21,7 +21,7 @@ from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.adapt.shared_nodes import SharedNodes
 
-#: Motion of nodes, relative to the shortest edge, that makes edges of equal length differ.
+#: Range of the shifts of nodes, relative to the shortest edge, that make equal edge lengths differ.
 MOVED = 1e-5
 
 
@@ -37,8 +37,8 @@ class BisectedCells:
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
-        ends: (nodes, 2) for the middle of an edge the two ends of the edge, for a corner twice the
-            corner itself, as numbers that the mesh's nodes had at its creation.
+        ends: (nodes, 2) the two ends of the edge of which the node is the middle; for a corner,
+            twice the corner itself. Numbers are those of the nodes at the mesh's creation.
         shared: numbering of the nodes over all ranks.
     """
 
@@ -126,7 +126,7 @@ class BisectedCells:
     def inherited_facets(
         self, mesh: Any, tags: Any
     ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
-        """Return the nodes (m, d) and tags (m,) of all facets of the cells that get a tag.
+        """Return the nodes (m, d) and tags (m,) of the facets of the cells that inherit a tag.
 
         A facet inside a tagged facet of `mesh` gets this tag. A facet between two cells occurs
         twice. Not collective.
@@ -152,8 +152,9 @@ class BisectedCells:
 def _without_ties(mesh: Any) -> Iterator[Array]:
     """Move the nodes of a mesh slightly within a `with` block; yield the moved coordinates.
 
-    Of edges of equal length DOLFINx cuts the first one on a rank. After the motion the lengths
-    differ, in the same way on all ranks and for any partition. Collective.
+    Among edges of equal length DOLFINx cuts the first one in the numbering of a rank, which depends
+    on the partition. After the motion all lengths differ, in the same way for any partition.
+    Collective.
     """
     x = mesh.geometry.x
     start = x.copy()
@@ -185,7 +186,7 @@ def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.in
 
 
 def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
-    """Return twice the barycentric coordinates (n, k, d + 1) of points, which are whole numbers.
+    """Return the barycentric coordinates (n, k, d + 1) of points, times 2: whole numbers.
 
     Args:
         corners: (n, d + 1, d) corners of simplices.

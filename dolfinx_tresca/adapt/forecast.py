@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dolfinx_tresca.adapt.levels import Level
 
 #: Approximate number of cells that a refinement adds for each marked cell, by dimension; most of
-#: the added cells avoid hanging nodes. Measured with half of the squared error marked: on Hertz's
-#: line contact 4.4 to 6.2, on the two bricks 2.6 to 4.8.
+#: the added cells avoid hanging nodes. Measured with marked cells that have half of the squared
+#: error: on Hertz's line contact 4.4 to 6.2, on the two bricks 2.6 to 4.8.
 ADDED = {2: 5.0, 3: 4.0}
 
 #: Assumed power of 1/n, for n unknowns, with which the error falls from the first mesh to the

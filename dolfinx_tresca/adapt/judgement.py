@@ -15,7 +15,7 @@ from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import ContactStatus
 
-#: Least relative energy error that is requested for the error of a goal.
+#: Least relative energy error to which a problem is solved again for the error of a goal.
 LEAST_ACCURACY = 1e-10
 
 
@@ -25,9 +25,9 @@ class Judgement:
 
     Attributes:
         solution: solution on the mesh, accurate enough for the goal.
-        error: relative error; infinite if unknown. It is the energy error if a goal does not depend
-            on the displacement, such as the pressure on an open patch, which smaller cells may
-            close.
+        error: relative error; infinite if unknown. It is the error of the goal, or the energy error
+            if there is no goal, or if the goal does not depend on the displacement. An example is
+            the pressure on a patch that is open on this mesh, and may close with smaller cells.
         cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
         products: total number of applications of A.
         goal_error: error of the goal, if there is one.
@@ -55,7 +55,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     found = problem.goal_error(goal)
     products += found.products
     wanted = FORCING * found.error
-    if wanted < found.iteration_error < math.inf:  # infinite if rows are dependent
+    if wanted < found.iteration_error < math.inf:  # infinite if rows of B are dependent
         # errors of the iteration are of first order in a goal, but of second order in the energy
         part = wanted / found.iteration_error
         accuracy = max(part * solution.energy_error_bound, LEAST_ACCURACY)

@@ -75,10 +75,10 @@ class Level:
 
 @dataclass(frozen=True)
 class AdaptiveSolution(Tabulated):
-    """The solutions on all meshes, and the reason for the end.
+    """The solutions on all meshes, and the reason why no finer mesh followed.
 
     Attributes:
-        status: why no finer mesh followed.
+        status: the reason why no finer mesh followed.
         accuracy: the requested accuracy.
         levels: all meshes with their solutions, from coarse to fine.
     """

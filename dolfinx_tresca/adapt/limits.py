@@ -79,8 +79,8 @@ class Limits:
             number: number of the mesh; the first is 0.
             free_dofs: number of unknowns of the mesh.
             seconds: expected time of the solve [s].
-            growth: ratio of `free_dofs` to the number on the last mesh; memory is assumed to grow
-                by the same factor.
+            growth: `free_dofs` divided by the number of unknowns of the last mesh; memory is
+                assumed to grow by the same factor.
         """
         if number >= self.max_levels:
             return AdaptiveStatus.MAX_LEVELS

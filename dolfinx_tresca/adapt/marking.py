@@ -18,8 +18,8 @@ TIE = 1e-9
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
-    The marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation), except
-    that all cells are marked whose errors equal the least marked error.
+    This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
+    except that all cells whose errors equal the least marked error are marked, too.
 
     Args:
         comm: the ranks.

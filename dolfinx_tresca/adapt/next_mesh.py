@@ -29,8 +29,8 @@ ENOUGH = 0.85
 #: Least factor by which `fraction` is multiplied if fewer cells are enough.
 LEAST_PART = 0.3
 
-#: If a mesh that a forecast allowed is larger than its limit, it is used up to this ratio of the
-#: sizes.
+#: A mesh that was made because its forecast was within the limits may be larger than forecast. It
+#: is used if it exceeds no limit by more than this factor.
 OVERSHOOT = 1.1
 
 
@@ -95,7 +95,7 @@ class Refinement:
 
 
 def step_of(growth: float) -> float:
-    """Return the growth of one of several equal refinements that have a given growth together.
+    """Split a total growth into several equal refinements, and return the growth of one of them.
 
     The result is close to `GROWTH`: equal refinements avoid a small refinement at the end.
     """

@@ -43,10 +43,11 @@ def refine(
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
-    The edges of the triangles, or the longest edges of the tetrahedra, with the largest errors are
-    bisected, and further edges as needed to leave no hanging nodes. (For the same error, cutting
-    all edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, with degree 1 and 2;
-    cutting only the longest edges of triangles takes 1.3 times as many in Hertz's line contact.)
+    In the cells with the largest errors all edges of triangles, or the longest edges of tetrahedra,
+    are bisected, and further edges as needed to leave no hanging nodes. (For the same error,
+    cutting all edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, with degree
+    1 and 2; cutting only the longest edges of triangles takes 1.3 times as many in Hertz's line
+    contact.)
     New cells and facets have the tags of the cells and facets that contain them. The new mesh is
     distributed over the ranks anew, with ghost cells if the old mesh had some; on any number of
     ranks it is the same up to its numbering. The old mesh is unchanged, and stays in memory as long
@@ -61,11 +62,12 @@ def refine(
             together are refined. With a small part few cells are cut each time, and there are more
             meshes to solve on. With 1 all edges of all cells are bisected, which is uniform
             refinement.
-        snap: for facets of a curved surface, by the name or number of their tag, a function from
-            points (3, n) to the nearest points (3, n) on the surface [length], to which the nodes
-            of these facets move. New nodes on other facets stay on the old flat facets. None: if
-            `read_gmsh` made the mesh from a `.geo` file, all curved surfaces of this file, with the
-            projections of Gmsh, which opens the file again on each rank. {}: no node moves.
+        snap: curved surfaces, as a mapping from the name or number of a tag of facets to a function
+            from points (3, n) to the nearest points (3, n) on the surface [length]. The nodes of
+            these facets move to the nearest points. New nodes on other facets stay on the old flat
+            facets. None: if `read_gmsh` made the mesh from a `.geo` file, nodes move to all curved
+            surfaces of this file, by projections of Gmsh, which opens the file again on each rank;
+            otherwise no node moves. {}: no node moves.
 
     Raises:
         InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
@@ -282,7 +284,9 @@ def check_type(tagged_mesh: Any) -> None:
 
 
 def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
-    """Check that cells can be bisected, and that tags are of cells and facets. Not collective.
+    """Check that cells can be bisected, and that the tags belong to cells and to facets.
+
+    Not collective.
 
     Raises:
         InputError: the cells cannot be bisected, or tags are of entities of another dimension.

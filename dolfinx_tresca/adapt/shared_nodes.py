@@ -14,8 +14,8 @@ from dolfinx_tresca._base.exchange import exchange
 class SharedNodes:
     """Nodes with keys: a node has the same key on all ranks that have the node.
 
-    Each key determines one rank, its keeper. All ranks that have the key send their messages to the
-    keeper.
+    Each key determines one rank, its keeper. All ranks that have the node send their messages about
+    it to the keeper.
 
     Attributes:
         numbers: (n,) numbers of this rank's nodes: 0, 1, ... over all ranks, in the order of their

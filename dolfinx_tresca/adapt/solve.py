@@ -96,15 +96,16 @@ def solve_adaptively(
             conditions and pairs as in an ordinary script. This call destroys the problems.
         tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere; but
             gaps and interferences of curved surfaces have an error of about a hundredth of the
-            distance between surface and flat facets.
+            distance between the surfaces and their flat facets.
         accuracy: wanted relative error of the displacement in the energy norm, in (0, 1). It is
             judged by an estimate (`ContactSolution.discretisation_error`), not a bound.
-        goal: a number, such as `NormalForce()`, whose relative error (`ContactProblem.goal_error`)
-            counts instead, and for which cells are refined. The iteration then continues until its
-            part of this error is small, too. If the patch of a `MeanPressure` or `MeanSlip` has no
-            contact node, cells there are refined before the first solve.
-        fraction: part of the sum of squared errors that the cells of each cut have; see `refine`.
-            For the last cut it may be less.
+        goal: a number, such as `NormalForce()`. Its relative error (`ContactProblem.goal_error`)
+            then replaces the energy error: it is compared with `accuracy`, and cells are refined
+            for it. The iteration continues until the iteration's part of this error is small, too.
+            If the patch of a `MeanPressure` or `MeanSlip` has no contact node, cells at the patch
+            are refined before the first solve.
+        fraction: part of the sum of squared errors that the cells marked for a cut have together;
+            see `refine`. For the last cut it may be less.
         snap: projections to curved surfaces; see `refine`.
         max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the following limits
             are compared with forecasts before a mesh is made.

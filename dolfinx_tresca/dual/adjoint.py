@@ -5,9 +5,10 @@ along their circles, which grow with the pressure if the law says so) a solution
 
     K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
-with the projection P onto the face, the curvature C of the circles, and the slope of the bounds in
-Q. If the load changes by df, the offsets (d; s) by do, and the radii of the circles by dg along the
-unit vectors n of their multipliers, the tangent (du, dx) obeys
+where P projects onto the face, C is the curvature of the circles, and Q contains the slope of the
+slip bounds. If the load changes by df, the offsets (d; s), which are gaps and slip origins, by do,
+and the radii of the circles by dg along the unit vectors n of their multipliers, the tangent
+(du, dx) obeys
 
     K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
 
@@ -15,14 +16,14 @@ For a goal q_u'u + q_x'x the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-For Q = 0 both systems have the same matrix; bounds that follow the pressure make it unsymmetric.
-The goal changes by z'df + y'do + (q_x - B z)'n dg, and its error is
+For Q = 0 both systems have the same matrix; slip bounds that follow the pressure make it
+unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. Its discretisation error is
 a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
-estimation in finite element methods, 2001), plus a term of order h^2, for any degree, from nodes
-that change their state: at the distance r from the edge of a contact zone y grows like r^(-1/2).
-If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact forces balance the
-load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with other right-hand
-sides.
+estimation in finite element methods, 2001), plus a term from nodes that change their state. This
+term is of order h^2 for elements of any degree: at the distance r from the edge of a contact zone,
+y grows like r^(-1/2). If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact
+forces balance the load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with
+other right-hand sides.
 """
 
 from __future__ import annotations
@@ -52,19 +53,20 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 #: adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
 
-#: Residual of GCR, divided by the residual at the start, up to which it is rounding of products.
+#: The residual of GCR counts as rounding up to this multiple of the terms whose difference the
+#: right-hand side is.
 RESIDUAL_ROUNDING = 1e-10
 
-#: Residual of the equations of equilibrium, divided by the size of the data (derivatives of the
-#: goal, or changes of the load), above which no adjoint or tangent exists.
+#: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this
+#: multiple of the size of the data (derivatives of the goal, or changes of the load).
 UNMET = 1e-6
 
 #: Error of z that an iterative solver for K may leave, divided by the tolerable error of y, both in
 #: the energy norm.
 SHARE = 0.03
 
-#: Distance of a traction from another contact state, divided by the largest traction, up to which
-#: its node counts as at the edge of its state, even if the solution is more accurate.
+#: A node counts as at the edge of its contact state if the distance of its traction from another
+#: state is at most this multiple of the largest traction, even if the solution is more accurate.
 EDGE = 1e-9
 
 #: State that is assumed for nodes that are about to change their state: as in the solution (None),
@@ -79,8 +81,9 @@ class LinearisedContact:
     Attributes:
         face: states of the nodes.
         curvature: (size,) diagonal of C, the curvature of the circles of slipping nodes.
-        with_bound_change: applies I + Q, with the change Q of slip bounds with the pressure.
-        with_bound_change_transpose: applies I + Q'.
+        with_bound_change: function that applies I + Q, with the change Q of slip bounds with the
+            pressure.
+        with_bound_change_transpose: function that applies I + Q'.
     """
 
     face: Face
@@ -171,8 +174,8 @@ class LinearisedContact:
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     """Return the rows and discs that are about to change their contact state. Collective.
 
-    Within the accuracy of the solution they may have either state, so that derivatives of goals are
-    one-sided.
+    Within the accuracy of the solution these rows and discs may have either state, so that
+    derivatives of goals are one-sided.
 
     Args:
         dual: the problem.
@@ -193,7 +196,7 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
 
 
 def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return whether the traction of each disc (n_discs,) equals the slip bound within its error.
+    """Return for each disc (n_discs,) whether its traction equals the slip bound within the error.
 
     Args:
         lam: Lambda.
@@ -240,14 +243,16 @@ def tangent(
     start = jump.contact_force(grown).copy()
     start.aypx(-1.0, force)
     followed = FollowedDisplacement.of(dual.compliance, start, w)
-    right = followed.solve_start() - offset
+    jump_at_start = followed.solve_start()
+    right = face.project(jump_at_start - offset)
+    terms = np.abs(jump_at_start) + np.abs(offset)
     missing, size = -dual.inner(constraints.columns, grown), norm(dual, grown)
     free = force.copy()
     free.array[jump.system.prescribed] = 0.0
     if dual.equilibrium is not None:
         resultant, largest = dual.equilibrium.resultants(free)
         missing, size = missing + resultant, size + largest
-    x, c = _solved(dual, state, False, followed, face.project(right), missing, accuracy)
+    x, c = _solved(dual, state, False, followed, right, terms, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, x) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * (size + norm(dual, x)):
         raise _none(False)
@@ -296,8 +301,10 @@ def adjoint(
     z = fem.Function(dual.jump.system.V, name="adjoint")
     u = z.x.petsc_vec
     followed = FollowedDisplacement.of(dual.compliance, force, u)
-    right = state.projected(followed.solve_start() - on_x)
-    y, c = _solved(dual, state, True, followed, right, missing, accuracy)
+    jump_at_start = followed.solve_start()
+    right = state.projected(jump_at_start - on_x)
+    terms = np.abs(jump_at_start) + np.abs(on_x)
+    y, c = _solved(dual, state, True, followed, right, terms, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
         raise _none(True)
@@ -316,19 +323,24 @@ def _solved(
     transpose: bool,
     followed: FollowedDisplacement,
     right: Array,
+    terms: Array,
     missing: Array,
     accuracy: float,
 ) -> tuple[Array, Array]:
     """Return multipliers y (size,) of the adjoint or the tangent, and c (k,). Collective.
 
-    For the adjoint (`transpose`) P (I + Q') ((A + C) y - G c) = right with y = P y; for the tangent
-    P ((A + C) y - G c) = right with y = (I + Q) P y. For both G'y + S c = missing. The maps P, Q
-    and C are those of the state, G and S those of the equilibrium of floating bodies.
+    They satisfy P (I + Q') ((A + C) y - G c) = right with y = P y for the adjoint (`transpose`),
+    and P ((A + C) y - G c) = right with y = (I + Q) P y for the tangent. In both cases
+    G'y + S c = missing. P, Q and C are maps of the contact state; G and S are matrices of the
+    equilibrium of floating bodies.
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, including products of this call. The second
     equation therefore holds from the first step on. The displacement is updated with y, so that the
     error of a product only has to be small compared with its step.
+
+    `terms` (size,) are the absolute values of the terms whose difference is `right`. If all nodes
+    slip, `right` may be nothing but the rounding error of these terms.
 
     Raises:
         ConvergenceError: no solution exists.
@@ -342,13 +354,13 @@ def _solved(
     images: Array = np.empty((len(right), 0))
     residual = right
     root, wanted = np.sqrt(weight), 0.0
-    whole = norm(dual, root * right)
+    rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
     for count in range(MOST_STEPS):
         maps = state.maps(model.diagonal, transpose)
         step_y, step_c = model.solve_between(maps, residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
-        if count and (size <= wanted or norm(dual, root * residual) <= RESIDUAL_ROUNDING * whole):
+        if count and (size <= wanted or norm(dual, root * residual) <= rounding):
             return step_y + found[: len(right)], step_c + found[len(right) :]
         product, error = followed.product(found[: len(right)], step_y, size)
         store.add(step_y, product, error)
@@ -368,7 +380,8 @@ def _solved(
         found, residual = found + length * step, residual - length * image
         followed.advance(length)
         model = store.model()
-    if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
+    accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
+    if norm(dual, root * residual) > max(accepted, rounding):
         raise _none(transpose)
     return found[: len(right)], found[len(right) :]
 

@@ -10,9 +10,10 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FULL_ACCURACY
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 
-#: Error of the displacement after a step, divided by the size of the step, both in the energy norm;
-#: the first step starts from zero. With twice the value, `FORCING`, derivatives of a rubbing block
-#: have an error of 1.2e-4 in place of 3e-5, since errors of products enter y.
+#: Requested error of the displacement after a step, divided by the size of the step, both in the
+#: energy norm; the first step starts from zero. With twice the value, which is `FORCING`,
+#: derivatives of a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors of products
+#: enter y.
 STEP_ACCURACY = 0.05
 
 
@@ -40,7 +41,7 @@ class FollowedDisplacement:
     def of(cls, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> FollowedDisplacement:
         """Return an object of the class that suits the solver for K. Not collective.
 
-        Arguments as in `__init__`.
+        The arguments are those of `__init__`.
         """
         kind = FollowedDisplacement if compliance.operator.exact else ImprovedDisplacement
         return kind(compliance, f, z)
@@ -92,7 +93,7 @@ class FollowedDisplacement:
         """Add `length` times the last step to z, unless z is computed at the end."""
 
     def end_at(self, y: Array, rtol: float) -> None:
-        """Solve for multipliers y (size,) near the present ones. Collective.
+        """Solve for z at multipliers y (size,) near the present multipliers. Collective.
 
         Args:
             y: multipliers.
@@ -103,17 +104,17 @@ class FollowedDisplacement:
 
 
 class ImprovedDisplacement(FollowedDisplacement):
-    """The displacement z by an iterative solver for K, which starts from the last z.
+    """The displacement z, computed by an iterative solver for K that starts from the last z.
 
-    The solver stops at an error that is a part of the step: as steps become smaller z becomes more
-    accurate, and all steps together cost little more than one accurate solve. (If each product had
-    the accuracy of the result instead, the derivatives of a goal on the two bricks with N = 16
+    The solver stops when the error is a given part of the step. As steps become smaller, z becomes
+    more accurate, and all steps together cost little more than one accurate solve. (If each product
+    had the accuracy of the result instead, the derivatives of a goal on the two bricks with N = 16
     would take 90 to 117 iterations of the solver for K in place of 33 to 40.) The product A s of a
     step s is the difference of two jumps B z. The change of z in each step is kept.
     """
 
     def __init__(self, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Begin with y = 0. Arguments as in `FollowedDisplacement`. Not collective."""
+        """Begin with y = 0. The arguments are those of `FollowedDisplacement`. Not collective."""
         super().__init__(compliance, f, z)
         self._step: Array = np.zeros(len(z.array))
         self._steps: list[Array] = []
@@ -132,7 +133,7 @@ class ImprovedDisplacement(FollowedDisplacement):
         return product, float(np.hypot(self._error, before))
 
     def combine(self, factors: Array, scale: float) -> None:
-        """Orthogonalise the last step. Arguments as in `FollowedDisplacement`. Not collective."""
+        """Orthogonalise the last step, see `FollowedDisplacement.combine`. Not collective."""
         for factor, step in zip(factors, self._steps, strict=True):
             self._step -= factor * step
         self._step *= scale

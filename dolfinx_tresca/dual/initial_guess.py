@@ -19,11 +19,12 @@ KEPT = 3
 class InitialGuess(PetscOwner):
     """First guesses of u = K^-1 (f - B'x) from displacements at a few multipliers x, called points.
 
-    The displacement without contact (x = 0) is kept, too. u is affine in x: at affine combinations
-    of the points it is known up to the errors of the kept displacements. These combinations include
-    all x along a step if the iteration gives the start of the step (`begin_at`). PETSc's `KSPGuess`
-    (Fischer 1998) would project onto earlier right-hand sides instead, which costs a product with K
-    for each of them; here the multipliers are projected.
+    The displacement without contact (x = 0) is kept, too. Since u is affine in x, u is known at
+    affine combinations of the points, up to the errors of the kept displacements. These
+    combinations include all x along a step if the iteration gives the start of the step
+    (`begin_at`). PETSc's `KSPGuess` (Fischer 1998) would project onto earlier right-hand sides
+    instead, which costs a product with K for each right-hand side; here the multipliers are
+    projected.
 
     Owns PETSc objects: call `destroy()`.
 
@@ -63,8 +64,8 @@ class InitialGuess(PetscOwner):
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
-        Of the other points only the newest is kept: its u changes by as much as the displacement
-        without contact, at the same multipliers.
+        Of the other points only the newest is kept. The u of this point changes by as much as the
+        displacement without contact, at the same multipliers.
 
         Args:
             load: the new u at x = 0.
@@ -84,10 +85,11 @@ class InitialGuess(PetscOwner):
         self._points.insert(0, (x.copy(), u))
 
     def add(self, x: Array, u: PETSc.Vec) -> None:
-        """Keep the displacement u at x, in place of an earlier one at x. Collective.
+        """Keep the displacement u at x; it replaces an earlier displacement at x. Collective.
 
         The object owns u from now on. It keeps the oldest displacement and the newest two, and
-        frees the others. The oldest one is at the start of the steps if `begin_at` gave this start.
+        frees the others. The oldest displacement is at the start of the steps if `begin_at` gave
+        this start.
         """
         for index, (other, before) in enumerate(self._points):
             if self._square(other - x) == 0.0:
@@ -101,7 +103,7 @@ class InitialGuess(PetscOwner):
     def near(self, x: Array) -> PETSc.Vec:
         """Return u at the affine combination of the points that is nearest to x. Collective.
 
-        The caller owns the vector. At x = 0 it is the displacement without contact.
+        The caller owns the vector. At x = 0 the result is the displacement without contact.
         """
         if not self._points or self._square(x) == 0.0:
             return self.load.copy()

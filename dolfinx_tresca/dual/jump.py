@@ -34,9 +34,10 @@ class JumpOperator(PetscOwner):
     such that friction ellipses become discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
-    multipliers, then its tangential ones. Physical tractions are `stress_scale` times multipliers.
+    multipliers, then its tangential multipliers. Physical tractions are `stress_scale` times
+    multipliers.
 
-    Owns PETSc objects: call `destroy()`. The linear system stays the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps the linear system.
 
     Attributes:
         system: linear system of the displacements.
@@ -44,9 +45,10 @@ class JumpOperator(PetscOwner):
         slices: the positions of each pair's normal and tangential multipliers.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
-        length_scale: (size,) length per residual: 1 / sqrt(area), divided by the stretch.
+        length_scale: (size,) length per entry of a scaled jump: 1 / sqrt(area), divided by the
+            stretch.
         gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
-        unbounded: Lambda with infinite slip bounds: all tangential rows of a node share its disc.
+        unbounded: Lambda with infinite slip bounds: all tangential rows of a node share one disc.
         discs: like `unbounded`, except at nodes with friction in one of two tangential rows: the
             frictionless row has a disc of its own. These discs come after the discs of all nodes.
         reductions: sums over the ranks.
@@ -185,8 +187,8 @@ class JumpOperator(PetscOwner):
             slip_bounds: for each pair the slip bounds at its nodes, with their ellipses.
 
         Raises:
-            InputError: the direction of two bounds is not finite, is zero, or is normal to the
-                surface.
+            InputError: the direction that belongs to two slip bounds is not finite, is zero, or is
+                normal to the surface.
         """
         pairs = [
             pair
@@ -239,7 +241,7 @@ class JumpOperator(PetscOwner):
         return self._force
 
     def net_force(self, x: Array) -> PETSc.Vec:
-        """Return f - B'x [force]; the next call of this or of `contact_force` overwrites it."""
+        """Return f - B'x [force]; the next call, also of `contact_force`, overwrites the vector."""
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force

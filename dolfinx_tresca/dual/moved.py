@@ -30,17 +30,17 @@ def moved_jump(
     """Return B of displaced surfaces, owned by the caller. Collective.
 
     The gap is the distance of the displaced surfaces plus N u, since it is compared with N times
-    the total displacement. For curved edges of the secondary side the gap keeps the heights over
-    chords of the previous B: further bending is in N u. Bent edges of the primary side may now face
-    other nodes, and the distance is measured to these bent edges; so their bending is included in
-    the N u that is added. Bonded pairs stay the same.
+    the total displacement. On curved edges of the secondary side, the gap keeps the heights over
+    the chords that the previous B had, since further bending is part of N u. Edges of the primary
+    side may now face other nodes, and the distance is measured to these edges as bent by u; so
+    their bending is included in the N u that is added. Bonded pairs stay the same.
 
     Args:
         before: the previous B.
         pairs: the pairs of B.
         u: displacement [length].
-        anew: for each pair whether it is paired anew; bonded pairs never are. None: all other
-            pairs are.
+        anew: for each pair whether it is paired anew; bonded pairs are never paired anew. None: all
+            pairs that are not bonded are paired anew.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -80,8 +80,8 @@ def moved_jump(
 def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array:
     """Return a displacement (nodes, dim of space) with bent primary edges only. Collective.
 
-    N of the result enters the gap. If the true surfaces are given, edges stay straight: the height
-    of these surfaces over the facets is kept.
+    N of the result enters the gap. If the pair gives the true surfaces (`geometry`), edges stay
+    straight: the height of these surfaces over the facets is kept.
 
     Args:
         V: the space of the displacement.
@@ -99,16 +99,16 @@ def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array
 
 
 class Carry:
-    """Carries tractions and jumps over to another B of the same pairs, at the same nodes.
+    """Carries tractions and jumps over to another B of the same pairs, node by node.
 
     A tangential vector loses its part that is normal to the new tangents. Values at new nodes are
     zero.
     """
 
     def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
-        """Find the nodes of B before among those of B after. Not collective."""
+        """Find the nodes of the new B among the nodes of the old B. Not collective."""
         self._before, self._after = before, after
-        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last for new nodes
+        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last is for new nodes
         known = [np.arange(count) for count in counts]
         found = [
             _position(new.nodes, old.nodes)
@@ -118,15 +118,15 @@ class Carry:
         self._of = _components(before.pairs, known, counts).T
 
     def physical(self, values: Array) -> Array:
-        """Return tractions [stress] or jumps [length], (size,) or (size, k), for B after."""
+        """Convert tractions [stress] or jumps [length], (size,) or (size, k), to the new B."""
         return np.asarray(self._to @ (self._of @ values))
 
     def multipliers(self, x: Array) -> Array:
-        """Return multipliers (size,) or (size, k) for B after. Not collective."""
+        """Convert multipliers (size,) or (size, k) to the new B. Not collective."""
         return (self.physical((x.T * self._before.stress_scale).T).T / self._after.stress_scale).T
 
     def residuals(self, r: Array) -> Array:
-        """Return residuals (size,) or (size, k) for B after. Not collective."""
+        """Convert residuals (size,) or (size, k), like gradients, to the new B. Not collective."""
         return (self.physical((r.T * self._before.length_scale).T).T / self._after.length_scale).T
 
 
@@ -138,7 +138,7 @@ def _components(
     Args:
         pairs: the pairs of B.
         nodes: for each pair (n,) the numbers of its nodes, 0, ..., count - 1.
-        counts: for each pair the count of nodes; each has 1 + d columns.
+        counts: for each pair the number of nodes; each node has 1 + d columns.
     """
     values, columns, lengths, first = [], [], [], 0
     for pair, node, count in zip(pairs, nodes, counts, strict=True):
@@ -156,8 +156,8 @@ def _components(
 def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
     """Return the position (n,) of each node among others; len(others) if it is missing.
 
-    Both are ascending. A node on a sharp edge occurs once for each of its normals: its occurrences
-    are matched in order.
+    Both arrays are ascending. A node on a sharp edge occurs once for each of its normals: its
+    occurrences are matched in order.
     """
     most = max(len(nodes), len(others))
     keys, known = (

@@ -41,7 +41,7 @@ class NodalValues:
     """Evaluates the user's fields, and their derivatives, at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
-        """Keep the space; its element has its nodes as interpolation points."""
+        """Keep V, whose nodes are the interpolation points of its element."""
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
         #: Spaces of controls with their interpolation matrices, by the `id` of the space: keeping
@@ -102,7 +102,7 @@ class NodalValues:
             the field does not depend on the control.
 
         Raises:
-            InputError: the control is no scalar Function.
+            InputError: the control is a Function with components, or on another mesh.
         """
         if control not in inputs_of(field):
             return None
@@ -133,10 +133,10 @@ class NodalValues:
             name: name of the field in errors.
 
         Returns:
-            None if the field does not depend on the control.
+            the derivative; None if the field does not depend on the control.
 
         Raises:
-            InputError: the control is no scalar Function.
+            InputError: the control is a Function with components, or on another mesh.
         """
         if control not in inputs_of(field):
             return None
@@ -204,8 +204,8 @@ class NodalValues:
         """Return the values (components, n) of a function at the nodes. Not collective.
 
         Raises:
-            InputError: the function returns neither one value nor one for each node, or values that
-                are no real numbers.
+            InputError: the function returns neither one value nor one value for each node, or
+                values that are not real numbers.
         """
         n = len(nodes)
         if n == 0:
@@ -229,7 +229,7 @@ class NodalValues:
         """Check that a Function or an expression is on the mesh of the space. Not collective.
 
         Raises:
-            InputError: it is on another mesh.
+            InputError: the expression is on another mesh.
         """
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
@@ -272,7 +272,7 @@ class NodalValues:
 
     @cached_property
     def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
-        """A scalar Function, and for each node of V its degree of freedom there. Collective."""
+        """A scalar Function, and the position of each node of V in its values. Collective."""
         scalar, dofs = collapse(self._V.sub(0))
         dofs //= self._V.dofmap.index_map_bs
         position = np.empty(len(dofs), dtype=np.int32)

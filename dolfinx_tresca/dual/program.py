@@ -66,7 +66,7 @@ class DualProgram:
     ) -> DualProgram:
         """Return the program for the system's present load, before any solve with K. Collective.
 
-        Call `solve_load` of its response next.
+        The caller must then call `response.solve_load()`.
 
         Args:
             compliance: A for the present K.
@@ -117,8 +117,8 @@ class DualProgram:
         Args:
             part: factor of the coefficients of friction, not negative.
             softness: number that is added to the diagonal of the constraints' matrix S.
-            c: (k,) multipliers of the constraints with which both versions of the constraints have
-                the same solutions x.
+            c: (k,) multipliers of the constraints for which the given and the softer constraints
+                have the same solutions x.
         """
         return dataclasses.replace(
             self,
@@ -180,7 +180,7 @@ class DualProgram:
 
     @property
     def reductions(self) -> RankReductions:
-        """Sums and agreements over all ranks."""
+        """Sums over all ranks, and values on which all ranks agree."""
         return self.jump.reductions
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
@@ -233,7 +233,7 @@ class DualProgram:
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
         """Return the largest change of tractions from x to the nodes' own minimisers. Collective.
 
-        These are the projection of `decoupled_minimiser` onto Lambda.
+        The minimisers are the projection of `decoupled_minimiser` onto Lambda.
 
         Args:
             x: (size,) in Lambda.
@@ -260,12 +260,12 @@ class DualProgram:
 
         Args:
             x: (size,) multipliers.
-            u: the response to x.
+            u: the displacement K^-1 (f - B'x), to which the rigid displacements are added.
             c: (k,) multipliers of the constraints.
 
         Returns:
             the gradient including the term -G c of the constraints, and the energy norm of the
-            rigid displacements that u lacks for equilibrium.
+            rigid displacements that are still missing for equilibrium.
         """
         r = self.response.gradient_of(u)
         if self.equilibrium is None:
@@ -275,9 +275,9 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        A direct solver needs one solve with K, an iterative solver none: its displacement is known.
-        The estimate is zero without displacement, and infinite if the error cannot be estimated
-        from the form.
+        A direct solver needs one solve with K, an iterative solver needs no solve, since its
+        displacement is known. The estimate is zero without displacement, and infinite if the error
+        cannot be estimated from the form.
 
         Args:
             x: (size,) multipliers.
@@ -303,9 +303,9 @@ class DualProgram:
     def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r
-        with the gradient r = (d; s) - B u, minus a bound for the error of u; sums are over the
-        degrees of freedom that are not prescribed.
+        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and
+        D(x) = 1/2 u'K u - f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u
+        is subtracted from D. All sums are over the degrees of freedom that are not prescribed.
 
         Args:
             x: multipliers in Lambda.

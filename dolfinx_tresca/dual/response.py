@@ -19,12 +19,13 @@ from dolfinx_tresca.errors import InputError
 #: Relative accuracy of the displacement without contact, in the energy norm.
 LOAD_ACCURACY = 1e-6
 
-#: Largest length or force that is computed with: its square, times a stiffness or area of up to
-#: 1e28, is less than the largest number of double precision, 1.8e308.
+#: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
+#: less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
 
-#: Energy norm of a displacement below which it is rounding, divided by the energy norm of the
-#: displacement without contact. It is a square root, since the energy is a difference of energies.
+#: A displacement counts as rounding if its energy norm is below this fraction of the energy norm of
+#: the displacement without contact. The number is a square root, since the energy is computed as a
+#: difference of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
 #: Relative error of one operation in double precision.
@@ -68,7 +69,10 @@ class ElasticResponse(ABC):
     def of(
         cls, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
     ) -> ElasticResponse:
-        """Return the response for the solver for K. Arguments as in `__init__`. Not collective."""
+        """Return the response of the kind that suits the solver for K. Not collective.
+
+        The arguments are those of `__init__`.
+        """
         kind = DirectResponse if compliance.operator.exact else IterativeResponse
         return kind(compliance, guess, slip_origin)
 
@@ -122,8 +126,8 @@ class ElasticResponse(ABC):
         """Return r = A x - b, and an estimate of its error. Collective.
 
         An iterative solver for K starts from a known displacement near x and solves to the
-        requested accuracy only. This counts as a product, unless the known displacement is already
-        accurate enough. The error includes the rounding of r: products are differences of
+        requested accuracy only. Such a solve counts as a product, unless the known displacement is
+        already accurate enough. The error includes the rounding of r: products are differences of
         gradients, and for steps that are small compared with the gaps these differences may be pure
         rounding.
 
@@ -144,9 +148,10 @@ class ElasticResponse(ABC):
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
         A displacement with which the convergence of the multipliers was checked is returned
-        unchanged. The error bound of a more accurate displacement may be larger, by more than the
-        two displacements differ in the energy norm: bounds close gaps by moving contact nodes
-        alone, which takes much energy if the difference is smooth and cells are flat.
+        unchanged, since a more accurate displacement may have a larger error bound. The two bounds
+        may differ by more than the energy norm of the difference of the two displacements: to close
+        gaps, the computation of a bound moves contact nodes alone, which takes much energy if the
+        difference is smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.
@@ -159,7 +164,7 @@ class ElasticResponse(ABC):
 
     @abstractmethod
     def known(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement that the gradient at x was computed from. Collective."""
+        """Set u to the displacement from which the gradient at x was computed. Collective."""
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
         """Solve like `displacement`, and let the next solve start from the result. Collective."""
@@ -295,7 +300,7 @@ class IterativeResponse(ElasticResponse):
         return error
 
     def known(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement that the gradient at x was computed from. Collective."""
+        """Set u to the displacement from which the gradient at x was computed. Collective."""
         near = self._guess.near(x)
         near.copy(u)
         near.destroy()

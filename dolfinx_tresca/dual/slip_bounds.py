@@ -26,8 +26,8 @@ from dolfinx_tresca.scene.friction import (
 )
 from dolfinx_tresca.scene.scalar_field import ScalarField
 
-#: Size of a negative slip bound, divided by the largest finite bound of the pair, up to which it is
-#: rounding and means zero.
+#: A negative slip bound counts as rounding, and means zero, if its absolute value is at most this
+#: fraction of the largest finite bound of the pair.
 BOUND_ROUNDING = 1e-12
 
 #: Names of the terms of a bound in error messages; laws have their own name for the constant term.
@@ -79,7 +79,7 @@ class SlipBounds:
     """Evaluates slip bounds at nodes of a vector space.
 
     Attributes:
-        values: evaluates any field at these nodes.
+        values: object that evaluates any field of the user at nodes of the space.
     """
 
     def __init__(self, V: Any) -> None:
@@ -94,7 +94,7 @@ class SlipBounds:
 
         Raises:
             InputError: the bound or the direction is on another mesh; a function returns neither a
-                number (or vector) nor one for each point; or a direction is given in 2D.
+                number (or a vector) nor one value for each point; or a direction is given in 2D.
         """
         if not isinstance(friction, DryFriction):
             return
@@ -145,7 +145,8 @@ class SlipBounds:
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
-                infinite; only one of the two values of a bound is infinite; or `check` raises it.
+                infinite; only one of the two values of a bound is infinite; or `check` raises this
+                error.
         """
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
         found: dict[str, Array] = {}
@@ -174,8 +175,8 @@ class SlipBounds:
         Values at zero pressure may be infinite: they are multiplied by the pressure.
 
         Raises:
-            InputError: the function has an error, or does not return a number or an array (n,); or
-                a value is negative, or NaN, or infinite under pressure.
+            InputError: the function raises an error, or does not return a number or an array (n,);
+                or a value is negative, or NaN, or infinite under pressure.
         """
         name = TERMS["coefficient"]
         with errors_on_all_ranks(self._comm), np.errstate(all="ignore"):
@@ -191,7 +192,7 @@ class SlipBounds:
                 )
 
     def _shape(self, semi_axes: Array, name: str) -> Array:
-        """Return semi-axes (n, 2), divided by the longer one of each node. Collective.
+        """Return semi-axes (n, 2), divided by the longer semi-axis of each node. Collective.
 
         Raises:
             InputError: only one of the two semi-axes of a node is infinite.
@@ -210,7 +211,7 @@ class SlipBounds:
         return shape
 
     def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values at nodes of this rank; negative rounding becomes zero. Collective.
+        """Return values at nodes of this rank; negative rounding errors become zero. Collective.
 
         Raises:
             InputError: a value is negative by more than rounding, or a coefficient of friction is

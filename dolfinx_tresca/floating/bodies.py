@@ -72,7 +72,7 @@ class Bodies:
 
     @property
     def mean_nodes(self) -> float:
-        """The mean number of nodes of a body, weighted by these numbers: large bodies decide."""
+        """The mean number of nodes of a body, weighted by itself, so that large bodies decide."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
     def describe(self, index: int) -> str:
@@ -113,6 +113,6 @@ def _tag_names(
 
 
 def _point(x: Array, size: float) -> str:
-    """Return coordinates as text; those that are rounding relative to a body's size are zero."""
+    """Return coordinates as text; rounding errors relative to a body's size become zero."""
     shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

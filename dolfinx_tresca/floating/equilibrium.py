@@ -26,24 +26,24 @@ from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
 
-#: Unbalanced load, divided by the size of the loads, up to which the unbalance is rounding.
+#: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
 UNBALANCED_PART = 1e-8
 
-#: Relative increase of the loads with which contact must still balance them: exactly at the limit
-#: of friction the rigid displacement would not be determined.
+#: Contact must also balance loads that are larger by this fraction than the given loads: exactly at
+#: the limit of friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
 
-#: Squared jump of a rigid body mode, divided by the largest squared jump of the body's modes, up to
-#: which contact does not resist the mode.
+#: Contact does not resist a rigid body mode if the mode's squared jump is at most this fraction of
+#: the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
-#: Eigenvalue of the Gram matrix of the jumps of hundreds of bodies' modes, with 1 on its diagonal,
-#: up to which the eigenvalue is rounding.
+#: An eigenvalue of the Gram matrix of the modes' jumps, with 1 on the diagonal of the matrix,
+#: counts as rounding up to this number if there are hundreds of bodies.
 ROUNDING_SQUARE = 1e-13
 
-#: Number of motions that are computed if contact does not resist some motions of many bodies; the
-#: message names the body that moves most in these. All motions of hundreds of bodies would take a
-#: dense eigenvalue problem. The number changes nothing but the message.
+#: Number of motions that are computed if contact does not resist some motions of many bodies. The
+#: error message names the body that moves most in these motions. To compute all motions of hundreds
+#: of bodies would take a dense eigenvalue problem. The number changes nothing but the message.
 MOST_NAMED = 6
 
 
@@ -57,12 +57,13 @@ class Equilibrium:
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 
-    contact forces, and soft springs of the scene with their stiffness S, balance the loads.
+    that is, contact forces and the soft springs of the scene, with their stiffness S, balance the
+    loads.
 
     Attributes:
         constraints: the equations of equilibrium G'lambda + S c = e.
-        modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
-            1, or less where S resists more than contact.
+        modes: U (owned degrees of freedom, k), sparse; scaled such that a column of G has length 1,
+            or a smaller length if S resists its mode more than contact does.
         describe: function that names the body that moves and its motion, for multipliers (k,) of
             the constraints. Collective.
     """
@@ -80,7 +81,7 @@ class Equilibrium:
             c: (k,) multipliers of the constraints.
 
         Returns:
-            the energy norm of the rigid displacements that u then lacks for equilibrium.
+            the energy norm of the rigid displacements that are then still missing for equilibrium.
         """
         u.array += self.modes @ c
         return self.constraints.violation(x, c)
@@ -142,8 +143,9 @@ class FloatingBodies:
             reductions: sums over the ranks.
 
         Raises:
-            MechanismError: contact cannot hold a body, which is named with its motion; `motion` has
-                the displacements (owned degrees of freedom,) of all bodies.
+            MechanismError: contact cannot hold a body; the message names the body and its motion,
+                and the error's `motion` has the displacements (owned degrees of freedom,) of all
+                bodies.
         """
         response = self._response
         resultants, sizes = response.resultants(load)
@@ -291,7 +293,7 @@ def _solvable(
     factors: Array,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
-    """Return equations that have a solution in Lambda, equal to the given ones up to rounding.
+    """Return equations with a solution in Lambda, equal to the given equations up to rounding.
 
     If no solution exists only because of the rounding of the loads, the right-hand sides change.
 

@@ -31,9 +31,10 @@ class FixingSprings:
     """Springs Z on a few nodes of each body with weak modes: K_p = K + Z Z' is well conditioned.
 
     Solves use K_p in place of K. The equilibrium of the bodies (`floating/equilibrium.py`) removes
-    the effect of the fixing springs again. On floating bodies they then have no force; on softly
-    held bodies, which soft springs of the scene hold, the displacements of the `response` cancel
-    their effect. (Fixing nodes, as in Brzobohaty et al. 2011, but with springs.)
+    the effect of the fixing springs again. On floating bodies the fixing springs then have no
+    force. On softly held bodies, which soft springs of the scene hold, the displacements of the
+    `response` cancel the effect of the fixing springs. (The nodes on which springs act correspond
+    to the fixing nodes of Brzobohaty et al. 2011.)
 
     Attributes:
         modes: the rigid body modes R that the springs resist.
@@ -45,10 +46,10 @@ class FixingSprings:
     def columns(self) -> csr_array:
         """The matrix Z (owned degrees of freedom, k) of the springs, sparse. Collective.
 
-        The springs act on a few nodes of each body, spread over it, and make the body about as
-        stiff against its rigid modes as it is against deformation. There are few such nodes, since
-        the springs couple each of them with all others, but more nodes than modes, since the body
-        would yield around a single node.
+        The springs act on a few nodes of each body, spread over the body, and make the body about
+        as stiff against its rigid modes as it is against deformation. There are few such nodes,
+        since the springs couple each of these nodes with all others, but more nodes than modes,
+        since the body would yield around a single node.
         """
         modes = self.modes
         dim = modes.dim
@@ -224,8 +225,9 @@ class SpringResponse:
     def resultants(self, f: Array) -> tuple[Array, Array]:
         """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
 
-        The size of a resultant is the sum of |U| |f| over the nodes, with lengths of vectors, which
-        do not depend on the axes. A resultant that is rounding relative to its size is set to zero.
+        The size of a resultant is the sum of |U| |f| over the nodes, where |.| is the length of a
+        vector at a node, which does not depend on the axes. A resultant that is rounding relative
+        to its size is set to zero.
         """
         U, dim = self.displacements, self.modes.dim
         nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")

@@ -13,8 +13,9 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
 #: An error message mentions translations and rotations whose share in a motion exceeds NAMED_PART,
-#: and counts bodies that move more than NAMED_PART of the largest motion. A body's motions whose
-#: singular value, divided by the largest one, is not above MOVED_PART are left out as rounding.
+#: and counts bodies that move more than NAMED_PART of the largest motion. A motion of a body is
+#: left out as rounding if its singular value is at most MOVED_PART times the largest singular
+#: value.
 NAMED_PART, MOVED_PART = 0.1, 1e-3
 
 #: Names of the rigid body modes, by the dimension of space.

@@ -18,20 +18,21 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
-#: Stiffness against a rigid body mode, divided by the body's largest diagonal entry of K, up to
-#: which it is rounding: the product of K with the mode adds some hundred entries of each row, which
-#: cancel each other.
+#: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
+#: body's largest diagonal entry of K: the product of K with the mode adds some hundred entries of
+#: each row, which cancel each other.
 NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
 
-#: Stiffness against a rigid body mode, divided by the stiffness of the body itself, up to which a
-#: body without prescribed displacements is held softly.
+#: A body without prescribed displacements is held softly if the stiffness against one of its rigid
+#: body modes is at most this fraction of the stiffness of the body itself.
 SOFT_STIFFNESS = 0.03
 
-#: Absolute value of a negative stiffness against a rigid body mode, divided by the stiffness of the
-#: body itself, up to which it is rounding.
+#: A negative stiffness against a rigid body mode counts as rounding if its absolute value is at
+#: most this fraction of the stiffness of the body itself.
 NEGATIVE_STIFFNESS = 1e-8
 
-#: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
+#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
+#: fraction of the largest eigenvalue.
 DEPENDENT_MODES = 1e-10
 
 
@@ -151,7 +152,7 @@ def _weak_modes(
     energy: Array,
     limit: Array,
 ) -> _WeakModes:
-    """Return the rigid body modes that K resists no more than a limit.
+    """Return the rigid body modes against which the stiffness of K is at most a limit.
 
     Args:
         square: (bodies, k, k) inner products of the modes on free degrees of freedom.
@@ -159,7 +160,7 @@ def _weak_modes(
         limit: (bodies,) stiffness against a mode of length 1 up to which the mode is returned.
     """
     values, vectors = np.linalg.eigh(square)
-    independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last ones
+    independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last eigenvalues
     bodies, parts, resistances = [], [], []
     for count in np.unique(independent[independent > 0]):
         some = np.flatnonzero(independent == count)

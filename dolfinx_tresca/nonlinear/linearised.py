@@ -71,7 +71,7 @@ class TangentProblem:
             u: displacement on which F depends, or all unknowns of a mixed space.
             J: derivative of F with respect to u.
             bcs: Dirichlet conditions of the whole displacement.
-            entity_maps: needed if forms hold Functions on surfaces.
+            entity_maps: see `ContactProblem`.
             before_assembly: see `NonlinearContactProblem`.
             on_accept: see `NonlinearContactProblem`.
             axisymmetric: see `NonlinearContactProblem`.
@@ -95,7 +95,8 @@ class TangentProblem:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u
-        self._places = (self.contact.obstacles.motions,) * 2  # at the start and end of a solve
+        # motions of the obstacles at the start and at the end of a solve
+        self._places = (self.contact.obstacles.motions,) * 2
         self._moves_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
@@ -189,6 +190,8 @@ class TangentProblem:
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
+        Nothing is done if the tangent at this u_k is factored already, without added stiffness.
+
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
                 single node of the reference tangent.
@@ -218,10 +221,10 @@ class TangentProblem:
                 part.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
-        """Return springs B_a'C B_a across the rows a of B that contact closes. Collective.
+        """Return the springs B_a'C B_a, where B_a are the rows of B in contact. Collective.
 
         Args:
-            factor: stiffnesses C, relative to the stiffness of single nodes.
+            factor: stiffness C of each spring, relative to the stiffness of the row's node.
         """
         B = self.contact.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
@@ -243,10 +246,10 @@ class TangentProblem:
         return self._stiffness_for[1]
 
     def _rows_in_contact(self) -> Mask:
-        """Return which rows (size,) of B are closed by contact at the present u_k. Collective.
+        """Return which rows (size,) of B are in contact at the present u_k. Collective.
 
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
-        are closed. If all multipliers are zero, all rows of nodes that touch are closed.
+        are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
         """
         jump, multipliers = self.contact.jump, self.contact.steps.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
@@ -274,8 +277,8 @@ class TangentProblem:
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
         """Return the reference tangent times a factor. Collective.
 
-        Rows and columns of prescribed degrees of freedom are zero, and so are those of unknowns
-        other than displacements, in which added stiffness would change the constraints.
+        Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
+        other than displacements are zero, too: stiffness added to them would change constraints.
         """
         with self._at(self._reference):
             self.tangent.assemble_stiffness()
@@ -370,14 +373,17 @@ class TangentProblem:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
 
         This is the energy norm of the displacement that would remove the residual at unchanged
-        contact forces: with the tangent of the previous step, a simplified Newton correction
-        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1). In a mixed space `MixedNorm`
-        takes the place of the energy norm.
+        contact forces. The tangent is the one of the previous step, so this displacement is a
+        simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
+        In a mixed space `MixedNorm` takes the place of the energy norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.contact.contact_forces()))
 
     def _norm_of_correction(self, forces: Array) -> float:
-        """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective."""
+        """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
+
+        The result is NaN if F is not finite. In a mixed space it is the `MixedNorm` of K^-1 F.
+        """
         force = self.contact.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):

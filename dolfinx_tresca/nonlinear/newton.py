@@ -22,17 +22,17 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
 #: Growth of the residual from one step to the next above which Newton's method counts as
-#: diverging. The first two steps are excepted, since the residual of the first may be small only
-#: because nothing had moved yet. Steps with the undeformed bodies' stiffness added, and the first
-#: step after them, are excepted as well: such steps reduce the energy, away from an equilibrium
-#: that has become unstable, and the residual grows before it falls near the stable one. (Residuals
+#: diverging. The first two steps are excepted, since the residual of the first step may be small
+#: only because nothing had moved yet. Steps with the undeformed bodies' stiffness added, and the
+#: first step after them, are excepted as well. Such steps reduce the energy and lead from an
+#: unstable equilibrium to a stable one; on the way the residual grows before it falls. (Residuals
 #: of a block of degree 2 with 8 x 8 cells and Coulomb's 0.3 that snaps at a strain of 0.4335: 7e-4,
 #: 4e-3 with the stiffness, 2e-2 without, 5e-4, 7e-5, ...)
 GROWTH = 1.0
 
 #: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
-#: enough to reach the accuracy by then. With added stiffness it converges linearly, and more steps
-#: cost less than a smaller part of the load.
+#: enough to reach the accuracy within so many steps. With added stiffness it converges linearly,
+#: and more steps cost less than a smaller part of the load.
 MAX_ITERATIONS_FACTOR = 4
 
 #: Stiffness that is added to a tangent which is not positive definite, in the order of trial. Each
@@ -74,7 +74,7 @@ class Newton:
         self.problem, self.options = problem, options
         observe = agreed_observer(problem.comm, observer, "an Iteration, such as a ProgressBar")
         self._observe = StallWatch(problem.comm, observe)
-        self._iteration: Iteration | None = None  # the last one that was observed
+        self._iteration: Iteration | None = None  # the last observed iteration
         self.contact, self._units = contact, units
         self.steps: list[NewtonStep] = []
         self.fraction = 0.0
@@ -87,7 +87,8 @@ class Newton:
         self.stuck = False
         self._sliding: FiniteSliding | None = None  # of the present part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
-        self._last_change: Array | None = None  # of u in the last step, but not the first of a part
+        # change of u in the last step that was not the first step of a part of the load
+        self._last_change: Array | None = None
 
     def run(self) -> None:
         """Apply the change of load. Collective.
@@ -101,7 +102,10 @@ class Newton:
             self.problem.end_load()
 
     def _run(self) -> None:
-        """Apply the change of load, in parts where Newton's method fails. Collective."""
+        """Apply the change of load, in parts where Newton's method fails. Collective.
+
+        The part is halved after a failure, and doubled after a success.
+        """
         problem = self.problem
         problem.begin_load()
         self._start = problem.u.x.array.copy()
@@ -138,7 +142,7 @@ class Newton:
         return found
 
     def _equilibrium(self) -> str:
-        """Solve for the present part of the load. Collective.
+        """Take Newton steps to equilibrium for the present part of the load. Collective.
 
         Returns:
             the reason of a failure; empty after a success.
@@ -170,7 +174,7 @@ class Newton:
                 max(problem.energy_norm(solution.w.x.array), from_start) or 1.0
             )  # u may go back to zero
             change = problem.energy_norm(solution.w.x.array - before)
-            if number > 1:  # the first one moves all of the bodies
+            if number > 1:  # the first step moves the whole bodies
                 self._last_change = solution.w.x.array - before
             problem.u.x.array[:] = solution.w.x.array
             reason = "forces are NaN or infinite, as cells turn inside out"
@@ -259,10 +263,10 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        Beyond `max_iterations` steps it may if the error, at its mean rate in the second half of
-        the steps so far, falls to the requested error by step number `MAX_ITERATIONS_FACTOR`
-        times `max_iterations`. Rates of single steps tell little, since Anderson's acceleration
-        makes errors of the configuration jump up and down.
+        After `max_iterations` steps it may continue only if the error falls fast enough: at its
+        mean rate in the second half of the steps so far, it must reach the requested error by step
+        number `MAX_ITERATIONS_FACTOR` times `max_iterations`. Rates of single steps tell little,
+        since Anderson's acceleration makes errors of the configuration jump up and down.
 
         Args:
             errors: largest ratio of an error to the requested one, for each step.
@@ -286,12 +290,12 @@ class Newton:
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with stiffness of `ADDED` if needed. Collective.
 
-        The first entry tried is the entry of the last step; if this entry makes Newton's method
-        slow, it is the entry before.
+        The first entry that is tried is the entry of the last step. If the entry of the last step
+        makes Newton's method slow, it is the entry before.
 
         Raises:
-            StiffnessError: none of the entries makes the tangent definite; in a new configuration
-                of the surfaces only the first one is tried.
+            StiffnessError: no entry that was tried makes the tangent definite. In a new
+                configuration of the surfaces only one entry is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1

@@ -54,8 +54,8 @@ def _options_to_agree(problem: NonlinearContactProblem) -> dict[str, Any]:
 class NonlinearContactProblem(ContactProcess):
     """Nonlinear bodies in contact with friction: F(u; v) + contact = 0.
 
-    The interface is like that of `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u,
-    from which a solve starts and which holds the solution afterwards. Each Newton step solves a
+    The interface resembles `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u, from
+    which a solve starts and which holds the solution afterwards. Each Newton step solves a
     contact problem for the whole displacement, with the tangent at the present u. The conditions of
     contact and friction are not linearised, so they hold after each step. Change Constants and
     Functions in forms and conditions in place, as for `ContactProblem`. Multipliers and the models
@@ -73,10 +73,10 @@ class NonlinearContactProblem(ContactProcess):
     is called; pairs with `sliding="finite"` are paired in the configuration of the solution.
 
     Materials with a history, such as plastic ones, are described by two functions of the user.
-    `before_assembly()` computes the stress and its tangent, in Functions on which F and J depend,
-    from the present u and the history; it is called once for each u, before anything is assembled.
-    `on_accept()` makes the state at u the history; only `accept()` calls it. So a failed part of a
-    load, or a trial solve, leaves the history unchanged.
+    `before_assembly()` computes the stress and its tangent from the present u and the history, and
+    stores them in Functions on which F and J depend; it is called once for each u, before anything
+    is assembled. `on_accept()` makes the state at u the history; only `accept()` calls it. So a
+    failed part of a load, or a trial solve, leaves the history unchanged.
 
     A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager.
 
@@ -152,7 +152,7 @@ class NonlinearContactProblem(ContactProcess):
             petsc_options: options of the solver for the tangent.
             petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
-            entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
+            entity_maps: needed if forms contain Functions on surface meshes; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see
                 `ContactProblem`.
             V: the sub-space of the displacement, such as W.sub(0), in a mixed space W with several
@@ -240,8 +240,8 @@ class NonlinearContactProblem(ContactProcess):
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
-        Derivatives need this tangent, and the last assembled one belongs to the previous iterate:
-        so a further Newton step is made.
+        Derivatives need this tangent, but the last assembled tangent belongs to the previous
+        iterate. So a further Newton step is made.
 
         Raises:
             ContactError: nothing was solved since the last accepted step, or inputs have changed
@@ -319,10 +319,10 @@ class NonlinearContactProblem(ContactProcess):
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
         Args:
-            observer: called before each iteration of each contact problem; see
+            observer: function that is called before each iteration of each contact problem; see
                 `ContactProblem.solve`.
-            options: replace the problem's options of the contact algorithm in this solve.
-            newton: replace the problem's options of Newton's method in this solve.
+            options: options of the contact algorithm that replace the problem's in this solve.
+            newton: options of Newton's method that replace the problem's in this solve.
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`. The problem's `u`

@@ -20,7 +20,7 @@ class NewtonOptions:
             in `SolverOptions`.
         max_iterations: largest number of Newton steps for a part of the load. Up to four times as
             many are taken while the error (with finite sliding also the error of the
-            configuration) falls fast enough to reach the requested error by then.
+            configuration) falls fast enough to reach the requested error within so many steps.
         max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 

@@ -64,7 +64,7 @@ class TangentSystem(LinearSystem):
             F: residual form, internal minus external forces.
             bcs: Dirichlet conditions of the whole displacement.
             u: displacement on which the forms depend, or all unknowns of a mixed space.
-            entity_maps: needed if forms hold Functions on surfaces.
+            entity_maps: see `ContactProblem`.
             before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.
             V: the sub-space of the displacement, if a mixed space has several candidates.
@@ -135,7 +135,9 @@ class TangentSystem(LinearSystem):
         self._material_changed = True
 
     def check_functions(self) -> None:
-        """Check Functions in the forms, unless `before_assembly` computes them. Collective.
+        """Check that Functions in the forms are finite, unless `before_assembly` computes them.
+
+        Collective.
 
         Raises:
             InputError: a Function other than u has values that are NaN or infinite.
@@ -148,7 +150,10 @@ class TangentSystem(LinearSystem):
                 raise InputError(f"F or J depends on values that are NaN or infinite in {wrong}.")
 
     def _not_finite(self) -> str:
-        """Return a text for a Function in the forms whose values are not finite; "" without one."""
+        """Return a text that names a Function in the forms with values that are not finite.
+
+        The text is empty if there is no such Function.
+        """
         wrong = [one for one in self._functions if not np.isfinite(one.x.array).all()]
         return shown(wrong[0]) if wrong else ""
 

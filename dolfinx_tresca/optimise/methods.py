@@ -1,4 +1,4 @@
-"""The algorithms by name, all with the same signature."""
+"""The table of the algorithms by name. All algorithms have the same signature."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def solve(
 ) -> DualSolution:
     """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    Coulomb friction takes `fixed_point` for the default method, and `sweeps` of Tresca problems
-    for the methods of the paper.
+    For Coulomb friction `fixed_point` takes the place of the default method, `projected_newton`.
+    The methods of the paper then solve a sequence of Tresca problems, see `sweeps`.
     """
     tresca = METHODS[options.method]
     if isinstance(problem.admissible, FeasibleSet):

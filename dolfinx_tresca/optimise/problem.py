@@ -20,7 +20,7 @@ class Response(Protocol):
 
     @property
     def b_error(self) -> float:
-        """Error of b, and of the gradient at zero multipliers, in the norm of `gradient`."""
+        """Error of b, and of the gradient at zero multipliers, in the norm that `gradient` uses."""
         ...
 
     def refine_b(self) -> None:
@@ -35,9 +35,10 @@ class Response(Protocol):
         Args:
             x: (size,) multipliers.
             accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
-                norm of the displacement's error. If the solver cannot reach it, e is larger.
-            origin: (size,) start of a step to x; the caller may take a part of this step. None: no
-                step.
+                norm of the displacement's error. If the solver cannot reach this accuracy, e is
+                larger.
+            origin: (size,) multipliers at the start of a step to x, of which the caller may take a
+                part; None: there is no step.
         """
         ...
 
@@ -52,7 +53,7 @@ class Response(Protocol):
         ...
 
     def energy_resolution(self) -> float:
-        """Return the energy norm below which displacements are rounding. Collective."""
+        """Return the energy norm below which displacements are rounding errors. Collective."""
         ...
 
 
@@ -75,7 +76,7 @@ class DualProblem(InnerProduct, Protocol):
 
     @property
     def reductions(self) -> Reductions:
-        """Sums and agreements over all ranks."""
+        """Sums over all ranks, and values on which all ranks agree."""
         ...
 
     @property
@@ -108,13 +109,13 @@ class DualProblem(InnerProduct, Protocol):
     def relaxed(self, part: float, softness: float, c: Array) -> DualProblem:
         """Return the program with scaled coefficients of friction and softer constraints.
 
-        The fixed points of such programs lead to the fixed point of the given one.
+        The fixed points of such programs lead to the fixed point of the given program.
 
         Args:
             part: factor of the coefficients of friction, not negative.
             softness: number that is added to the diagonal of the constraints' matrix S.
-            c: (k,) multipliers of the constraints with which both versions of the constraints have
-                the same solutions x.
+            c: (k,) multipliers of the constraints for which the given and the softer constraints
+                have the same solutions x.
         """
         ...
 
@@ -159,7 +160,7 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def near_field(self, x: Array) -> Array:
-        """Return D x for a cheap operator with 0 < D <= A, approximately. Collective.
+        """Return D x for a cheap operator D with 0 < D <= A, at least approximately. Collective.
 
         The better D approximates A for x that oscillate between nodes, the fewer products with A
         are needed.
@@ -179,10 +180,10 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return the largest change of a node's traction to its local minimiser. Collective.
+        """Return the largest distance of a node's traction from its local minimiser. Collective.
 
         The local minimiser of a node minimises q with fixed displacements of its neighbours. The
-        change is relative to the largest traction of all nodes.
+        distance is relative to the largest traction of all nodes.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -234,8 +235,8 @@ class DualSolution:
         accuracy: tolerable error of the displacement in the energy norm; None: determined by the
             options of the solver for K.
         sweeps: number of successive Tresca problems; 0 if the method did not need any.
-        deficit: motion along which friction is too weak for the constraints; None if it is not
-            known to be too weak.
+        deficit: motion along which friction is too weak for the constraints; None if friction is
+            not known to be too weak.
     """
 
     multipliers: Array

@@ -19,14 +19,14 @@ class InnerProduct(Protocol):
 
 
 class Reductions(InnerProduct, Protocol):
-    """Sums and agreements over all ranks. All methods are collective."""
+    """Sums over all ranks, and values on which all ranks agree. All methods are collective."""
 
     def total(self, x: Array) -> Array:
         """Return the sum of x over all ranks."""
         ...
 
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
-        """Return x'y over all ranks, the same on each; sparse x and y of shape (size, k)."""
+        """Return x'y over all ranks, equal on all ranks, for sparse x and y of shape (size, k)."""
         ...
 
     def from_first_rank(self, x: Array) -> Array:

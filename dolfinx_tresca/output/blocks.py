@@ -117,7 +117,7 @@ def _bodies(V: Any) -> IntegerFunction:
 
 
 def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Function:
-    """Return a field of the user as a Function.
+    """Check a field of the user and return it; tags of cells become a Function of degree 0.
 
     Raises:
         InputError: see `blocks_of`.
@@ -192,9 +192,10 @@ def _in_degree(function: fem.Function, degree: int) -> fem.Function:
 
 
 def _interpolate_categories(function: IntegerFunction, result: IntegerFunction) -> None:
-    """Interpolate integers: each node gets the category whose indicator is largest there.
+    """Interpolate integers: each node gets one of the integers of the cells around the node.
 
-    Of categories with equally large indicators the lowest one counts.
+    This is the integer whose indicator function, interpolated, has the largest value at the node;
+    if several values are equally large, it is the lowest of these integers.
     """
     one, parts = fem.Function(function.function_space), fem.Function(result.function_space)
     largest = np.zeros(len(parts.x.array))

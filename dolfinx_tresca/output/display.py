@@ -53,7 +53,7 @@ def display_for_pictures() -> Iterator[None]:
 
 
 def lacks_display() -> bool:
-    """Return whether there is no display, but VTK, as it is set up, would use one."""
+    """Return whether VTK, as it is set up, would use a display although there is none."""
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or WINDOW in os.environ:
         return False
     if vtk_version() >= (9, 5):
@@ -70,7 +70,7 @@ def vtk_version() -> tuple[int, int]:
 
 
 def window_off_screen() -> str | None:
-    """Return a kind of window that needs no X server; None if VTK has none."""
+    """Return a kind of window of VTK that needs no X server; None if no such kind can be used."""
     if vtk_version() < (9, 5):
         return None
     for window, library in WINDOWS_OFF_SCREEN:
@@ -83,7 +83,7 @@ def window_off_screen() -> str | None:
 
 
 def start_xvfb() -> tuple[str, subprocess.Popen[bytes]]:
-    """Return the DISPLAY of a new X server, and its process.
+    """Start the X server Xvfb; return its DISPLAY and its process.
 
     Raises:
         ContactError: Xvfb is not installed, or it fails.

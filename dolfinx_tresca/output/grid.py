@@ -73,7 +73,7 @@ class Grid:
                     "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
                     "pyvista (conda, pip)."
                 )
-            else:  # the installed VTK lacks something that it needs
+            else:  # the installed VTK lacks something that pyvista needs
                 reason = (
                     f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
                     "brings one that goes with its VTK."
@@ -132,7 +132,10 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
 
 def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
-    """Return the grid of this rank's own cells, with all its nodes and ghosts. Not collective."""
+    """Return the grid of this rank's own cells, with all nodes of the rank, ghosts included.
+
+    Not collective.
+    """
     space = _at_nodes(functions)[0].function_space
     cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
     nodes = space.dofmap.list.shape[1]
@@ -167,7 +170,10 @@ def _in_order_of(space: Any, function: fem.Function) -> npt.NDArray[Any]:
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
-    """Return values (n,), (n, 3) or (n, 9) in VTK's layout. Not collective."""
+    """Return a Function's values (n,), (n, 3) or (n, 9), with zeros as third components of 2D.
+
+    Values of an `IntegerFunction` are integers. Not collective.
+    """
     shape = function.ufl_shape
     values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
     if isinstance(function, IntegerFunction):

@@ -73,8 +73,8 @@ def write(
       cells.
 
     Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
-    contact fields then have values at the middles of edges as well; there `state` has the value of
-    one of the edge's ends. Vectors of 2D get a third component 0, as ParaView requires. Without
+    contact fields then have values at the middles of edges as well, and `state` has at a middle the
+    value of one of the ends. Vectors of 2D get a third component 0, as ParaView requires. Without
     friction there are no fields "traction" and "slip". With load steps there are "slip_increment"
     and "slip_path" as well, from the second step on.
 

@@ -49,15 +49,16 @@ def plot(
 ) -> Any:
     """Draw the deformed bodies, and beside them each contact surface.
 
-    Bodies: displacement u, magnified, with its length as colour, the undeformed edges as lines, and
-    rigid obstacles near them. `pictures.magnification.Magnification` describes how bodies in
-    contact also touch in the picture, and how initial overlaps are drawn.
+    The bodies are drawn with the magnified displacement u. Colours show the length of u, lines the
+    undeformed edges. Rigid obstacles near the bodies are drawn, too.
+    `pictures.magnification.Magnification` describes how bodies in contact also touch in the
+    picture, and how initial overlaps are drawn.
 
-    Contact surfaces in 3D, without the facets that face nothing, are seen along their mean normal,
-    closed surfaces from the front; surfaces that are bent about an axis, like holes and shafts, are
-    unrolled and seen from outside. Pressure is shown as colour, slip of the secondary side against
-    the primary (in a process the slip of the step) as arrows, sticking nodes as black discs
-    (pressed) and rings (open), open parts in grey.
+    Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
+    mean normal, or obliquely if they are closed. Surfaces that are bent about an axis, like holes
+    and shafts, are unrolled and seen from outside. Colours show the pressure, and arrows the slip
+    of the secondary side against the primary side (in a process the slip of the step). Black discs
+    mark pressed nodes that stick, rings open nodes that stick; open parts are grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
     its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
@@ -126,7 +127,7 @@ def _draw(
     suffix: str,
     angle: float,
 ) -> bytes:
-    """Return the bytes of the picture's file. Not collective.
+    """Draw the picture, and return it as the bytes of a file of type `suffix`. Not collective.
 
     Raises:
         ContactError: pyvista or matplotlib is missing.

@@ -128,7 +128,10 @@ class Series:
         return {int(Path(data.file).parent.name) for data in self._series}
 
     def _finish(self, unfinished: Path, step: Path, files: list[str], time: float) -> None:
-        """Rename the step, and replace the `.pvd`. Not collective."""
+        """Rename the step, and replace the `.pvd`; at the first step remove the older series.
+
+        Not collective.
+        """
         found = [
             DataSet(time, Path(file).stem, f"{self._folder.name}/{step.name}/{file}")
             for file in files
@@ -160,7 +163,10 @@ class Series:
 def _write_pvtus(
     folder: Path, grids: Mapping[str, Grid], cells: Sequence[Mapping[str, int]]
 ) -> None:
-    """Write the `.pvtu` of each grid; ranks without cells have no file in it. Not collective."""
+    """Write the `.pvtu` of each grid, with the files of the ranks that have cells.
+
+    Not collective.
+    """
     for name, grid in grids.items():
         pieces = [f"{name}_{rank}.vtu" for rank, mine in enumerate(cells) if mine[name]]
         write_pvtu(folder / f"{name}.pvtu", grid, pieces)

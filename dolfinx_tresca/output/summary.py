@@ -83,7 +83,7 @@ class ProblemSummary:
 
 
 def _friction_text(friction: Friction, units: Units | None) -> str:
-    """Return a law as text, with the unit of its bound if this is a number."""
+    """Return a law as text; a Tresca bound that is a number or a Constant has its unit."""
     number = False
     if isinstance(friction, Tresca):
         bound = friction.slip_bound

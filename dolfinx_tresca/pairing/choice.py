@@ -53,8 +53,8 @@ def pair_displaced_surfaces(
 ) -> PairOperators:
     """Compute N, T and the gap of a pair in the configuration displaced by u. Collective.
 
-    The gap is the distance of the displaced surfaces; the gap of the undeformed ones for the same N
-    is this gap plus N u.
+    The gap is the distance of the displaced surfaces. The gap of the undeformed surfaces for the
+    same N is this gap plus N u.
 
     Args:
         V: the space of the displacement.

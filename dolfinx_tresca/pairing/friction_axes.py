@@ -24,7 +24,7 @@ class NodalEllipses:
 
     Attributes:
         direction: (n, 3) vectors of any length, whose tangential parts are the first axes.
-        shape: (n, 2) semi-axes along the first axis and across it, relative to the longer of both.
+        shape: (n, 2) semi-axes along the first axis and across it, relative to the longer one.
     """
 
     direction: Array
@@ -131,7 +131,7 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
 
     Args:
         direction: (n, 2) components of unit vectors along the axes of the ellipses.
-        shape: (n, 2) semi-axes, relative to the longer of both.
+        shape: (n, 2) semi-axes, relative to the longer semi-axis.
     """
     nonzero = np.abs(direction) > ROUNDING
     inverse = np.zeros_like(shape)

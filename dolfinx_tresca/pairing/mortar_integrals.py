@@ -22,8 +22,8 @@ COVER_ROUNDING = 1e-8
 
 #: Distance, relative to the radius of a facet, within which opposite facets are sought first on a
 #: surface that touches itself. Without this first search a wall of 2,046 bricks is paired in 71 s.
-#: With half or twice this distance 150 bricks have as many contact nodes, and are paired in 1.1 or
-#: 1.4 times the time.
+#: With half or twice this distance 150 bricks have the same number of contact nodes, but pairing
+#: takes 1.1 or 1.4 times as long.
 NEAR = 2.0
 
 #: Number of pairs of facets that are integrated at once, which bounds the memory.
@@ -147,7 +147,7 @@ def _overlaps(
 
     In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
     pieces of a surface that touches itself are first paired with pieces nearby. Only pieces that
-    are not fully covered by these are paired with all pieces within the search distance.
+    nearby pieces do not fully cover are paired with all pieces within the search distance.
 
     `pieces` and `others` are the pieces of secondary and primary facets; `selected`, `limit` and
     `order` are arguments of `MortarIntegrals.of`.

@@ -11,10 +11,12 @@ from dolfinx_tresca.surface.facets import tabulate
 
 
 def straightened(V: Any, u: Array) -> Array:
-    """Return a displacement that keeps the edges of the mesh as its geometry is. Not collective.
+    """Return a displacement after which edges have the degree of the mesh's geometry.
 
-    If V has a higher degree than the geometry, nodes that are not at vertices move with the
-    vertices, as the means of their displacements say; else the result is u.
+    Not collective.
+
+    If V has a higher degree than the geometry, each node that is not at a vertex is moved by the
+    mean displacement of the vertices of its edge, face or cell; else the result is u.
 
     Args:
         V: the space of the displacement.

@@ -36,7 +36,7 @@ class PairOperators:
     N u and T u are jumps of the displacement [length], secondary minus primary; d is the dimension
     of space. A node whose displacement is prescribed along its normal has no row of N. If the
     displacement of a node is prescribed along a tangent, its row of T stays, and friction acts on
-    the primary body alone. There is no such row if a primary node opposite is prescribed as well,
+    the primary body alone. There is no such row if an opposite primary node is prescribed as well,
     if the primary side is an obstacle, or for `Bonded`.
 
     Attributes:
@@ -206,7 +206,7 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
 
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
-    """Return rows (n, dofs) of the jump along directions (n, d), from those of a scalar jump.
+    """Return rows (n, dofs) of the jump along directions (n, d), from the rows of a scalar jump.
 
     Args:
         jump: (nodes, nodes of V) sparse matrix.

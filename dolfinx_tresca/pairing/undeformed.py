@@ -20,8 +20,8 @@ class Undeformed:
     """The facets of a pair's undeformed surfaces that this rank owns.
 
     Attributes:
-        sides: tag -> facets of a side, the secondary one first. A rigid obstacle has none; a
-            surface that touches itself is one side.
+        sides: tag -> facets of a side, the secondary side first. There is only one side if the
+            primary side is a rigid obstacle, or if the surface touches itself.
     """
 
     sides: dict[int, Facets]

@@ -79,7 +79,8 @@ class ContactSystem(PetscOwner):
         compliance: A = B K^-1 B', with K factored.
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         surfaces: the secondary side of each pair.
-        sliding: the displacement at which surfaces were last paired, and a check of the slip since.
+        sliding: the displacement at which surfaces were last paired, and a check of the slip since
+            this pairing.
         geometry: displacement at which pairs without finite sliding were paired.
         obstacles: the rigid obstacles and their positions.
         summary: the sizes of the problem.
@@ -371,7 +372,7 @@ class ContactSystem(PetscOwner):
         """Restore the accepted steps and the last solve at the end of the block. Collective.
 
         Inside the block, solves may start from other steps and with other inputs, but the pairing
-        must not change. If K changes inside, there is no last solve afterwards.
+        must not change. If K changes inside the block, the last solve is dropped.
         """
         steps, compliance = self.steps, self.compliance
         start, multipliers, last = steps.start, steps.multipliers, steps.last
@@ -458,9 +459,9 @@ class ContactSystem(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
-        With finite sliding the slip counts from the last accepted step: it is the tangential part,
-        in this configuration, of the displacement of a node relative to its present partner since
-        that step.
+        With finite sliding the slip counts from the last accepted step. It is the displacement of a
+        node since this step, relative to the node's present partner and projected onto the node's
+        tangent plane in the configuration.
 
         Args:
             u: displacement [length] in the problem's space.
@@ -642,7 +643,7 @@ class ContactSystem(PetscOwner):
             options: options of the contact algorithm.
             units: names of units, for tables and pictures of the solution.
             observe: function that is called before each iteration, on all ranks; the solve stops
-                where it returns True.
+                if it returns True.
 
         Raises:
             ContactError: the problem was destroyed, or its last `update_stiffness` failed.

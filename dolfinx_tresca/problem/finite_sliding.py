@@ -26,10 +26,10 @@ from dolfinx_tresca.units import Units
 ANDERSON_DEPTH = 3
 
 #: Least eigenvalue, relative to the largest one, of the Gram matrix of the differences of residuals
-#: u - w, each divided by its length. Eigenvectors with smaller eigenvalues are ignored: they are
-#: nearly dependent combinations of differences, and these are noise, since early contact problems
-#: are solved inaccurately. The half ring of benchmarks/finite_sliding.py takes 187 Newton steps
-#: with 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
+#: u - w, each divided by its length. Eigenvectors with smaller eigenvalues are ignored: they belong
+#: to combinations of nearly dependent differences. Such combinations are noise, since early contact
+#: problems are solved inaccurately. The half ring of benchmarks/finite_sliding.py takes 187 Newton
+#: steps with 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
 
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
@@ -38,17 +38,17 @@ DEPENDENT = 1e-3
 #: residual in proportion to the last change of the forces is not better: where forces are sensitive
 #: to residuals, as in slender bodies, this change is as large as the errors of contact problems.
 #: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
-#: steps with 0.03 times that change, 165 with this value, and 159 with 0.003. The hemisphere of the
-#: same file (size 10, steps of 2 cells) takes, in this order, 63, 59 and 57 Newton steps with 381,
-#: 438 and 473 products.
+#: steps if the residual is 0.03 times the change of the forces, 165 with the value below, and 159
+#: with 0.003. The hemisphere of the same file (size 10, steps of 2 cells) takes, in this order, 63,
+#: 59 and 57 Newton steps with 381, 438 and 473 products.
 FORCING = 0.01
 
 #: Ratio of a change of forces or gaps to the previous change: the assumed value while it is
 #: unknown; its lower bound, since a step of Anderson's acceleration may succeed by chance; and its
 #: upper bound, since a convergent iteration has a ratio below 1. A change whose ratio is below both
-#: the lower bound and the ratio of the residuals u - w is small by chance, and is enlarged to the
-#: smaller of these two ratios: without this, 28 of 200 random scenes, solved to 1e-5 and to 1e-6,
-#: had more than ten times the requested error; with it 8 have.
+#: the lower bound and the ratio of the residuals u - w is small by chance. It is replaced by the
+#: previous change times the smaller of these two ratios: without this replacement, 28 of 200 random
+#: scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested error; with it 8 have.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Advice to users if the configurations do not converge.
@@ -60,7 +60,7 @@ MAX_CONFIGURATIONS = 40
 
 #: Changes of gaps are measured relative to the displacement since the last accepted step, but at
 #: least to this fraction of the whole displacement: where a wheel turns on a body that rests, the
-#: displacement of a step is rounding, and gaps would never be accurate relative to it.
+#: displacement of a step is rounding, and gaps would never be accurate relative to rounding.
 SMALL_STEP = 1e-2
 
 
@@ -69,9 +69,9 @@ class FiniteSliding:
 
     u(w) is the solution of the contact problem whose normals, partners and areas are those of the
     surfaces displaced by w. The iteration w <- u(w) converges linearly where friction acts, because
-    the directions of the forces are those of the last configuration. Anderson's acceleration (type
-    II; Walker and Ni 2011, SIAM J. Numer. Anal. 49) makes it converge as fast as Newton's method
-    does for the bodies, so nonlinear bodies need only one Newton step for each configuration.
+    the directions of the forces are those of the last configuration. With Anderson's acceleration
+    (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49) it converges about as fast as Newton's
+    method for the bodies, so for nonlinear bodies one Newton step in each configuration is enough.
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last
@@ -86,14 +86,14 @@ class FiniteSliding:
         self._forces: Array | None = None
         self._gaps: Array | None = None
         self._residual = math.inf  # |u - w|^2
-        self._displaced: list[Array] = []  # w, the last one at the end
-        self._solved: list[Array] = []  # u(w)
+        self._displaced: list[Array] = []  # the displacements w of all configurations
+        self._solved: list[Array] = []  # the solutions u(w) in these configurations
         self._start = 1.0  # relative residual that the last contact problem started with
         self.change = self.error = math.inf
         self.configurations = 1
 
     def loosened(self, options: SolverOptions) -> SolverOptions:
-        """Return the options with the `rtol` that suffices for now; see `FORCING`."""
+        """Return the options with an `rtol` for the present configuration; see `FORCING`."""
         residual = FORCING * self._start
         if options.rtol is not None:
             residual = max(residual, options.rtol)
@@ -102,10 +102,12 @@ class FiniteSliding:
         return options.with_changes(rtol=residual)
 
     def observe(self, u: fem.Function, start: float) -> None:
-        """Compare forces and gaps with those of the previous configuration. Collective.
+        """Compare forces and gaps with the previous configuration, and estimate the error.
+
+        Collective.
 
         The change of gaps is relative to the largest displacement since the last accepted step, or
-        to `SMALL_STEP` of the displacement if that is larger.
+        to `SMALL_STEP` times the largest displacement if this is larger.
 
         Args:
             u: solution of the contact problem in the present configuration [length].

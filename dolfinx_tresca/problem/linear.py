@@ -65,9 +65,9 @@ class ContactProblem(ContactProcess):
     static load. For a process call `accept()` after each `solve()`. Friction then resists the slip
     since the last accepted step, and slip remains when the loads are removed.
 
-    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. If
-    nobody destroys a problem, its objects are freed on one rank together with the problem, and on
-    several ranks when the next problem on the same mesh is made.
+    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. If the
+    problem is not destroyed, its PETSc objects are freed later: on one rank when Python frees the
+    problem, on several ranks when the next problem on the same mesh is made.
 
     Attributes:
         pairs: surfaces that may touch.
@@ -144,8 +144,8 @@ class ContactProblem(ContactProcess):
                 with "mg_coarse_"; options without this prefix hold for that level as well.
             petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
-            entity_maps: needed if forms hold Functions on surfaces, as in `dolfinx.fem.form`;
-                `SurfaceFields.entity_maps` has the map of a surface.
+            entity_maps: the argument of `dolfinx.fem.form` that forms need if they contain
+                Functions on the mesh of a surface: take `SurfaceFields.entity_maps`.
             V: the space of the displacement. It is needed if `a` is not a form of UFL, and for a
                 mixed space W with several vector components, where it is a sub-space such as
                 W.sub(0).
@@ -261,8 +261,8 @@ class ContactProblem(ContactProcess):
         replace the fields of the problem's `options` in this solve.
 
         Args:
-            observer: called before each iteration on the ranks that give one; see
-                `dolfinx_tresca.ProgressBar`. The solve stops where it returns True.
+            observer: function that is called before each iteration, on the ranks that give it; see
+                `dolfinx_tresca.ProgressBar`. The solve stops if it returns True on any rank.
             method: the algorithm, such as "projected_newton".
             accuracy: requested bound of the relative energy error; replaces an `rtol` of the
                 problem's `options`, too.
@@ -320,8 +320,8 @@ class ContactProblem(ContactProcess):
     def goal_error(self, goal: Goal) -> GoalError:
         """Return the value of a goal in the last solution, with an error estimate. Collective.
 
-        The estimate keeps the contact state of each node, which is right to first order: if all
-        nodes stick, mean slip and estimated error are zero. The estimate covers the
+        The estimate keeps the contact state of each node, which is right to first order. So if all
+        nodes stick, the mean slip and its estimated error are zero. The estimate covers the
         discretisation error of the displacement. It does not cover the error of approximating a
         curved boundary by straight edges: gaps take account of the curvature of the surfaces, but
         the shape of boundaries without contact is taken as it is in the mesh. The estimate costs
@@ -354,7 +354,7 @@ class ContactProblem(ContactProcess):
             checkpoint_every: number k: keep only the state of each k-th step (values on the contact
                 surfaces), and repeat the solves of all steps for derivatives; None: keep the
                 displacement of each step, and repeat no solve. With k = 1 each repeated solve
-                starts from the solution of the first solve, and costs a product or two.
+                starts from the recorded solution of its step, and costs a product or two.
             folder: folder for files with these states, in the format of `save_state`; None: keep
                 the states in memory.
 

@@ -54,7 +54,7 @@ class Obstacles:
 
     @property
     def motions(self) -> Array:
-        """(pairs, 3, 4) `RigidMotion.matrix` of each obstacle; of no motion without an obstacle."""
+        """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle; the identity without one."""
         none = RigidMotion.none()
         return np.array([(none if one is None else one.motion).matrix for one in self._obstacles])
 
@@ -181,10 +181,10 @@ class Obstacles:
         return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 
     def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
-        """Return how far an obstacle has moved at each node, since a former position.
+        """Return the displacement of an obstacle at each node, since a former position.
 
-        This is the displacement of the material point of the obstacle that is at the node now. Not
-        collective.
+        At a node this is the displacement of the obstacle's material point that is at the node now.
+        Not collective.
 
         Args:
             before: (3, 4) former motion of the obstacle, as in `RigidMotion.matrix`.

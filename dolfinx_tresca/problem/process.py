@@ -137,7 +137,7 @@ class ContactProcess(PetscOwner, Tabulated):
     def forget(self) -> None:
         """Drop the multipliers and products of earlier solves: the next solve starts from zero.
 
-        Accepted load steps stay: the slip still counts from the last of them. Not collective.
+        Accepted load steps stay: the slip still counts from the last accepted step. Not collective.
         """
         self._contact.forget()
 
@@ -175,9 +175,9 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
-        """Begin load steps at a displacement: the slip of later solutions counts from its T u.
+        """Begin load steps at a displacement u: the slip of later solutions counts from T u.
 
-        Use it to continue after a restart, or from a state that another program computed.
+        Use this call to continue after a restart, or from a state that another program computed.
         Collective.
 
         Args:
@@ -211,8 +211,8 @@ class ContactProcess(PetscOwner, Tabulated):
                 traction of the nearest point of the same pair's surface in the solution, or zero
                 where no point is near.
             accepted: whether the solution is a load step from which this problem continues: slip
-                counts from the solution's slip, which is interpolated, and its dissipation is added
-                to later dissipation, as after `accept()` on the same mesh.
+                counts from the solution's slip, which is interpolated, and the solution's
+                dissipation is added to later dissipation, as after `accept()` on the same mesh.
 
         Raises:
             InputError: the solution has another number of pairs, or another dimension.
@@ -329,7 +329,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
+        """Pair surfaces in the configuration displaced by u, if they are not yet. Collective."""
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
@@ -337,7 +337,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @collective(comm_of_self)
     def goal_value(self, goal: Goal) -> float:
-        """Return the value of a goal of the last solution. Collective.
+        """Return the value of a goal in the last solution. Collective.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
@@ -466,7 +466,7 @@ class ContactProcess(PetscOwner, Tabulated):
     def _step_to_differentiate(
         self, controls: Sequence[Any], at_edge: Any
     ) -> tuple[SolvedStep, Forms]:
-        """Return the last solution, with the forms at it. Collective.
+        """Return the last solution, and the forms at its displacement. Collective.
 
         The number of nodes at the edge of their state is logged.
 

@@ -46,7 +46,7 @@ def solve_to_bound(
         surfaces: secondary surfaces of the pairs.
         bodies: bodies of the mesh.
         options: options of the contact algorithm.
-        observe: called before each iteration; the solve stops where it returns True.
+        observe: function that is called before each iteration; the solve stops if it returns True.
         timings: phase -> seconds; the phases "iteration" and "fields" are added to it.
     """
     asked, iterations = options, 0

@@ -43,7 +43,7 @@ class StallWatch:
         self._warned = False
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Tell the observer an iteration and whether the solve stalls; return its answer.
+        """Call the observer with an iteration and its attribute `stalled`; return its answer.
 
         The first stall is logged as a warning. Collective if the observer is.
         """
@@ -60,7 +60,7 @@ class StallWatch:
         return self._observe(replace(iteration, stalled=stalled))
 
     def _stalled(self, iteration: Iteration) -> str:
-        """Return how long there was no progress, or an empty text."""
+        """Return a text that says how long there was no progress; empty if there was progress."""
         newton = iteration.newton
         if newton is not None and newton.number != self._step:
             self._step = newton.number

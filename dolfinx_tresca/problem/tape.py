@@ -58,8 +58,8 @@ class _Recorded:
 
     Attributes:
         solved: the solution with its problem; None if it is to be computed again from a checkpoint.
-        u: weak reference to the displacement that the solve returned, on which goals that are forms
-            may depend; None when called if the user has dropped this displacement.
+        u: weak reference to the displacement that the solve returned; goals that are forms may
+            depend on it. A call of the reference returns None if the user has dropped it.
         values: values of all inputs of the problem in this step.
         options: options with which the step was solved.
     """
@@ -73,13 +73,14 @@ class _Recorded:
 class ProcessTape:
     """The accepted load steps of a process, and derivatives of goals through all of them.
 
-    `ContactProblem.record` makes one. It keeps for each step the displacement, the multipliers, and
-    the values of all Constants and Functions in forms, gaps, laws of friction and Dirichlet
-    conditions, in memory; values that do not change from one step to the next are kept once. With
-    checkpoints it keeps no displacements, but at each k-th step the multipliers and the origin of
-    the slip, which are values on the contact surfaces, in memory or in files. For derivatives it
-    then solves again, for k steps at a time. The first of these k solves starts from its solution,
-    and costs a product or two.
+    `ContactProblem.record` makes a tape. In memory the tape keeps for each step the displacement,
+    the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
+    and Dirichlet conditions; values that do not change from one step to the next are kept once.
+
+    With checkpoints the tape keeps no displacements. At each k-th step it keeps the multipliers and
+    the origin of the slip, which are values on the contact surfaces, in memory or in files. For
+    derivatives it then solves again, for k steps at a time. The first of these k solves starts from
+    the kept multipliers of its own solution, and costs a product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
@@ -114,9 +115,10 @@ class ProcessTape:
 
         Args:
             contact: the problem whose load steps are recorded.
-            solved_for: returns the last solve of the problem, or raises an error that names the
-                purpose that it is given.
-            forms_at: returns the forms and conditions of the problem at a displacement.
+            solved_for: function of a purpose that returns the last solve of the problem, or raises
+                an error that names this purpose.
+            forms_at: function that returns the forms and conditions of the problem at a given
+                displacement.
             checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
                 of all steps are kept.
             folder: folder for files of the checkpoints; None: checkpoints are kept in memory.

@@ -44,9 +44,9 @@ UNKNOWN_COEFFICIENT = 100.0
 class BoundTerms:
     """A slip bound c + min(F p, l), where p is the contact pressure.
 
-    If there is a direction, one of the three terms is a pair of values, along the direction and
-    across it, and the bound is an ellipse. The ratio of the two values is the ratio of its
-    semi-axes; its longer semi-axis is c + min(F p, l) with the larger value.
+    If there is a direction, the bound is an ellipse, and one of the three terms is a pair of
+    values, along the direction and across it. The ratio of these two values is the ratio of the
+    semi-axes, and the longer semi-axis is c + min(F p, l) with the larger value.
 
     Attributes:
         constant: c >= 0 [stress].

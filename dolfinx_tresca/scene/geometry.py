@@ -30,7 +30,7 @@ FLATNESS_SAMPLES, FLAT_HEIGHT = 5, 1e-9
 EDGE_REACH = 3.0
 
 #: Least part of the nodes that must be on the surface before the nodes are moved onto it. After a
-#: refinement these are the old nodes, at least about a fourth of all nodes.
+#: refinement the old nodes are on the surface, at least about a fourth of all nodes.
 LEAST_ON_SURFACE = 0.1
 
 #: Rounding of projections, relative to the size of the surface.
@@ -188,7 +188,7 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
 def _project_to_surfaces(
     model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array
 ) -> Array:
-    """Project points (3, n) onto surfaces, or onto the edges of surfaces if `to_edges`.
+    """Project points (3, n) onto surfaces; if `to_edges`, points at an edge onto the edge.
 
     Raises:
         InputError: too few points are on the surface before they are moved.
@@ -229,7 +229,8 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     """Return the nearest points (3, n) of a curved surface of Gmsh's built-in kernel.
 
     Gmsh's own search takes 0.9 ms for a point of the hole in `press_fit.geo`, a hundred times as
-    long as this one, and its points are off by up to 1e-4 of the size of the surface along it.
+    long as this search. The points that Gmsh finds lie on the surface, but up to 1e-4 of the size
+    of the surface away from the nearest points.
     """
     low, high = model.getParametrizationBounds(2, surface)
     grid = _grid(model, 2, surface, SEARCH_SAMPLES)

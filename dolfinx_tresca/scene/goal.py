@@ -90,10 +90,10 @@ class MeanPressure:
 
 @dataclass(frozen=True)
 class MeanSlip:
-    """Mean slip around a point along a direction [length], with the weight of `MeanPressure`.
+    """Mean component of the slip along a direction, around a point [length].
 
-    The slip is the displacement of the secondary side minus the displacement of the primary side,
-    as in `ContactSolution.slip`.
+    The mean has the weight of `MeanPressure`. The slip is the displacement of the secondary side
+    minus the displacement of the primary side, as in `ContactSolution.slip`.
 
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.

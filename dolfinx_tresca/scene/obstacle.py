@@ -156,7 +156,7 @@ class RigidObstacle:
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return unchecked distances and normals at points (3, n), from the present place."""
+        """Return unchecked distances and normals at points (3, n), for the present place."""
         motion = self._motion
         if motion == RigidMotion.none():
             return self._signed_distance(points)

@@ -21,7 +21,7 @@ VectorField: TypeAlias = (
 
 
 def check_vector_field(value: VectorField, name: str) -> None:
-    """Check the type of a vector that is a direction, and the values of numbers.
+    """Check the type of a vector that is a direction; numbers must be finite and not all zero.
 
     Args:
         value: the vector.

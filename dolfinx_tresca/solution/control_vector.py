@@ -15,7 +15,9 @@ from dolfinx_tresca.errors import InputError, shown
 
 
 def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
-    """Check that controls are a list of Constants and Functions, and return it. Not collective.
+    """Check that controls are a list of Constants and Functions, and return the list.
+
+    Not collective.
 
     Args:
         controls: the argument of the user.
@@ -40,8 +42,8 @@ class ControlVector:
     """The values of Constants and Functions as one array, the same on all ranks.
 
     Optimisers such as `scipy.optimize.minimize` take one array of numbers of similar size. The
-    values of all controls follow each other, each divided by its scale; values of a Function are in
-    the global order of its degrees of freedom.
+    values of all controls follow each other, each divided by the scale of its control; values of a
+    Function are in the global order of its degrees of freedom.
 
     Attributes:
         controls: the Constants and Functions.

@@ -45,7 +45,7 @@ class NodeCounts:
         stick: nodes with a tangential traction below the slip bound, pressed or not.
         contact_stick: nodes that are pressed and stick.
         idle: open nodes whose slip bound is zero, as without pressure in Coulomb's law.
-        bonded: nodes of bonded pairs, which no other state counts.
+        bonded: nodes of bonded pairs, which are counted in no other state.
         undecided: nodes whose state is uncertain: a change of tractions by `local_error` may put
             them in another state. The other counts are exact up to these nodes.
     """
@@ -243,8 +243,8 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
     Args:
         lam: Lambda with the bounds of a solution.
-        moved: Lambda with the bounds after the tractions of each node alone have moved to the
-            minimum of the dual energy.
+        moved: Lambda with the bounds after the tractions of each node have moved to the node's own
+            minimiser, see `DualProgram.decoupled_minimiser`.
         comm: the communicator.
     """
     before, after = lam.radius, moved.radius

@@ -43,7 +43,7 @@ class ContactState(IntEnum):
     BONDED = 6  #: tied to the primary side
 
 
-#: States of nodes that may slip and do not.
+#: States that count as sticking.
 STICKING = (ContactState.OPEN_STICK, ContactState.STICK, ContactState.BONDED)
 
 
@@ -69,10 +69,10 @@ class SurfaceFields:
         name: name of the pair.
         mesh: the mesh of the surface.
         pressure: contact pressure [stress], positive in compression.
-        traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
-            secondary body its opposite. None without friction.
-        slip: tangential jump T u [length], a vector; secondary minus primary. In a process the sum
-            of the slip vectors of all steps. None without friction.
+        traction: tangential traction lambda_tau [stress], a vector; it acts on the primary body,
+            and the opposite traction acts on the secondary body. None without friction.
+        slip: tangential jump T u [length], a vector; secondary minus primary. In a process it is
+            the sum of the slip vectors of all steps. None without friction.
         slip_increment: slip since the last accepted step, T u - s [length], a vector along the
             traction; before the first accepted step it is `slip` itself. None without friction.
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
@@ -143,9 +143,9 @@ class SurfaceFields:
         The values at nodes of the secondary side are those of the field. At nodes of the primary
         side they are means over the opposite part of the secondary side (`SideTransfer`), and at
         other nodes zero. The sum of the values times `ContactOperators.areas` is equal on both
-        sides; for a pressure it is the force. An integral over either side, in a form, equals this
-        sum if the two sides face each other completely. If facets extend beyond the other side, the
-        integral includes their whole area: multiply the Function by
+        sides; for a pressure this sum is the force. An integral over either side, in a form, equals
+        this sum if the two sides face each other completely. If facets extend beyond the other
+        side, the integral includes their whole area: multiply the Function by
         `ContactOperators.area_fraction` to leave out the part beyond.
 
         Args:
@@ -188,7 +188,7 @@ class SlipFields:
         total: (n, d) sums of the slip vectors of all steps [length].
         increment: (n, d) slip vectors of this step [length]; None in the first step, where they
             equal `total`.
-        path: (n,) lengths of the paths [length].
+        path: (n,) lengths of the slip paths of the nodes [length].
     """
 
     total: Array
@@ -244,7 +244,7 @@ class Surface:
     ) -> fem.Function:
         """Return a Function with values (n,) or (n, d) at nodes (n,) of V. Collective.
 
-        At all other nodes of the surface its value is `outside`.
+        At all other nodes of the surface the value of the Function is `outside`.
         """
         dim = self.mesh.geometry.dim
         whole = self.work.x.array.reshape(-1, dim)
@@ -278,7 +278,7 @@ class Surface:
 
         Args:
             nodes: (m,) nodes of V; on sharp edges a node occurs once for each patch.
-            weights: (m,) their areas.
+            weights: (m,) areas of these nodes.
         """
         areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
         areas[self.scalar.dofmap.index_map.size_local :] = 0.0
@@ -360,7 +360,7 @@ class Surface:
 
 
 def _to_owners(function: fem.Function) -> None:
-    """Give owners and ghosts the values, each of which is non-zero on one rank only. Collective."""
+    """Send values, each of which is nonzero on one rank only, to owners and ghosts. Collective."""
     function.x.scatter_reverse(dolfinx.la.InsertMode.add)
     function.x.scatter_forward()
 

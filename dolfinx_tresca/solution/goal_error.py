@@ -31,13 +31,13 @@ from dolfinx_tresca.scene.goal import (
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
-#: Degree of the elements -> relative error with which squared energy errors of cells are assumed
-#: to be known. By the parallelogram identity it is also the uncertainty of the sum of a(e, e') over
-#: the cells, with the errors e of the displacement and e' of the adjoint, relative to the sum of
-#: the products of their energy norms (Prudhomme and Oden, On goal-oriented error estimation for
-#: elliptic problems, 1999). If it is doubled, the estimate is above 5 times the error on twice as
-#: many meshes, and below 0.7 times the error on a third fewer; see "Meshes for a number" in
-#: benchmarks/README.md.
+#: Relative error with which squared energy errors of cells are assumed to be known, by the degree
+#: of the elements. Let e be the error of the displacement, and e' the error of the adjoint. By the
+#: parallelogram identity the number is also the uncertainty of the sum of a(e, e') over the cells,
+#: relative to the sum of the products of the energy norms of e and e' (Prudhomme and Oden, On
+#: goal-oriented error estimation for elliptic problems, 1999). If the numbers are doubled, the
+#: estimate is above 5 times the error on twice as many meshes, and below 0.7 times the error on a
+#: third fewer meshes; see "Meshes for a number" in benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
 
 #: Fraction of `state_changes` that is added to the estimate. It is less than 1, since
@@ -120,7 +120,7 @@ def goal_error(
     u: fem.Function,
     energy_error: float,
 ) -> GoalError:
-    """Return the value of a goal and its estimated error, for some 10 products. Collective.
+    """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
     Args:
         goal: the goal.
@@ -193,7 +193,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
         pressure = (x * jump.stress_scale)[n]
         size = np.abs(pressure)
         largest = float(reduce_array(jump.comm, size.max(initial=0.0), MPI.MAX))
-        size /= largest or 1.0  # powers of it do not overflow
+        size /= largest or 1.0  # so that its powers do not overflow
         weights, m = pair.weights[i], goal.exponent
         whole = float(reduce_array(jump.comm, weights @ size**m))
         if whole > 0.0:
@@ -227,10 +227,11 @@ def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
 def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     """Return the mean (nodes,) of a patch's weight round each node of a pair. Collective.
 
-    A multiplier is the mean of the pressure under its node's hat function. If the goal took the
-    weight's values at the nodes, its weight would be linear between nodes: this error would exceed
-    the discretisation error of elements of degree 2. With means by the multiplier basis, the
-    difference between the linear weight and the patch's weight has a zero mean round each node.
+    A multiplier is the mean of the pressure under its node's hat function. If the goal used the
+    values of the weight at the nodes, the weight would be linear between nodes, and the error of
+    this interpolation would exceed the discretisation error of elements of degree 2. With means by
+    the multiplier basis, the difference between the linear weight and the patch's weight has a zero
+    mean round each node.
     """
     index_map = V.dofmap.index_map
     matrix = as_petsc(index_map, 1, [pair.secondary], V.mesh.comm)

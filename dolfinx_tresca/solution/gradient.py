@@ -41,7 +41,8 @@ class Forms:
         residual: function that returns the residual R(u; z), a form of rank 0, for a Function z.
         tangent: dR/du, a bilinear form.
         bcs: Dirichlet conditions.
-        entity_maps: needed if forms hold Functions on surfaces.
+        entity_maps: entity maps of the forms, needed if these hold Functions on surfaces; None:
+            there are none.
     """
 
     residual: Callable[[fem.Function], Any]
@@ -106,12 +107,13 @@ class Differentiation:
         dJ/dm = explicit - dR/dm(u; z) + y'dd/dm + (q_u - B'y - dR/du(u; z))'du_D/dm
                 + sum over slipping nodes of dg/dm t'(q_x - B z)
 
-    with the derivative `explicit` of J for fixed u and multipliers, the gap d, the prescribed
-    values u_D, the slip bound g of a node, the direction t of its traction, and the derivatives q_u
-    and q_x of J with respect to u and to the multipliers. The derivative with respect to the slip
-    origin s is y, like the derivative with respect to the gap. In a process a node that stuck in
-    the previous step keeps the s of that step; for any other node s is its tangential jump T u in
-    that step. So y carries the derivatives of a step's goals back to the previous step.
+    Here `explicit` is the derivative of J for fixed u and multipliers, d the gap, u_D the
+    prescribed values, g the slip bound of a node, and t the direction of its traction; q_u and q_x
+    are the derivatives of J with respect to u and to the multipliers. The derivative with respect
+    to the slip origin s is y, like the derivative with respect to the gap. In a process a node that
+    stuck in the previous step keeps the s of the previous step; for any other node s is its
+    tangential jump T u in the previous step. So y carries the derivatives of a step's goals back to
+    the previous step.
     """
 
     def __init__(
@@ -129,10 +131,10 @@ class Differentiation:
             pairs: the pairs of the problem.
             forms: forms and conditions of the bodies at u.
             u: displacement in the forms, to which `backwards` gives the values of each solution.
-            values: evaluates fields of friction and gaps at the nodes of u.
+            values: object that evaluates fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
-            find_differences: returns the central differences of B for displaced obstacles; None:
-                obstacles depend on no control.
+            find_differences: function that returns the central differences of B for displaced
+                obstacles; None: obstacles depend on no control.
         """
         self._find_differences = find_differences
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values
@@ -162,8 +164,8 @@ class Differentiation:
                 solution's u.
             on_origin: (size,) derivatives of further terms with respect to the slip origin of the
                 next step; None: zeros.
-            on_displacement: derivatives of further terms with respect to the displacement, at
-                least with respect to the values that this rank owns; None: zeros.
+            on_displacement: derivatives of further terms with respect to the values of the
+                displacement; only the values that this rank owns are used. None: zeros.
 
         Returns:
             for each control the derivatives with respect to its values (for a Function, those that
@@ -337,7 +339,8 @@ def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array
         test = ufl.TestFunction(control.function_space)
         compiled = forms.compiled(ufl.derivative(form, control, test))
         return lambda: assembled(compiled)[: _owned(control)]
-    # UFL differentiates with respect to Functions: take one with the control's value in all cells
+    # UFL differentiates with respect to Functions: take a Function with the control's value in all
+    # cells
     mesh = next(one for one in form.coefficients()).function_space.mesh
     assert mesh.ufl_domain() == form.ufl_domain()
     m = fem.Function(fem.functionspace(mesh, ("DG", 0, control.ufl_shape)))
@@ -364,7 +367,8 @@ def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: A
         comm: communicator.
 
     Returns:
-        None if no prescribed value depends on the control.
+        the derivatives with respect to the values of the control (for a Function, those that this
+        rank owns); None if no prescribed value depends on the control.
     """
     source = sources_of_prescribed(bcs, control, len(weights))
     depends = source >= 0

@@ -32,8 +32,8 @@ def hint_at_scene(
 ) -> None:
     """Log likely mistakes in the contact pairs. Collective.
 
-    They are coefficients of friction that no material has, overlaps as deep as a body, and pairs
-    with both sides on one body.
+    These mistakes are coefficients of friction that no material has, overlaps as deep as a body,
+    and pairs with both sides on one body.
 
     Args:
         V: space of the displacement.
@@ -118,9 +118,10 @@ def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
 def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
-    Then there may be several solutions. A decrease with the slip is harmless if its rate, at the
-    slip and on average from rest to the slip, is below the least traction that elastic bodies need
-    for one more unit of slip: 1 divided by the largest eigenvalue of A.
+    Then there may be several solutions. A decrease with the slip is harmless if it is slow enough,
+    both at the slip and on average from rest to the slip: its rate must be below the least traction
+    that elastic bodies need for one more unit of slip, which is 1 divided by the largest eigenvalue
+    of A.
 
     Args:
         comm: communicator of the mesh.

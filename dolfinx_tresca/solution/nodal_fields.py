@@ -1,4 +1,4 @@
-"""The fields of the user at contact nodes on which a solution depends, and their influence."""
+"""The user's fields on whose values at contact nodes a solution depends, and their influence."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ class NodalField:
         field: the scalar as the user gave it.
         nodes: (n,) local numbers of the nodes.
         name: name of the scalar in errors.
-        offset: (size, n) derivatives of the offsets (d; s), divided by `JumpOperator.length_scale`.
-        radius: (n_discs, n) derivatives of the radii of the discs.
+        offset: (size, n) derivatives of the offsets (d; s), divided by `JumpOperator.length_scale`,
+            with respect to the nodal values.
+        radius: (n_discs, n) derivatives of the radii of the discs with respect to the nodal values.
     """
 
     field: Any
@@ -103,9 +104,9 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
 
 
 def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
-    """Return for each term of the slip bound c + min(F p, l) the derivatives of the radii by it.
+    """Return derivatives of the discs' radii by each term of the slip bound c + min(F p, l).
 
-    Each is an array (n_discs,). Collective.
+    The derivatives by one term are an array (n_discs,). Collective.
     """
     dual, x = step.dual, step.multipliers
 

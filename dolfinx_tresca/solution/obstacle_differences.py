@@ -19,8 +19,8 @@ from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.solved_step import SolvedStep
 
-#: Largest difference of a component up to which a tangent with displaced obstacles and a tangent
-#: with the obstacles where they are count as the same row of T.
+#: A tangent with displaced obstacles and a tangent with the obstacles where they are count as the
+#: same row of T if none of their components differs by more than this number.
 TURNED = 0.05
 
 
@@ -40,8 +40,8 @@ class ObstacleDifferences(PetscOwner):
         bounds: slip bounds at the nodes of each pair.
         present: B with the obstacles where they are.
         origin: (size,) slip origin, divided by `JumpOperator.length_scale`, if at each node it is a
-            fixed vector, whose components change with the tangents; None: its components are
-            constant.
+            fixed vector, whose components change with the tangents; None: the components of the
+            slip origin are constant.
     """
 
     after: JumpOperator
@@ -95,7 +95,7 @@ class ObstacleDifferences(PetscOwner):
         Args:
             pair: number of the pair.
             rows: positions of the pair's tangential multipliers.
-            x: (size,) multipliers, divided by `JumpOperator.stress_scale`.
+            x: (size,) multipliers, which are tractions divided by `JumpOperator.stress_scale`.
         """
 
         def vectors(jump: JumpOperator) -> Array:
@@ -188,6 +188,6 @@ class ObstacleDifferences(PetscOwner):
         return result + sum(weight * self.goal(goal, x, jumps) for weight, goal in goals)
 
 
-#: Function from a Constant and a direction in which its value changes to the differences of B; it
-#: returns None if no obstacle depends on the Constant.
+#: Function of a Constant and a direction in which its value changes. It returns the differences of
+#: B, or None if no obstacle depends on the Constant.
 FindDifferences: TypeAlias = "Callable[[fem.Constant, Array], ObstacleDifferences | None]"

@@ -19,9 +19,10 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
     Not collective.
 
     Args:
-        bcs: Dirichlet conditions; the last one that prescribes a value counts.
+        bcs: Dirichlet conditions; the last condition that prescribes a value counts.
         control: a Constant or a Function.
-        size: number of this rank's degrees of freedom, in local order: owned ones come first.
+        size: number of this rank's degrees of freedom, in local order: owned degrees of freedom
+            come first.
 
     Returns:
         (size,) position in the control's values; -1 where no value of the control is prescribed.

@@ -135,8 +135,8 @@ def resultants_between(
 ) -> dict[tuple[int, int], Resultant]:
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
-    Moments are about the mean of the points at which the forces between both bodies act, weighted
-    by the sizes of the forces.
+    Moments are about the mean of the points at which the forces between the two bodies act,
+    weighted by the sizes of the forces.
 
     Args:
         comm: communicator of the mesh.

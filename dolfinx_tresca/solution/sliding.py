@@ -59,8 +59,9 @@ class Sliding:
     ) -> float:
         """Return the largest ratio of a pressed node's slip to the mesh size. Collective.
 
-        Left out are pairs with finite sliding, bonded pairs, pairs with a plane, which has only one
-        normal, and two deformable surfaces without friction, which have no tangential rows.
+        Some pairs are left out: pairs with finite sliding, bonded pairs, pairs with a plane, which
+        has only one normal, and two deformable surfaces without friction, which have no tangential
+        rows.
         """
         dim = u.function_space.mesh.geometry.dim
         moved = fem.Function(u.function_space)
@@ -78,7 +79,8 @@ class Sliding:
             else:
                 along = one.tangential_vectors(slip[t])
             pressed = one.normal_node[multipliers[n] > 0.0]
-            # the size is that of whole facets: the part in contact may be a sliver at an edge
+            # the mesh size is the size of whole facets: the part in contact may be a sliver at an
+            # edge
             distance = np.linalg.norm(along, axis=1) / one.sizes
             largest = max(largest, distance[pressed].max(initial=0.0))
         return float(reduce_array(jump.comm, largest, MPI.MAX))

@@ -16,8 +16,9 @@ from dolfinx_tresca.dual.adjoint import EdgeState, LinearisedContact, at_edge
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 
-#: Relative error of the adjoint multipliers, and so of the derivatives: the first if K is factored,
-#: the second with an iterative solver for K, whose products have this relative error.
+#: Relative error of the adjoint multipliers, and so of the derivatives. `ACCURACY` is for a K that
+#: is factored; `ITERATIVE_ACCURACY` is for an iterative solver for K, whose products have this
+#: relative error.
 ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
 
 
@@ -71,10 +72,11 @@ class SolvedStep:
 
     @property
     def sticking_and_other_rows(self) -> tuple[Mask, Mask]:
-        """Tangential rows (size,) of nodes that stick, and of all others. Not collective.
+        """Tangential rows (size,) of nodes that stick, and of all other nodes. Not collective.
 
         The next load step counts the slip of nodes that stick from the same origin as this step,
-        and the slip of all others from their tangential jump in this step (`SlipHistory.after`).
+        and the slip of all other nodes from their tangential jump in this step
+        (`SlipHistory.after`).
         """
         face = self.state.face
         rows, sticks = face.discs.tangential, face.stick[face.discs.node]

@@ -61,7 +61,7 @@ class SurfaceTangent:
 class ContactTangent:
     """The change of a solution along a direction of the controls, to first order.
 
-    `ContactProblem.tangent` returns it.
+    `ContactProblem.tangent` returns this object.
 
     Attributes:
         u: change of the displacement [length].
@@ -90,7 +90,7 @@ class ContactTangent:
             goal: see `ContactProblem.gradient`.
 
         Raises:
-            InputError: the goal is wrong.
+            InputError: the goal does not suit this problem.
         """
         return self._of(goal)
 
@@ -155,11 +155,13 @@ def tangent_of(
         pairs: the pairs of the problem.
         surfaces: secondary surfaces of the pairs.
         forms: forms and conditions of the bodies at the solution.
-        values: evaluates fields of friction and gaps at the nodes of u.
+        values: object that evaluates fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
         directions: changes of the controls, see `checked_directions`.
-        find_differences: returns the central differences of B for displaced obstacles.
-        checked_goal: checks and returns a goal that a user gives to `ContactTangent.of`.
+        find_differences: function that returns the central differences of B for displaced
+            obstacles.
+        checked_goal: function that checks and returns a goal that a user gives to
+            `ContactTangent.of`.
 
     Raises:
         InputError: the derivative with respect to a control is not known.
@@ -278,7 +280,8 @@ def _directional(form: Any, control: Control, direction: Any, mesh: Any) -> Any:
         return None
     if isinstance(control, fem.Function):
         return ufl.derivative(form, control, direction)
-    # UFL differentiates with respect to Functions: take one with the control's value in all cells
+    # UFL differentiates with respect to Functions: take a Function with the control's value in all
+    # cells
     space = fem.functionspace(mesh, ("DG", 0, control.ufl_shape))
     m, change = fem.Function(space), fem.Function(space)
     for one, values in ((m, control.value), (change, direction)):

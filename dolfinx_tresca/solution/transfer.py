@@ -17,12 +17,14 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.surface.box import Box
 
-#: Number of corners of a facet -> the simplices into which the facet is divided.
+#: Maps the number of corners of a facet to the simplices into which the facet is divided.
 SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
-    """Return multipliers (size,) [stress] for a start, from tractions on another mesh. Collective.
+    """Return multipliers (size,) [stress] for a first guess, from tractions on another mesh.
+
+    Collective.
 
     Args:
         surfaces: fields of the solution on the other mesh, one for each pair.
@@ -64,7 +66,7 @@ def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Arr
 def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     """Return pressures (n,) and tangential tractions (n, d) [stress] near points. Collective.
 
-    They are zero at points whose distance from the surface exceeds its longest edge.
+    They are zero at points whose distance from the surface exceeds the longest edge of the surface.
 
     Args:
         fields: fields of a solution on any mesh.
@@ -87,7 +89,7 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
 
     At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
     edges, where refined meshes have nodes. Values are zero at points whose distance from the
-    surface exceeds its longest edge.
+    surface exceeds the longest edge of the surface.
 
     Args:
         fields: fields of a solution on any mesh.

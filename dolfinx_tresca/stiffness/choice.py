@@ -15,10 +15,10 @@ from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-#: A solver for K.
+#: Name of a solver for K.
 ChosenMethod: TypeAlias = Literal["cholesky", "multigrid"]
 
-#: A solver for K as users request it; "auto": `choose` takes one.
+#: Name of a solver for K as users request it; "auto": `choose` decides.
 StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 
 
@@ -38,9 +38,9 @@ class CholeskyLimits(NamedTuple):
     most: int
 
 
-#: Limits by the dimension of space and the degree of displacements. K of degree 2 has more entries
-#: than K of degree 1, but its factors have hardly more; its multigrid is set up faster, since a
-#: level of degree 1 is below it.
+#: Limits by the dimension of space and the degree of displacements. For degree 2, K has more
+#: entries than for degree 1, but its factors have hardly more entries, and multigrid is set up
+#: faster, since the next level has degree 1.
 CHOLESKY_LIMITS = {
     (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
     (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
@@ -100,14 +100,14 @@ def choose(
 
     Args:
         method: the requested method.
-        size: number of degrees of freedom of a body: a mean with these numbers themselves as
-            weights, so that large bodies decide.
+        size: mean number of degrees of freedom of a body, weighted by this number itself, so that
+            large bodies decide.
         dim: dimension of space.
         degree: degree of the displacements.
         expected_solves: expected number of contact solves with the same K.
         comm: communicator of the log.
         saddle: whether K belongs to a mixed space.
-        refined: whether the mesh was refined from coarser ones, which multigrid can use.
+        refined: whether the mesh was refined from coarser meshes, which multigrid can use.
     """
     if method != "auto":
         return method, "requested"

@@ -43,10 +43,11 @@ SADDLE = {
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
     """Return a solver with the Cholesky factors of K. Collective.
 
-    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If it fails,
-    MUMPS factors K, or gives the reason of the failure: PETSc may be built without CHOLMOD, factors
-    may have more entries than its 32-bit integers count, and CHOLMOD reports only the first bad
-    pivot of a K that is not positive definite. The user's options may choose another package.
+    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If CHOLMOD
+    fails, MUMPS factors K, or gives the reason of the failure. CHOLMOD fails if PETSc is built
+    without it, if the factors have more entries than its 32-bit integers count, or if K is not
+    positive definite; in the last case it reports the first bad pivot only. The user's options may
+    choose another package.
 
     Args:
         K: the matrix.
@@ -75,9 +76,9 @@ def saddle_cholesky(
         petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database.
         constraints: number of unknowns other than displacements, such as pressures. The number of
-            negative pivots must equal it. By Sylvester's law of inertia A + B'C^-1 B is then
-            positive definite; if C is zero, A is positive definite on the vectors u with B u = 0.
-            None: the pivots are not checked.
+            negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
+            then positive definite; if C is zero, A is positive definite on the vectors u with
+            B u = 0. None: the pivots are not checked.
 
     Raises:
         StiffnessError: K is singular, the number of negative pivots is wrong, or the factorisation

@@ -1,4 +1,4 @@
-"""Multigrid levels below a space: degree 1 below degree 2, coarser meshes below a refined one."""
+"""Multigrid levels below a space: degree 1 below degree 2, coarser meshes below a refined mesh."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dolfinx_tresca.stiffness.nested import is_nested, nested
 
 
 def has_levels(V: Any) -> bool:
-    """Return whether a space has multigrid levels below: degree 1, or coarser meshes.
+    """Return whether a space has multigrid levels below it: degree 1, or coarser meshes.
 
     Not collective.
     """
@@ -54,7 +54,8 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     matrices, interpolations = [K], []
     for coarse, P in _spaces(V):
         coarse_free = _injected(P, free)
-        # if either scaling is left out, corrections change prescribed values: far more iterations
+        # if either scaling is left out, corrections change prescribed values, and far more
+        # iterations are needed
         P.diagonalScale(free, coarse_free)
         free.destroy()
         free = coarse_free
@@ -102,8 +103,8 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
 
-    The modes are motions of all bodies together, and so rigid motions of each body: one set serves
-    any number of bodies.
+    The modes are motions of all bodies together, and so rigid motions of each body: one set of
+    modes serves any number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = PETSc.Vec().createMPI(

@@ -11,8 +11,8 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 
 #: Largest number of unknowns of the level. A factorisation takes a hundredth of a second, a solve a
-#: millisecond. (Two bricks, N = 16, Krylov iterations of a contact solve: 63 with 42 unknowns, 58
-#: with 306, 54 with 2244.)
+#: millisecond. (On two bricks with N = 16, a contact solve takes 63 Krylov iterations with 42
+#: unknowns, 58 with 306 unknowns, and 54 with 2244 unknowns.)
 MOST_UNKNOWNS = 3000
 
 

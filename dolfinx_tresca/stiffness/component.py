@@ -35,7 +35,7 @@ class Component(PetscOwner):
 
         Args:
             space: the mixed space.
-            index: index of its sub-space.
+            index: index of the sub-space in the mixed space.
         """
         self._space, self._index = space, index
         self.V, self._dofs = collapse(space.sub(index))
@@ -84,7 +84,10 @@ class Component(PetscOwner):
         return parts
 
     def compose(self, w: fem.Function, u: fem.Function, others: Sequence[fem.Function]) -> None:
-        """Set this component of w to u, and the others to those of `other_parts`. Collective."""
+        """Set this component of w to u, and its other components to `others`. Collective.
+
+        The order of `others` is that of `other_parts`.
+        """
         w.x.array[self._dofs] = u.x.array
         for part, (_, dofs) in zip(others, self._others, strict=True):
             w.x.array[dofs] = part.x.array
@@ -92,7 +95,7 @@ class Component(PetscOwner):
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Convert a matrix B from the columns of V to the columns of the mixed space. Collective.
 
-        The caller owns the matrix.
+        The caller owns the new matrix.
         """
         return B.matMult(self._parts)
 

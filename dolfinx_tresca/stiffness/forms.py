@@ -1,4 +1,4 @@
-"""Checks of the users' forms, and their function space."""
+"""Checks of the user's forms, and the function space of the forms."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         name: name of the form in errors.
         form: UFL form, compiled form, matrix or None.
         mesh: mesh of the problem.
-        maps: argument `entity_maps` for `fem.form`, by its name; empty: there are no entity maps.
+        maps: a dict with the argument `entity_maps` of `fem.form` under this name; empty: there are
+            no entity maps.
 
     Raises:
         InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
@@ -103,8 +104,8 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         a: a UFL form, a compiled form, or a matrix.
         L: a UFL form, a compiled form, or None.
         bcs: Dirichlet conditions.
-        V: the space if no form is a UFL form; otherwise, if the forms have a mixed space in which
-            several sub-spaces suit displacements, the sub-space of the displacement.
+        V: if no form is a UFL form, the space of the forms; otherwise, if the forms have a mixed
+            space in which several sub-spaces suit displacements, the sub-space of the displacement.
 
     Raises:
         InputError: forms and conditions do not fit together, or do not suit contact.
@@ -196,10 +197,11 @@ def component_index(space: Any, V: Any = None) -> int | None:
 
     Args:
         space: function space of the forms.
-        V: the requested sub-space; None: the only one that suits displacements.
+        V: the requested sub-space; None: the only sub-space that suits displacements.
 
     Raises:
-        InputError: no sub-space suits displacements, or several do, or the requested one does not.
+        InputError: no sub-space suits displacements, or several do, or the requested sub-space does
+            not.
     """
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):

@@ -1,4 +1,4 @@
-"""Conjugate gradients with multigrid for K: the known coarser spaces, and GAMG below them."""
+"""Conjugate gradients for K, with multigrid on known coarser spaces, and GAMG below them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 KRYLOV = {
     "ksp_type": "cg",
-    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r): the error in the energy norm, nearly
+    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
     "ksp_rtol": 1e-10,
     "ksp_max_it": 500,
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
@@ -24,14 +24,15 @@ KRYLOV = {
 #: positive definite K: the preconditioner is positive definite without an estimate of eigenvalues.
 GAUSS_SEIDEL = {
     "mg_levels_ksp_type": "richardson",
-    "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
+    "mg_levels_pc_type": "sor",  # treats a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
 }
 
-#: Smoother on several ranks. Each rank has a Gauss-Seidel of its own rows, M = diag(M_i): the
-#: largest eigenvalue of M^-1 K may approach the number of ranks that meet at a node, and errors
-#: grow if it exceeds 2 (on three and more ranks the preconditioner was seen to be indefinite).
-#: Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth.
+#: Smoother on several ranks. Each rank applies the Gauss-Seidel method to its own rows,
+#: M = diag(M_i). The largest eigenvalue of M^-1 K may approach the number of ranks that meet at a
+#: node, and errors grow if this eigenvalue exceeds 2 (on three and more ranks the preconditioner
+#: was seen to be indefinite). Chebyshev's polynomial, made for this largest eigenvalue, avoids the
+#: growth.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "sor",
@@ -46,8 +47,8 @@ SMOOTHERS = [
     f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
 ]
 
-#: Solver on the coarsest space: two cycles of GAMG. They are cheap, since K of degree 1 has a
-#: fifteenth of the entries of K of degree 2; with one cycle there are a third more iterations.
+#: Solver on the coarsest space: two cycles of GAMG. The cycles are cheap, since K of degree 1 has a
+#: fifteenth of the entries of K of degree 2; with one cycle a solve takes a third more iterations.
 COARSEST = {
     "mg_coarse_ksp_type": "richardson",
     "mg_coarse_ksp_max_it": 2,
@@ -71,11 +72,11 @@ def multigrid(
 ) -> StiffnessSolver:
     """Return a solver for K by conjugate gradients with multigrid. Collective.
 
-    The level below degree 2 is degree 1 on the same mesh; the levels below a mesh from
-    `adapt.refine` are the coarser meshes. Errors are smoothed on each of these spaces, and GAMG is
-    applied to the matrix P'KP of the coarsest space, or to K if there are no levels below. If the
-    options name a `pc_type`, GAMG or another, this preconditioner is applied to K; if they name a
-    smoother, `CHEBYSHEV` completes its options.
+    The level below a space of degree 2 is the space of degree 1 on the same mesh; the levels below
+    a space on a mesh from `adapt.refine` are spaces on the coarser meshes. Errors are smoothed on
+    each of these spaces, and GAMG is applied to the matrix P'KP of the coarsest space, or to K if
+    there are no levels below. If the options name a `pc_type`, GAMG or another, this preconditioner
+    is applied to K; if they name a smoother, `CHEBYSHEV` completes its options.
 
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows

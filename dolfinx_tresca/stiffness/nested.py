@@ -33,9 +33,9 @@ class Bisection:
     Attributes:
         coarse: the coarser mesh, with straight edges.
         first: number of the node of the finer mesh that belongs to this rank's first row of `ends`.
-        ends: (n, 2) row i has the numbers of the two nodes of the coarser mesh between which the
-            node `first` + i of the finer mesh lies midway, or twice the number of one node if the
-            node `first` + i is this node.
+        ends: (n, 2) row i describes the node `first` + i of the finer mesh: it has the numbers of
+            the two nodes of the coarser mesh between which this node lies midway, or twice the
+            number of the node of the coarser mesh at which it lies.
     """
 
     coarse: Any
@@ -133,7 +133,7 @@ def _told(
 
     Args:
         comm: the ranks.
-        numbers: (n,) numbers of nodes that this rank knows; others may know them, too.
+        numbers: (n,) numbers of nodes that this rank knows; other ranks may know them, too.
         values: (n,) values at the nodes that this rank knows.
         asked: (m,) numbers of the nodes that this rank requests.
     """

@@ -1,4 +1,4 @@
-"""Approximation of K^-1 by two small problems: some degrees of freedom, and a coarse level."""
+"""Approximation of K^-1 by small solves: on some degrees of freedom, and on a coarse level."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Schwarz(PetscOwner):
     """An approximation S <= K^-1 for forces on some degrees of freedom, by small solves.
 
     A local system, with K on these degrees of freedom while all others are clamped, is solved
-    twice, and in between a system on a coarse level of multigrid; the right-hand side of each solve
-    is the remaining residual. With the projections P_1 and P_0 onto the local and the coarse space,
-    which are orthogonal in the energy, K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is
-    symmetric and positive semidefinite (Schwarz's method: Toselli and Widlund 2005, chapter 2). If
-    the solver for K has no coarse level, the local system is solved once, and
-    K^-1 - S = (1 - P_1) K^-1.
+    twice. Between the two solves, a system on a coarse level of multigrid is solved. The right-hand
+    side of each solve is the remaining residual. With the projections P_1 and P_0 onto the local
+    and the coarse space, which are orthogonal in the energy inner product,
+    K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite
+    (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
+    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
 
-    Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps the solver for K.
     """
 
     def __init__(self, solver: StiffnessSolver, dofs: Indices) -> None:

@@ -15,16 +15,17 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
-#: Norm of a residual up to which it counts as zero: such numbers are nearly denormal numbers, which
-#: lack digits.
+#: A residual counts as zero if its norm is at most this number: such numbers are close to denormal
+#: numbers, which lack digits.
 ZERO_NORM = 1e-300
 
 #: Largest relative error in the energy norm at which rounding is taken as the cause of a breakdown
 #: of the iteration.
 NEAR_SOLUTION = 1e-3
 
-#: Backward error |f - K u| / (|K| |u| + |f|), in the maximum norm, up to which a solve without
-#: iteration is exact to rounding. A factorisation leaves about 1e-16, whatever the condition of K.
+#: A solve without iteration counts as exact to rounding if its backward error
+#: |f - K u| / (|K| |u| + |f|), in the maximum norm, is at most this number. A factorisation leaves
+#: about 1e-16, whatever the condition of K.
 BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
 
 #: Advice for breakdowns without a solution, by PETSc's reason.
@@ -75,7 +76,8 @@ class StiffnessSolver(PetscOwner):
             petsc_options: options of the user, which take precedence.
             prefix: prefix in PETSc's database of options. Options that this database has already,
                 from a command line, take precedence over `defaults`. None: a new prefix.
-            prepare: function that sets up the parts of the preconditioner that options cannot.
+            prepare: function that sets up those parts of the preconditioner that options cannot set
+                up.
             check: function that raises an error if the finished set-up shows that K is not positive
                 definite.
 
@@ -119,7 +121,7 @@ class StiffnessSolver(PetscOwner):
                 del options[key]
 
     def check_ready(self) -> None:
-        """Check that K is factored, or its preconditioner set up.
+        """Check that K is factored, or that its preconditioner is set up.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -192,12 +194,13 @@ class StiffnessSolver(PetscOwner):
             u: first guess, from whose best multiple the iteration starts; on return the solution.
             rtol: relative error in the energy norm at which the iteration stops.
             accuracy: absolute error in the energy norm, as `error` estimates it, at which the
-                iteration stops as well. Neither number has an effect on a direct solver.
+                iteration stops as well. Neither `rtol` nor `accuracy` has an effect on a direct
+                solver.
 
         Returns:
             |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it but without rounding; 0 for a
-            direct solver. It is larger than requested if the iteration stopped early, at its
-            largest number of steps or when rounding broke it down near the solution: the caller
+            direct solver. The error is larger than requested if the iteration stopped early: at its
+            largest number of steps, or when rounding broke it down near the solution. The caller
             must judge whether the error is acceptable.
 
         Raises:
@@ -309,8 +312,8 @@ class StiffnessSolver(PetscOwner):
         """Ratio by which an error in the energy norm may exceed sqrt(r'M^-1 r).
 
         Here r is the residual and M the preconditioner. The ratio is lambda_min(M^-1 K)^(-1/2). It
-        is estimated by the Lanczos process in conjugate gradients: exactly in the limit of many
-        iterations, too low after few iterations. It is 1 for direct solvers.
+        is estimated by the Lanczos process in conjugate gradients. The estimate is exact in the
+        limit of many iterations, and too low after few iterations. It is 1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 

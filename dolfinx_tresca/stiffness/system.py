@@ -33,15 +33,17 @@ from dolfinx_tresca.stiffness.forms import (
 )
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: |x'K y - y'K x|, relative to |x| |K y|, that counts as rounding in the assembly of a symmetric K.
+#: Largest ratio of |x'K y - y'K x| to |x| |K y| that counts as rounding in the assembly of a
+#: symmetric K.
 SYMMETRY = 1e-10
 
 
-#: Force against a radial translation of length 1, divided by K's largest diagonal entry, up to
-#: which the force is rounding: then the form lacks the hoop strain.
+#: The force against a radial translation of length 1 counts as rounding up to this multiple of K's
+#: largest diagonal entry; the form then lacks the hoop strain.
 HOOP_ROUNDING = 1e-12
 
-#: Negative radius, relative to the largest radius, that counts as zero.
+#: A negative radius counts as zero if its absolute value is at most this fraction of the largest
+#: radius.
 RADIUS_ROUNDING = 1e-9
 
 
@@ -78,7 +80,7 @@ class LinearSystem(PetscOwner):
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
     Attributes:
-        V: the space of the displacement; of a mixed space, the collapsed sub-space.
+        V: the space of the displacement; for a mixed space, the collapsed sub-space.
         space: function space of the forms: V, or a mixed space.
         component: the displacement in a mixed space; None if the space is not mixed.
         bcs: the Dirichlet conditions.
@@ -273,7 +275,7 @@ class LinearSystem(PetscOwner):
             )
 
     def _eliminate(self) -> None:
-        """Replace prescribed rows and columns of K by those of the identity.
+        """Replace prescribed rows and columns of K by rows and columns of the identity.
 
         The old columns are stored: they give the forces that prescribed values cause. Collective.
         """
@@ -409,7 +411,7 @@ class LinearSystem(PetscOwner):
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
-        """Return a(u, u) / 2 [energy], for the coefficients that K was assembled with. Collective.
+        """Return a(u, u) / 2 [energy], for the coefficients with which K was assembled. Collective.
 
         Args:
             u: displacement, with prescribed values.
@@ -513,7 +515,7 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and that other unknowns than displacements are prescribed zero.
+        """Check that f is finite, and that only displacements have nonzero prescribed values.
 
         Collective.
 

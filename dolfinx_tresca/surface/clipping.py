@@ -11,9 +11,9 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
     Args:
-        first: (n, a, d) corners; for d = 1 of segments (a = 2), for d = 2 of convex polygons,
+        first: (n, a, d) corners of the first segments (d = 1, a = 2) or convex polygons (d = 2),
             clockwise or counter-clockwise.
-        second: (n, b, d) corners of the second segments or polygons, in either order as well.
+        second: (n, b, d) corners of the second segments or polygons, in either order.
         centred: whether polygons are cut into triangles round their centroid, instead of a fan of
             triangles from one of their corners. This gives more triangles, but they do not depend
             on rounding or on the order of the corners.

@@ -85,12 +85,13 @@ def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
     The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
-    with facets of different sizes and shapes, as after local refinement, its error is a fixed part
-    of the angle between facets, so that the relative error of the sagitta (the height of the
-    surface over a facet) does not vanish as the mesh is refined. A least-squares fit of a quadratic
-    height function does not have this error (Cazals and Pouget 2005, Estimating differential
-    quantities using polynomial fitting of osculating jets). With too few neighbours the mean normal
-    is kept. The result is valid at nodes whose adjacent facets are all on this rank.
+    with facets of different sizes and shapes, as after local refinement, the error of the mean is a
+    fixed part of the angle between facets. Then the relative error of the sagitta (the height of
+    the surface over a facet) does not vanish as the mesh is refined. A least-squares fit of a
+    quadratic height function does not have this error (Cazals and Pouget 2005, Estimating
+    differential quantities using polynomial fitting of osculating jets). With too few neighbours
+    the mean normal is kept. The result is valid at nodes whose adjacent facets are all on this
+    rank.
 
     Not collective.
 

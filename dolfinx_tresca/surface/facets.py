@@ -96,7 +96,11 @@ class Facets:
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
     def moved_to(self, points: Array) -> Facets:
-        """Return the facets at other points (n, k, 3), bent and plane as those of this rank are."""
+        """Return the facets with their nodes at other points (n, k, 3).
+
+        `bent` and `plane` of the result describe the facets of this rank only; see `checked` in
+        surface/tagged.py.
+        """
         if self.degree == 1 and self.cell != "quadrilateral":
             return replace(self, points=points)  # always straight and plane
         corners = points[:, : self.corners]
@@ -146,7 +150,7 @@ def rounding_of(points: Array) -> Array:
 
 
 def cross_products(along: Array) -> Array:
-    """Return the cross products (..., 3) of two tangents (dim, ..., 3); for dim = 1 with e_z."""
+    """Return the cross products (..., 3) of two tangents (2, ..., 3), or of one tangent and e_z."""
     return cross(along[0], along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0]))
 
 

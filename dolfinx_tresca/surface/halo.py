@@ -35,7 +35,7 @@ class Halo:
     """
 
     def __init__(self, V: Any, owned: Facets) -> None:
-        """Get the facets at this rank's nodes. Collective.
+        """Get all facets at the nodes that this rank owns. Collective.
 
         Args:
             V: the space of the displacement.

@@ -76,7 +76,7 @@ class SurfaceNodes:
 
     @classmethod
     def of(cls, facets: Facets) -> SurfaceNodes:
-        """Return the corners of facets."""
+        """Return the corners of facets, with their weights and normals."""
         corners = facets.corners
         unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
         normals, spread = _corner_normals(facets)

@@ -27,10 +27,10 @@ FAR_CORNER = 0.5
 
 
 def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
-    """Return the facets of each tag that this rank owns with their `Facets.offsets`. Collective.
+    """Return the sides of a pair with the `Facets.offsets` of their facets. Collective.
 
     The projections of `pair.geometry` are evaluated at the nodes of a Lagrange basis of
-    `OFFSET_DEGREE`; other sides stay as they are.
+    `OFFSET_DEGREE`. A side without a projection is returned unchanged.
 
     Args:
         V: the space of the displacement.

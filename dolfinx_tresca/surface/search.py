@@ -131,9 +131,9 @@ class _SimilarBalls:
         """
         start, end = self.box.line_intervals(origins, directions, reach)
         start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
-        # A ball of radius sqrt(2) r around a point of the line contains the cylinder of radius r
-        # from -r to r along the line. If the nearest centre has the distance d, this cylinder is
-        # empty from -sqrt(d^2 - r^2) to sqrt(d^2 - r^2).
+        # A ball of radius sqrt(2) r around a point of the line contains the part from -r to r of
+        # the cylinder of radius r around the line. If the centre nearest to the point has the
+        # distance d, the cylinder is empty from -sqrt(d^2 - r^2) to sqrt(d^2 - r^2).
         place = start + reach
         lines = np.flatnonzero(start <= end)
         first, second = [], []

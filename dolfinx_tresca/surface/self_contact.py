@@ -95,9 +95,9 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of one body may not meet if they share a corner, or if they are the two faces of a
-        wall. Two facets are the faces of a wall if each is behind the other, both in the undeformed
-        mesh and now, by more than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`),
-        and now by more than `WALL_PART` of the undeformed depth.
+        wall. Two facets are the faces of a wall if each is behind the other, deeper than facets of
+        curved surfaces penetrate each other (`SHALLOW_DEPTH`). This must be so in the undeformed
+        mesh and now, and the present depth must exceed `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
@@ -141,9 +141,10 @@ def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) 
 
 
 def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
-    """Return `Facets.origins` of this rank's facets, and the number of bodies they are on.
+    """Return `Facets.origins` of this rank's facets, and the number of bodies of the surface.
 
-    Collective. The mesh must be undeformed.
+    The columns of `Facets.origins` are body, size, centre, normal, radius and direction, as in
+    `SelfContact`. The mesh must be undeformed. Collective.
 
     Args:
         V: the space of the displacement.

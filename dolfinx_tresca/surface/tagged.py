@@ -92,7 +92,9 @@ def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
 
 
 def checked(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> Facets:
-    """Return facets that are bent or plane as the whole surface is. Collective.
+    """Check the areas of facets; return the facets with `bent` and `plane` of the whole surface.
+
+    Collective.
 
     Raises:
         PairingError: a facet has no area.

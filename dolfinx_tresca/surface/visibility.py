@@ -53,7 +53,7 @@ class Visibility:
       secondary body, nor enter the primary body.
 
     If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
-    is not paired with y either if the distance of x from the primary surface, in any direction, is
+    is also not paired with y if the distance of x from the primary surface, in any direction, is
     much smaller than the penetration |s|.
 
     On a surface that touches itself, both sides consist of all facets. A facet in the way of a
@@ -79,8 +79,9 @@ class Visibility:
         """
         self._pieces, self._others, self._body = pieces, others, body
         self._frames = pieces.frames()
-        # The least cosine bounds the angles between the secondary side's normals and their mean.
-        # Only these primary pieces can have a normal at less than a right angle to one of them.
+        # `least` bounds the angles between the normals of secondary pieces and their mean. By this
+        # bound only the primary pieces in `may` can have a normal at less than a right angle to the
+        # normal of a secondary piece.
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
@@ -107,7 +108,7 @@ class Visibility:
         end: Array,
         other: Indices | None = None,
     ) -> Mask:
-        """Return whether primary points are hidden from the secondary points opposite, (n,).
+        """Return whether each primary point is hidden from the opposite secondary point, (n,).
 
         Args:
             piece: (n,) the secondary piece of each point, ascending.
@@ -154,7 +155,8 @@ class Visibility:
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
-        The limit is `CREDIBLE_PART`; the arguments are those of `hidden`.
+        The limit of this distance divided by the penetration is `CREDIBLE_PART`. On a surface that
+        touches itself only other bodies count as primary side. The arguments are those of `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -205,7 +207,7 @@ class Visibility:
             keep &= (self._body[occluder] == self._body[piece]) == own
         target, occluder = target[keep], occluder[keep]
         piece, cosine = piece[keep], cosine[keep]
-        if own:  # a facet with a common node and a similar normal is crossed at the point itself
+        if own:  # a line crosses a facet with a common node and a similar normal at its own start
             common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
             target, occluder, piece = target[keep], occluder[keep], piece[keep]

@@ -35,6 +35,7 @@ from scenes.extremes.cases import (
     yes,
 )
 from scenes.nodal import global_vector, surface_nodes_of
+from scenes.patches import dim_of
 from scenes.scene import EPS, Scene
 
 CASES = Cases()
@@ -104,7 +105,7 @@ RATIO = "cells of the secondary side over those of the primary side"
 @case(RATIO, "15:1, hexahedra", "hexahedron", 15, 1)
 @case(RATIO, "10:1, tetrahedra", "tetrahedron", 10, 1)
 def mortar(comm: MPI.Comm, kind: str, upper: int, lower: int) -> Outcome:
-    layers = 2 if kind in ("triangle", "quadrilateral") else 1
+    layers = 2 if dim_of(kind) == 2 else 1
     return lawful(rubbing_blocks(comm, kind, upper=(upper, layers), lower=(lower, layers)))
 
 

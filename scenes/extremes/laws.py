@@ -14,6 +14,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.assembled import direct_solver
 from scenes.scene import Scene
 
 LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "direction")
@@ -138,11 +139,7 @@ def _without_contact(
     system: LinearSystem, B: PETSc.Mat, root: np.ndarray
 ) -> tuple[PETSc.Vec, float]:
     """Solve K u = f by PETSc, as DOLFINx would; return also the largest jump over stress."""
-    ksp = PETSc.KSP().create(system.comm)
-    ksp.setOperators(system.K)
-    ksp.setType("preonly")
-    ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")
+    ksp = direct_solver(system.K)
     u = system.K.createVecRight()
     ksp.solve(system.f.x.petsc_vec, u)
     # the power method for B K^-1 B'

@@ -9,8 +9,7 @@ import pytest
 
 from dolfinx_tresca.adapt.forecast import FIRST_RATE, Forecast
 from dolfinx_tresca.adapt.next_mesh import GROWTH, step_of
-
-EPS = float(np.finfo(float).eps)
+from scenes.scene import EPS
 
 
 def level(unknowns: float, error: float):

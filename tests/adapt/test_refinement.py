@@ -18,8 +18,7 @@ from dolfinx import fem
 from dolfinx_tresca import MESHES, InputError, TaggedMesh, read_gmsh, refine
 from dolfinx_tresca._base.compat import create_submesh, geometry_dofmap
 from dolfinx_tresca.adapt.refinement import LOGARITHM_STEP, Marked, cut
-
-EPS = float(np.finfo(float).eps)
+from scenes.scene import EPS
 
 
 def middles(tagged: TaggedMesh) -> np.ndarray:

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from test_refinement import EPS, half_disc, nodes_of
+from test_refinement import half_disc, nodes_of
 
 import dolfinx
 import ufl
@@ -37,7 +37,9 @@ from dolfinx_tresca.adapt.next_mesh import GROWTH, OVERSHOOT
 from dolfinx_tresca.adapt.refinement import cell_count, cut
 from dolfinx_tresca.adapt.solve import MOST_LOCAL
 from dolfinx_tresca.solution.transfer import tractions_at
+from scenes.elasticity import elasticity, fixed
 from scenes.pressed_blocks import on_blocks, pressed_blocks
+from scenes.scene import EPS
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa
 
@@ -47,26 +49,15 @@ def forms(tagged, degree, load=0.0, onto=()):
     mesh = tagged.mesh
     dim = mesh.geometry.dim
     V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu, lame = YOUNG / (2 * (1 + POISSON)), YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    strain = ufl.sym(ufl.grad(u))
-    a = (2 * mu * ufl.inner(strain, ufl.sym(ufl.grad(v))) + lame * ufl.div(u) * ufl.div(v)) * ufl.dx
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tagged.facet_tags)
     force = fem.Constant(mesh, np.append(np.zeros(dim - 1), -load))
     where = ds(tuple(tagged.tags[name] for name in onto)) if onto else ds
-    return V, a, ufl.inner(force, v) * where
+    return V, elasticity(V, YOUNG, POISSON), ufl.inner(force, ufl.TestFunction(V)) * where
 
 
-def held(tagged, V, name, axis=None, value=0.0):
+def held(tagged, V, name, axis=None, value=None):
     """Prescribe the displacement, or one component of it, of facets."""
-    facets = tagged.facet_tags.find(tagged.tags[name])
-    dim = tagged.facet_tags.dim
-    if axis is None:
-        zero = np.zeros(V.mesh.geometry.dim)
-        return fem.dirichletbc(zero, fem.locate_dofs_topological(V, dim, facets), V)
-    sub = V.sub(axis)
-    dofs = fem.locate_dofs_topological(sub, dim, facets)
-    return fem.dirichletbc(dolfinx.default_scalar_type(value), dofs, sub)
+    return fixed(V, tagged.facet_tags.find(tagged.tags[name]), value, axis)
 
 
 def cantilever(tagged, degree=1, options=None):

@@ -7,7 +7,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx.fem.petsc
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, RigidPlane, Tresca
@@ -16,7 +15,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.products.seed_products import affine_tractions, seed_products
 from dolfinx_tresca.stiffness.system import LinearSystem
-from scenes.assembled import dual_program, points_of
+from scenes.assembled import dense_matrix, dual_program, points_of
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, no_load
 from scenes.nodal import global_vector
@@ -53,10 +52,7 @@ def dense_reference(scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     """
     V, tags = scene.V, scene.tags
     a, L = fem.form(scene.a), fem.form(scene.L)
-    K = dolfinx.fem.petsc.assemble_matrix(a)
-    K.assemble()
-    dense = K[:, :]
-    K.destroy()
+    dense = fem.assemble_matrix(a).to_dense()
     f = fem.assemble_vector(L).array
     fixed = np.zeros(len(f), dtype=bool)
     for bc in scene.bcs:
@@ -94,7 +90,7 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
     order = np.lexsort(np.round(points, 9).T)
     m = len(points)
     with dual_program(scene) as dual:
-        mine = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+        mine = dense_matrix(dual)
         where = points_of(scene, dual.jump.pairs[0])
         own = np.lexsort(np.round(where, 9).T)
         assert np.allclose(where[own], points[order], atol=1e-12)
@@ -317,7 +313,7 @@ def test_products_claim_what_was_reached():
     """Where the solver for K ends at its largest number of steps, or by its options, too early."""
     scene = two_bricks(MPI.COMM_SELF, 2)
     with dual_program(scene) as dual:
-        A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+        A = dense_matrix(dual)
     few = {"pc_type": "jacobi", "ksp_max_it": 20}
     with dual_program(scene, "multigrid", **few) as dual:
         operator = dual.compliance.operator

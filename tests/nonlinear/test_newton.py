@@ -12,7 +12,6 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    ContactError,
     ContactStatus,
     ConvergenceError,
     Coulomb,
@@ -282,13 +281,6 @@ def test_contact_is_as_accurate_as_newton(comm, asked):
     with scene.problem(options=CONTACT, newton=TIGHT) as problem:
         exact = problem.solve()
     assert rough.tangential_force == pytest.approx(exact.tangential_force, rel=1e-4)
-
-
-def test_destroyed(comm):
-    problem = rubber_block(comm, (1, 1)).problem()
-    problem.destroy()
-    with pytest.raises(ContactError, match="destroyed"):
-        problem.solve()
 
 
 def test_observer_stops(comm):

@@ -54,7 +54,7 @@ def check_member(
     assert np.linalg.norm(constraints.residual(x, c)) <= 100 * EPS * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(balanced(), st.integers(0, 10**6), st.sampled_from([1e-3, 1.0, 1e3, 1e9]))
 def test_the_projection_is_the_nearest_point(problem, seed, scale):
     """The same as that of an interior-point method; it is in the set, to rounding."""
@@ -71,7 +71,7 @@ def test_the_projection_is_the_nearest_point(problem, seed, scale):
     assert np.linalg.norm(constraints.softness @ change) <= 1e3 * EPS * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=10)
+@settings(max_examples=10)
 @given(balanced())
 def test_projected_newton_finds_the_minimum(problem):
     found = run(problem, rtol=1e-9)
@@ -88,7 +88,7 @@ def test_projected_newton_finds_the_minimum(problem):
     assert np.linalg.norm(found.multipliers - plain) <= rho * 1e-8 * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=8)
+@settings(max_examples=8)
 @given(st.integers(0, 10**6), st.integers(4, 12), st.integers(1, 3), st.floats(0.0, 2.0))
 def test_rigid_motions_in_b_make_no_difference(seed, nodes, motions, decades):
     """Where nothing but contact holds bodies, b is known up to G c."""
@@ -102,7 +102,7 @@ def test_rigid_motions_in_b_make_no_difference(seed, nodes, motions, decades):
     assert np.linalg.norm(first.multipliers - second.multipliers) <= 1e-6 * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(5, 12))
 def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
     """The motion named takes energy from the loads that contact cannot take (Farkas)."""

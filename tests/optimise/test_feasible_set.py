@@ -12,7 +12,7 @@ from scenes.scene import EPS
 #: Rounding of some thirty operations on numbers, over the size of the largest of them.
 ROUNDING = 32 * EPS
 
-BOUNDED = settings(deadline=None, derandomize=True, max_examples=60)
+BOUNDED = settings(max_examples=60)
 
 
 @st.composite
@@ -28,28 +28,6 @@ def test_projection_is_that_of_the_definition(case):
     lam, rng = case
     y = rng.standard_normal(lam.size) * rng.choice([0.01, 1.0, 100.0])
     assert np.allclose(lam.project(y), brute_projection(lam, y), rtol=ROUNDING, atol=0.0)
-
-
-@BOUNDED
-@given(cases())
-def test_projection_obeys_its_variational_inequality(case):
-    lam, rng = case
-    y = 3 * rng.standard_normal(lam.size)
-    p = lam.project(y)
-    for _ in range(10):
-        z = brute_projection(lam, 3 * rng.standard_normal(lam.size))
-        assert (y - p) @ (z - p) <= ROUNDING * (y @ y + z @ z)
-
-
-@BOUNDED
-@given(cases())
-def test_projection_is_idempotent_and_does_not_expand(case):
-    lam, rng = case
-    y, z = 3 * rng.standard_normal((2, lam.size))
-    py, pz = lam.project(y), lam.project(z)
-    assert np.linalg.norm(lam.project(py) - py) <= ROUNDING * np.linalg.norm(py)
-    rounding = ROUNDING * (np.linalg.norm(y) + np.linalg.norm(z))
-    assert np.linalg.norm(py - pz) <= np.linalg.norm(y - z) + rounding
 
 
 @BOUNDED

@@ -16,7 +16,7 @@ from scenes.scene import EPS
 #: Rounding of some thirty operations on numbers, over the size of the largest of them.
 ROUNDING = 32 * EPS
 
-BOUNDED = settings(deadline=None, derandomize=True, max_examples=60)
+BOUNDED = settings(max_examples=60)
 
 
 @st.composite

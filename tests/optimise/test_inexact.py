@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dense import clarabel_minimum, problems
+from dense import problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -54,7 +54,7 @@ def check_residual(problem: DenseProblem, seed: int) -> None:
     assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(problems(), st.integers(0, 100))
 def test_the_residual_is_reached_in_truth(problem, seed):
     """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
@@ -73,15 +73,6 @@ def test_errors_cost_few_products():
         assert exact.status is ContactStatus.CONVERGED
         # most of them need no more than a little of the final accuracy
         assert np.median(inexact.asked) > 10 * inexact.asked[-1]
-
-
-def test_the_minimum_is_the_same():
-    problem = random_problem(3, 20, 2.0)
-    solution = run(noisy(problem, 1), rtol=1e-8)
-    reference = clarabel_minimum(problem.A, problem.b, problem.feasible_set)
-    # lambda differs by the residual over sigma_min = 1e-2, and by the tolerance of the reference
-    size = np.linalg.norm(reference)
-    assert np.linalg.norm(solution.multipliers - reference) <= 1e-4 * size
 
 
 def test_a_better_product_takes_the_place_of_a_worse_one():

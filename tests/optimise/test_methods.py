@@ -48,7 +48,7 @@ def check_kkt(problem: DenseProblem, x: np.ndarray, rho: float, rtol: float) -> 
             assert sideways <= 2 * delta * (1 + rho * np.linalg.norm(jump) / g)
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(problems(most_decades=2.0), st.sampled_from(GUARANTEED))
 def test_methods_with_a_guarantee_converge_to_a_kkt_point(problem, method):
     found = run(problem, method, rtol=RTOL, max_iterations=5000)
@@ -57,7 +57,7 @@ def test_methods_with_a_guarantee_converge_to_a_kkt_point(problem, method):
     check_kkt(problem, found.multipliers, found.rho, RTOL)
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(problems(most_decades=2.0), st.sampled_from(["imssn", "mssn", "ssn"]), st.floats(0.3, 10.0))
 def test_methods_without_a_guarantee_never_claim_what_is_not_so(problem, method, rho_sigma):
     """CONVERGED exactly where the recomputed residual says so, and then the answer is right."""
@@ -73,7 +73,7 @@ def test_methods_without_a_guarantee_never_claim_what_is_not_so(problem, method,
         assert actual > RTOL * 0.99
 
 
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(max_examples=40)
 @given(problems(most_decades=2.0))
 def test_methods_agree_where_they_converge_and_with_clarabel(problem):
     """q(x) - q* <= rho |residual| |r| off the face, and 1/2 sigma_min |x - x*|^2 <= q(x) - q*."""
@@ -157,7 +157,7 @@ def test_the_observer_sees_each_iterate_and_stops(method):
     assert products == sorted(products) and products[-1] == problem.products
 
 
-@settings(deadline=None, derandomize=True, max_examples=30)
+@settings(max_examples=30)
 @given(problems(), st.sampled_from(METHODS))
 def test_reported_numbers_belong_to_the_answer(problem, method):
     """q, gradient and residual are those of the returned multipliers, recomputed."""
@@ -168,16 +168,6 @@ def test_reported_numbers_belong_to_the_answer(problem, method):
     assert np.linalg.norm(found.gradient - gradient) <= 1e4 * EPS * size
     assert found.q[-1] == pytest.approx(problem.q(x), abs=1e4 * EPS * size * np.linalg.norm(x))
     assert found.iterations == len(found.residuals) - 1
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_no_load_is_solved_at_once(method):
-    problem = random_problem(2, 6, 1.0)
-    problem.b = np.zeros_like(problem.b)
-    found = run(problem, method)
-    assert found.status is ContactStatus.CONVERGED
-    assert found.iterations == 0
-    assert not found.multipliers.any()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -275,7 +265,7 @@ def test_projected_newton_starts_again_for_less():
     assert problem.products - first < first
 
 
-@settings(deadline=None, derandomize=True, max_examples=20)
+@settings(max_examples=20)
 @given(problems(most_decades=1.0), st.integers(0, 10**6))
 def test_a_poor_diagonal_costs_speed_only(problem, seed):
     """`diagonal` steers speed, not results."""

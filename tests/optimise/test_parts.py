@@ -20,7 +20,7 @@ from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 
-BOUNDED = settings(deadline=None, derandomize=True, max_examples=50)
+BOUNDED = settings(max_examples=50)
 
 
 def inside(lam, x) -> bool:

@@ -9,8 +9,7 @@ from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca.optimise.models.model import NodalMaps
 from dolfinx_tresca.optimise.models.sparse_model import SHIFT, SparseModel
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
-from scenes.dense import random_problem
+from scenes.dense import cones_over, random_problem
 from scenes.scene import EPS
 
 
@@ -22,12 +21,7 @@ def test_solutions_along_a_face(coefficient):
     lam, size = problem.feasible_set, len(problem.b)
     values, vectors = np.linalg.eigh(problem.A)
     A = vectors[:, 3:] * values[3:] @ vectors[:, 3:].T
-    discs = len(lam.radius)
-    normal_of = np.full(discs, -1)
-    normal_of[: min(discs, len(lam.normal))] = lam.normal[:discs]
-    cones = FrictionCones(
-        lam, normal_of, lam.radius, np.full(discs, coefficient), np.full(discs, np.inf)
-    )
+    cones = cones_over(lam, coefficient)
     model = SparseModel(problem, csr_array(A), 0, cones.nodes(), spsolve)
     M = model.apply(np.eye(size))
     shift = SHIFT * np.diag(A).mean()

@@ -49,7 +49,7 @@ def check_rate(problem: DenseProblem, q: tuple[float, ...], rate: float) -> None
     assert min(q) >= least - rounding
 
 
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(max_examples=40)
 @given(problems(most_decades=2.0), st.sampled_from([0.3, 1.0, 1.6, 1.99]), st.integers(0, 10**6))
 def test_gimssn_decreases_q_at_the_rate_of_the_theorem(problem, rho_sigma, seed):
     found = run(problem, "gimssn", start_of(problem, seed), rho_sigma=rho_sigma, max_iterations=60)
@@ -60,7 +60,7 @@ def test_gimssn_decreases_q_at_the_rate_of_the_theorem(problem, rho_sigma, seed)
     assert applies or rho_sigma > 1.9
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(problems(most_decades=3.0), st.sampled_from([0.3, 1.0, 1.6, 1.99]), st.integers(0, 10**6))
 def test_projected_newton_decreases_q_at_the_rate_of_the_theorem(problem, rho_sigma, seed):
     found = run(problem, start=start_of(problem, seed), rho_sigma=rho_sigma, rtol=1e-10)
@@ -68,7 +68,7 @@ def test_projected_newton_decreases_q_at_the_rate_of_the_theorem(problem, rho_si
     check_rate(problem, found.q, max(0.0, 1.0 - found.rho * smallest))
 
 
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(max_examples=40)
 @given(problems(), st.sampled_from(["gimssn", "projected_newton"]), st.integers(0, 10**6))
 def test_last_iterates_and_stopped_ones_are_feasible(problem, method, seed):
     """Whatever the iteration at which the observer stops, the answer lies in Lambda."""

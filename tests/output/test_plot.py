@@ -19,19 +19,16 @@ import PIL.Image
 import pytest
 
 import dolfinx
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
     Bonded,
     ContactError,
-    ContactPair,
     ContactProblem,
     ContactSolution,
     ContactState,
     Frictionless,
     InputError,
-    RigidPlane,
     Tresca,
     Units,
 )
@@ -42,9 +39,8 @@ from dolfinx_tresca.output.pictures import bodies, canvas, magnification, obstac
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
 from dolfinx_tresca.solution.fields import IntegerFunction
-from scenes.blocks import block
-from scenes.elasticity import elasticity
-from scenes.patches import patch
+from scenes.blocks import ABOVE, block
+from scenes.patches import dim_of, patch
 from scenes.scene import EPS
 from scenes.two_bricks import two_bricks
 
@@ -63,19 +59,20 @@ def solution() -> ContactSolution:
 
 def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
     """A unit square on a rigid plane that it touches in the middle; pressed and pushed."""
-    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 4)
-    mesh.topology.create_connectivity(1, 2)
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0.0))
-    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 1, dtype=np.int32))
-    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
-    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
-    bcs = [fem.dirichletbc(np.array([0.02, -0.01]), top, V)]
-    mesh.geometry.x[:, 1] += (
-        0.1 * (mesh.geometry.x[:, 0] - 0.5) ** 2 * (mesh.geometry.x[:, 1] < 0.9)
+    scene = block(
+        MPI.COMM_WORLD,
+        (8, 4),
+        degree=degree,
+        load=(0.0, 0.0, 0.0),
+        held=[ABOVE],
+        moved=lambda x: np.outer([0.02, -0.01], np.ones(x.shape[1])),
+        young=1000.0,
+        poisson=0.3,
+        friction=friction,
     )
-    pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), friction)
-    L = ufl.inner(fem.Constant(mesh, np.zeros(2)), ufl.TestFunction(V)) * ufl.dx
-    with ContactProblem(elasticity(V, 1000.0), L, [pair], bcs=bcs) as problem:
+    x = scene.mesh.geometry.x
+    x[:, 1] += 0.1 * (x[:, 0] - 0.5) ** 2 * (x[:, 1] < 0.9)
+    with scene.problem() as problem:
         return problem.solve(rtol=1e-6)
 
 
@@ -460,7 +457,7 @@ def test_curve_in_pieces() -> None:
 def test_edges_of_degree_2(comm: MPI.Comm, kind: str, count: int) -> None:
     """Each edge outside, by its middle, and none inside."""
     cells = dolfinx.mesh.CellType[kind]
-    if kind in ("triangle", "quadrilateral"):
+    if dim_of(kind) == 2:
         mesh = dolfinx.mesh.create_unit_square(comm, 3, 3, cells)
     else:
         mesh = dolfinx.mesh.create_unit_cube(comm, 3, 3, 3, cells)

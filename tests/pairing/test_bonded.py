@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -12,8 +11,9 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import Bonded, ContactState, ContactStatus, Frictionless
-from scenes.patches import KINDS, LOWER, UPPER, patch
+from dolfinx_tresca import Bonded, ContactState, ContactStatus
+from scenes.assembled import direct_solver
+from scenes.patches import KINDS, UPPER, patch
 from scenes.scene import Scene
 
 RTOL = 1e-8
@@ -42,11 +42,7 @@ def plain_solution(scene: Scene, L) -> fem.Function:
     for bc in scene.bcs:
         bc.set(f.x.array)
     f.x.scatter_forward()
-    ksp = PETSc.KSP().create(scene.mesh.comm)
-    ksp.setOperators(K)
-    ksp.setType("preonly")
-    ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")
+    ksp = direct_solver(K)
     ksp.solve(f.x.petsc_vec, u.x.petsc_vec)
     u.x.scatter_forward()
     ksp.destroy()
@@ -119,25 +115,3 @@ def test_initial_gap_stays(comm, gap):
     size = comm.allreduce(np.abs(exact).max(), op=MPI.MAX)
     assert np.abs(solution.u.x.array - exact.ravel()).max(initial=0.0) <= TOLERANCE * size
     assert np.abs(solution.gap.x.array).max(initial=0.0) <= TOLERANCE * size
-
-
-def test_only_bonded_blocks_bear_tension(comm):
-    """Under tension the contact force is zero for a frictionless pair, and not for a bonded one."""
-    forces = []
-    for friction in (Frictionless(), Bonded()):
-        scene = patch(comm, "hexahedron", pressure=-2.5, friction=friction)
-        with scene.problem() as problem:
-            forces.append(problem.solve(rtol=RTOL).normal_force)
-    assert forces[0] == 0.0
-    assert forces[1] == pytest.approx(-2.5, rel=TOLERANCE)
-
-
-def test_exchange_of_secondary_and_primary_changes_energy_little(comm):
-    """The multiplier spaces differ."""
-    energies = []
-    for secondary, primary in ((UPPER, LOWER), (LOWER, UPPER)):
-        scene = patch(comm, "hexahedron", friction=Bonded(), pressure=0.0)
-        scene = scene.but(secondary=secondary, primary=primary)
-        with scene.problem(L=loaded(scene)) as problem:
-            energies.append(problem.solve(rtol=RTOL).primal_energy)
-    assert energies[0] == pytest.approx(energies[1], rel=0.05)

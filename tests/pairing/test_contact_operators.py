@@ -5,15 +5,18 @@ from __future__ import annotations
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import clarabel
 import numpy as np
 import pytest
-from scipy.sparse import block_diag, csc_array, csr_array, hstack, vstack
+from conic import conic_minimum
+from scipy.sparse import block_diag, csr_array, hstack, vstack
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector, set_bc
 
 from dolfinx_tresca import Tresca
+from scenes.assembled import direct_solver, on_one_rank
 from scenes.nodal import nodal, node_function
 from scenes.patches import BOTTOM, TOP, patch
 from scenes.rubbing import rubbing
@@ -25,17 +28,11 @@ BOUND = 0.3
 ROUNDING = 1e4 * EPS
 
 
-def on_one_rank(matrix):
-    """Return a PETSc.Mat of one rank as a scipy matrix."""
-    return csr_array(matrix.getValuesCSR()[::-1], shape=matrix.size)
-
-
 def test_a_conic_solver_finds_the_same_contact():
     """Clarabel minimises 1/2 u'K u - f'u + sum of w g |T u| subject to N u <= gap.
 
     Its unknowns are u and s >= |T u| at each node; Dirichlet conditions are constraints.
     """
-    clarabel = pytest.importorskip("clarabel")
     scene = rubbing(MPI.COMM_SELF, "tetrahedron", friction=Tresca(BOUND))
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-8)
@@ -56,18 +53,13 @@ def test_a_conic_solver_finds_the_same_contact():
         cones = cones.tocsr()[
             np.stack([np.arange(k), k + 2 * np.arange(k), k + 2 * np.arange(k) + 1], axis=1).ravel()
         ]
-        left = vstack(
-            [hstack([fixed, csr_array((len(dofs), k))]), hstack([N, csr_array((m, k))]), cones]
-        )
-        right = np.concatenate([f[dofs], one.gap, np.zeros(3 * k)])
+        left = [hstack([fixed, csr_array((len(dofs), k))]), hstack([N, csr_array((m, k))]), cones]
+        right = [f[dofs], one.gap, np.zeros(3 * k)]
         kinds = [clarabel.ZeroConeT(len(dofs)), clarabel.NonnegativeConeT(m)]
         kinds += [clarabel.SecondOrderConeT(3)] * k
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
         cost = np.concatenate([-f, BOUND * one.weights])
-        P = csc_array(block_diag([K, csr_array((k, k))]))
-        found = clarabel.DefaultSolver(P, cost, csc_array(left), right, kinds, settings).solve()
+        P = block_diag([K, csr_array((k, k))])
+        found = conic_minimum(P, cost, left, right, kinds, tolerance=1e-11)
     u = solution.u.x.array
     assert np.abs(np.array(found.x)[:n] - u).max() <= 1e-5 * np.abs(u).max()
     forces = np.array(found.z)[len(dofs) : len(dofs) + m]
@@ -164,7 +156,7 @@ def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
         apply_lifting(b, [heat], [bcs])
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         set_bc(b, bcs)
-        solver = linear_solver(K + C)
+        solver = direct_solver(K + C)
         solver.solve(b, T.x.petsc_vec)
         flow = (C * T.x.petsc_vec).array
         given = comm.allreduce(np.array([flow.sum(), np.abs(flow).sum() / 2]))
@@ -177,13 +169,3 @@ def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
     above = (height > 1.0 + ROUNDING) | (flow > ROUNDING)  # heat leaves the upper side
     wanted = np.where(above, top - q * (2.0 - height), q * height)
     assert np.abs(nodal(T) - wanted).max(initial=0.0) <= ROUNDING * top
-
-
-def linear_solver(matrix):
-    """Return a direct solver."""
-    solver = PETSc.KSP().create(matrix.comm)
-    solver.setOperators(matrix)
-    solver.setType("preonly")
-    solver.getPC().setType("lu")
-    solver.getPC().setFactorSolverType("mumps")
-    return solver

@@ -8,12 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from rotations import rotation
-from sheets import CELLS, joined, nodes_of, sheet
+from sheets import CELLS, joined, nodes_of, part_of, sheet
 
 from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, _blocks_of_pairs
 from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from scenes.scene import EPS
 
 #: Rounding of sums of some hundred products of numbers of size 1.
@@ -274,10 +273,8 @@ def test_primary_side_in_two_parts():
     x = left.points.mean(axis=1)[:, 0] < 0.5
     parts = []
     for mask, offset in ((x, 0), (~x, 1000)):
-        names = FACET_ARRAYS
-        arrays = {name: getattr(left, name)[mask] for name in names}
-        arrays["nodes"] = arrays["nodes"] + offset
-        parts.append(Facets("triangle", 1, bent=False, plane=True, **arrays))
+        part = part_of(left, mask)
+        parts.append(dataclasses.replace(part, nodes=part.nodes + offset))
     rows = pair_of(secondary, joined(*parts))
     assert rows.weights.sum() == pytest.approx(1.0, rel=ROUNDING)
     assert np.abs(rows.jump.sum(axis=1)).max() <= ROUNDING

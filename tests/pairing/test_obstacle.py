@@ -25,7 +25,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from scenes.hertz import RADIUS, cylinder_on_plane, sphere_on_plane
-from scenes.patches import KINDS, POISSON, UPPER, patch
+from scenes.patches import KINDS, POISSON, UPPER, dim_of, patch
 from scenes.scene import EPS
 
 RTOL = 1e-8
@@ -43,7 +43,7 @@ OBSTACLES = {
 
 
 @pytest.mark.parametrize("name", OBSTACLES)
-@settings(deadline=None, derandomize=True, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
 def test_normals_are_gradients_of_the_distance(name, seed):
     """The point at the distance back along the normal is on the surface."""
@@ -105,14 +105,7 @@ def test_centre_of_round_obstacles_has_a_unit_normal(hollow):
     ("make", "message"),
     [
         (lambda: RigidPlane((0, 0, 0), (0, 0, 0)), "normal must have a direction"),
-        (lambda: RigidPlane((0, 0, np.nan), (0, 0, 1)), "point must be 2 or 3 finite numbers"),
         (lambda: RigidPlane((0,), (0, 0, 1)), "point must be 2 or 3 finite numbers"),
-        (lambda: RigidPlane("up", (0, 0, 1)), "point must be 2 or 3 numbers"),
-        (lambda: RigidSphere((0, 0, 0), 0.0), r"radius must be a positive number, found 0\.0"),
-        (lambda: RigidSphere((0, 0, 0), -1), "radius must be a positive number, found -1"),
-        (lambda: RigidSphere((0, 0, 0), np.inf), "radius must be a positive number, found inf"),
-        (lambda: RigidSphere((0, 0, 0), np.nan), "radius must be a positive number, found nan"),
-        (lambda: RigidSphere((0, 0, 0), "1"), "radius must be a positive number, found '1'"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 0), 1.0), "axis must have a direction"),
         (lambda: RigidCylinder((0, 0), (0, 1), 1.0), r"3 components.*in 2D .* RigidSphere"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 1), 0), "radius must be a positive number"),
@@ -186,9 +179,8 @@ def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> Cont
 @pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.4)])
 def test_a_plane_passes_a_uniform_stress(comm, kind, degree, friction):
     """The scenes are rotated; with friction the exact solution has no tangential displacement."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
-    turn = rotation(2) if dim == 3 else np.array([[0.6, 0.8], [-0.8, 0.6]])
-    scene = patch(comm, kind, degree, turn=turn)
+    dim = dim_of(kind)
+    scene = patch(comm, kind, degree, turn=rotation(2, dim))
     with scene.problem(pairs=[floor(scene, friction)]) as problem:
         assert "rigid plane" in str(problem) and "obstacle" in str(problem)
         solution = problem.solve(rtol=RTOL)

@@ -21,7 +21,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from scenes.patches import KINDS, LOWER, SIDES, TOP, UPPER, patch
+from scenes.patches import KINDS, LOWER, SIDES, TOP, UPPER, dim_of, patch
 from scenes.scene import EPS, Scene
 
 RTOL = 1e-12
@@ -29,14 +29,7 @@ RTOL = 1e-12
 #: Relative error of stresses and displacements: the residual times the condition number of A.
 TOLERANCE = 1e3 * RTOL
 
-TURNS = {
-    2: np.array([[0.6, -0.8], [0.8, 0.6]]),
-    3: rotation(11),
-}
-
-
-def dim_of(kind: str) -> int:
-    return 2 if kind in ("triangle", "quadrilateral") else 3
+TURNS = {dim: rotation(11, dim) for dim in (2, 3)}
 
 
 def largest(comm, values) -> float:
@@ -323,20 +316,6 @@ def test_prescribed_secondary_side_is_an_error(comm, kind):
     dofs = fem.locate_dofs_topological(scene.V, scene.facet_tags.dim, scene.facet_tags.find(UPPER))
     with pytest.raises(PairingError, match="can carry a multiplier"):
         scene.problem(bcs=[*scene.bcs, fem.dirichletbc(scene.data.exact, dofs)])
-
-
-@pytest.mark.parallel(kind=["hexahedron"], degree=[1])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("degree", [1, 2])
-def test_search_distance(comm, kind, degree):
-    scene = patch(comm, kind, degree, gap=0.1)
-    assert comm.allreduce(len(scene.but(search_distance=0.11).operators().nodes)) > 0
-    with pytest.raises(
-        PairingError, match=r"do not face each other.*within 0\.09.*search distance"
-    ):
-        scene.but(search_distance=0.09).operators()
-    with pytest.raises(PairingError, match=r"do not face each other"):
-        scene.but(search_distance=0.09).problem()
 
 
 @pytest.mark.parallel(kind=["triangle", "tetrahedron"])

@@ -12,16 +12,12 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, ContactProblem, ContactState, Coulomb, Frictionless
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, no_load
-from scenes.patches import KINDS, LOWER, UPPER, patch
+from scenes.patches import KINDS, LOWER, UPPER, dim_of, patch
 from scenes.scene import EPS
 
 ROUNDING = 1e4 * EPS
 
 SECONDARY, PRIMARY, SECOND, TOP, BOTTOM, SIDE = 1, 2, 3, 4, 5, 6
-
-
-def dim_of(kind: str) -> int:
-    return 2 if kind in ("triangle", "quadrilateral") else 3
 
 
 def at(axis: int, value: float):
@@ -148,10 +144,9 @@ def step(x: np.ndarray) -> np.ndarray:
 def test_forces_and_moments_balance_whatever_the_shape(comm, kind, shape):
     """The rows of N of rigid motions are zero for holes, chamfers and steps on a rotated mesh."""
     dim = dim_of(kind)
-    turn = rotation(9) if dim == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
     plate = Body((3, 1), [(-0.1, 1.1)] * (dim - 1) + [(-1.0, 0.0)])
     above = Body((5, 3), [(0.0, 1.0)] * (dim - 1) + [(0.0, 1.0)], keep=shape)
-    both = boxes(comm, kind, [plate, above], turn=turn)
+    both = boxes(comm, kind, [plate, above], turn=rotation(9, dim))
     tags = both.tags((SECONDARY, [0], at(dim - 1, 0.0)), (PRIMARY, [1], at(dim - 1, 0.0)))
     found = both.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless(), "mortar"))
     ds = ufl.Measure("ds", domain=both.mesh, subdomain_data=tags)

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, ContactStatus, Coulomb
 from scenes.elasticity import elasticity, fixed
-from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, patch
+from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, dim_of, patch
 from scenes.scene import EPS
 
 #: Scale of the scene, and distance from the origin: coordinates as of a map, in a micrometre, in
@@ -23,7 +23,7 @@ SUMMED = 100.0
 
 def rows_of(comm, kind, degree, part, scale=1.0, far=0.0):
     """Return N (nodes, nodes of V, dim) and weights of two blocks, one on a part of the other."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     distort = 0.0 if part or kind == "hexahedron" else 0.3  # else integrands are no polynomials
     scene = patch(
         comm, kind, degree, scale=scale, shift=[0.7 * far, 0.9 * far, -far * (dim == 3)],
@@ -43,7 +43,7 @@ def test_rows_have_the_same_entries_wherever_the_bodies_are(comm, kind, part):
         for scale, far in PLACES:
             there, other = rows_of(comm, kind, degree, part, scale, far)
             rounding = SUMMED * EPS * max(far / scale, 10.0)
-            area = scale ** (1 if kind in ("triangle", "quadrilateral") else 2)
+            area = scale ** (dim_of(kind) - 1)
             assert np.array_equal(there.any(axis=2), here.any(axis=2))
             assert np.abs(there - here).max() <= rounding
             assert np.abs(other / area - weights).max() <= rounding
@@ -53,7 +53,7 @@ def test_rows_have_the_same_entries_wherever_the_bodies_are(comm, kind, part):
 @pytest.mark.parametrize(("scale", "far"), PLACES[1::2])
 def test_bodies_that_contact_holds_are_found_wherever_they_are(comm, kind, scale, far):
     """And carry their load, which balances up to the rounding of the coordinates."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     young = {1e-6: 2e11, 1.0: 1e3, 1e6: 1e-6}[scale]
     scene = patch(comm, kind, scale=scale, shift=[0.7 * far, 0.9 * far, -far * (dim == 3)])
     V, tags = scene.V, scene.facet_tags

@@ -21,11 +21,10 @@ from dolfinx_tresca.output.state_colours import paraview_preset
 from dolfinx_tresca.scene.friction import Friction
 from scenes.nodal import nodal
 from scenes.patches import patch
+from scenes.scene import EPS
 from scenes.two_bricks import two_bricks
 
 pytestmark = pytest.mark.parallel
-
-EPS = np.finfo(float).eps
 
 
 def states(comm: MPI.Comm, friction: Friction, sign: float) -> set[int]:

@@ -17,7 +17,7 @@ from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import ABOVE, BACK, LEFT, YOUNG, block
-from scenes.patches import KINDS
+from scenes.patches import KINDS, dim_of
 from scenes.scene import Scene
 
 #: Iterations to `RTOL` on any mesh of these tests, on any number of ranks: 9 to 14 were seen. With
@@ -28,7 +28,7 @@ ITERATIONS, RTOL = 17, 1e-8
 
 def clamped(comm, kind: str, n: int) -> Scene:
     """A block of two materials, with conditions of each kind: zero or not, whole or of a part."""
-    dim = 2 if kind in KINDS[:2] else 3
+    dim = dim_of(kind)
     return block(
         comm,
         [n] * dim,
@@ -75,7 +75,7 @@ def iterations(system: LinearSystem, options: dict | None = None) -> int:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parallel(kind=["quadrilateral", "tetrahedron"])
 def test_iterations_do_not_grow_with_refinement(comm, kind):
-    for n in (8, 24) if kind in KINDS[:2] else (2, 4):
+    for n in (8, 24) if dim_of(kind) == 2 else (2, 4):
         model = clamped(comm, kind, n)
         with assembled(model.a, model.L, model.bcs) as system:
             assert iterations(system) <= ITERATIONS

@@ -18,8 +18,6 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
 from dolfinx_tresca.stiffness.choice import check_choice, choose
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.numbering import label_bodies
 from scenes.elasticity import elasticity
@@ -35,23 +33,6 @@ def solved(system: LinearSystem, solver) -> np.ndarray:
     u.destroy()
     solver.destroy()
     return result
-
-
-@pytest.mark.parallel
-def test_both_solvers_agree(comm):
-    scene = two_bricks(comm, 5)
-    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
-        system.assemble_stiffness()
-        system.assemble_load()
-        direct = solved(system, cholesky(system.K, {}, None))
-        rtol = 1e-10
-        iterative = solved(
-            system, multigrid(system.K, scene.V, system.prescribed, {"ksp_rtol": rtol}, None)
-        )
-    norm = np.sqrt(comm.allreduce(float(direct @ direct)))
-    difference = np.sqrt(comm.allreduce(float((direct - iterative) @ (direct - iterative))))
-    # the residual is preconditioned: allow for the preconditioner's condition number
-    assert 0.0 < norm and difference <= 1e3 * rtol * norm
 
 
 @pytest.mark.parallel
@@ -79,27 +60,6 @@ def test_prescribed_values_are_exact(comm):
     facets = scene.facet_tags.find(scene.tags["upper_fixed"])
     nodes = fem.locate_dofs_topological(scene.V, 2, facets)
     assert (solution.u.x.array.reshape(-1, 3)[nodes] == value).all()
-
-
-@pytest.mark.parallel
-def test_symmetric_elimination_solves_the_problem_that_was_meant(comm):
-    """A linear displacement, prescribed on all of the boundary, is found inside (patch test)."""
-    scene = two_bricks(comm, 4)
-    V = scene.V
-    gradient = np.array([[1.0, 2.0, 0.5], [0.0, -1.0, 3.0], [2.0, 0.3, 1.0]]) * 1e-5
-    exact = fem.Function(V)
-    exact.interpolate(lambda x: gradient @ x)
-    scene.mesh.topology.create_connectivity(2, 3)
-    boundary = dolfinx.mesh.exterior_facet_indices(scene.mesh.topology)
-    bc = fem.dirichletbc(exact, fem.locate_dofs_topological(V, 2, boundary))
-    zero = ufl.inner(fem.Constant(scene.mesh, np.zeros(3)), ufl.TestFunction(V)) * ufl.dx
-    with LinearSystem(elasticity(V, YOUNG), zero, [bc]) as system:
-        system.assemble_stiffness()
-        system.assemble_load()
-        u = solved(system, cholesky(system.K, {}, None))
-        assert not system.prescribed.all()
-    size = np.abs(exact.x.array).max()
-    assert np.abs(u - exact.x.array[: len(u)]).max(initial=0.0) <= 1e-10 * size
 
 
 @pytest.mark.parallel
@@ -158,15 +118,6 @@ def raises_stiffness(scene, message: str, **changes) -> str:
 
 
 @pytest.mark.parallel
-def test_unsymmetric_forms_are_refused(comm):
-    scene = two_bricks(comm, 3)
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    wind = ufl.as_vector([YOUNG, 0.0, 0.0])
-    raises_stiffness(
-        scene, "not symmetric", a=scene.a + ufl.inner(ufl.dot(ufl.grad(u), wind), v) * ufl.dx
-    )
-
-
 def test_a_slightly_unsymmetric_form_is_refused(comm):
     """A relative defect of 1e-6 is no rounding."""
     scene = two_bricks(comm, 3)
@@ -315,23 +266,8 @@ def test_auto_takes_the_factorisation_for_small_models(comm):
 
 
 @pytest.mark.parallel
-def test_bodies_are_numbered_alike_on_any_number_of_ranks(comm):
-    scene = two_bricks(comm, 4)
-    body = label_bodies(scene.V)
-    x = scene.V.tabulate_dof_coordinates()
-    assert (
-        np.array_equal(body == 1, x[:, 2] > 1.0)
-        or not len(x)
-        or (
-            # nodes of the interface belong to either
-            (body[x[:, 2] > 1.0 + 1e-9] == 1).all() and (body[x[:, 2] < 1.0 - 1e-9] == 0).all()
-        )
-    )
-    assert comm.allreduce(int(body.max(initial=0)), op=max) == 1
-
-
-@pytest.mark.parametrize("towards", [-1.0, 1.0])
-def test_rounding_does_not_change_the_numbers_of_bodies(comm, towards):
+@pytest.mark.parametrize("towards", [0.0, -1.0, 1.0])
+def test_numbers_of_bodies_depend_on_neither_rounding_nor_ranks(comm, towards):
     """Below and above x = 0: whose corner is the lower one by an ulp depends on the processor."""
     scene = two_bricks(comm, 2)
     x = scene.mesh.geometry.x
@@ -340,6 +276,7 @@ def test_rounding_does_not_change_the_numbers_of_bodies(comm, towards):
     x[upper & (x[:, 1] > 1.0 - 1e-9), 1] *= 1.0 + towards * EPS
     body, z = label_bodies(scene.V), scene.V.tabulate_dof_coordinates()[:, 2]
     assert (body[z > 1.0 + 1e-9] == 1).all() and (body[z < 1.0 - 1e-9] == 0).all()
+    assert set(np.unique(body)) <= {0, 1}  # at the interface either
 
 
 def test_bodies_in_one_place_are_numbered_as_the_mesh_file_has_them(comm):

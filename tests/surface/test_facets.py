@@ -7,14 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 from rotations import rotation
-from sheets import CELLS, nodes_of, sheet
+from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import InputError, PairingError
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.tagged import tagged_facets
-from scenes.patches import KINDS, LOWER, SIDES, UPPER, patch
+from scenes.patches import KINDS, LOWER, SIDES, UPPER, dim_of, patch
 from scenes.scene import EPS
 
 FACET_CELLS = {"triangle": "interval", "quadrilateral": "interval",
@@ -31,13 +30,8 @@ def area(facets: Facets) -> float:
     return float((np.linalg.norm(facets.area_vectors(x), axis=2) @ w).sum())
 
 
-def dim_of(kind: str) -> int:
-    return 2 if kind in ("triangle", "quadrilateral") else 3
-
-
 def mirror_turn(dim: int) -> np.ndarray:
-    turn = rotation(5)[:dim, :dim] if dim == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
-    return turn @ np.diag([-1.0] + [1.0] * (dim - 1))
+    return rotation(5, dim) @ np.diag([-1.0] + [1.0] * (dim - 1))
 
 
 @pytest.mark.parallel(kind=["triangle", "hexahedron"], moved=[True])
@@ -171,13 +165,7 @@ def test_facet_without_area_is_an_error(comm, kind):
 
 def test_sheet_with_both_faces_in_one_tag_has_two_normals_at_each_node():
     one, other = (sheet("triangle", 2, up=up) for up in (True, False))
-    both = dataclasses.replace(
-        one,
-        **{
-            name: np.concatenate([getattr(part, name) for part in (one, other)])
-            for name in FACET_ARRAYS
-        },
-    )
+    both = joined(one, other)
     nodes, single = nodes_of(both), nodes_of(one)
     assert len(nodes.numbers) == 2 * len(single.numbers)
     assert np.allclose(np.abs(nodes.normals), [0.0, 0.0, 1.0])

@@ -9,7 +9,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.surface.halo import Halo, extend_halos
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls
@@ -99,15 +98,3 @@ def test_halo_contains_no_distant_facets(comm):
                 of_node = ((nodes >= low[0]) & (nodes < low[1])).any()
                 near = np.abs(treated[:, None] - points[:, 0]).min(initial=np.inf) < 4.0 / n
                 assert of_node or near
-
-
-@pytest.mark.parallel
-def test_coincident_nodes_are_counted_over_all_ranks(comm, caplog):
-    """The upper block is cut along a plane, so that its nodes in this plane coincide in pairs.
-
-    Of the five on the surface one is not counted: it also lies on a side with a tag of its own.
-    """
-    scene = patch(comm, "tetrahedron", upper=(4, 1), tear=lambda x: x[:, 0] < 0.5)
-    pair_surfaces(scene.V, np.zeros(3 * scene.V.dofmap.index_map.size_local, bool), scene.pair)
-    if comm.rank == 0:
-        assert "secondary side) has 4 nodes at the place of another one" in caplog.text

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sheets import CELLS, joined, nodes_of, sheet
+from sheets import CELLS, joined, nodes_of, part_of, sheet
 
 from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.nearest import _candidate_pairs, _inside
 from scenes.scene import EPS
 
@@ -45,8 +44,7 @@ def test_near_layer_that_covers_one_half(cell):
     secondary = sheet(cell, 4, height=1.0, up=False)
     part = sheet(cell, 8, (0.0, 1.0), height=0.9, first=100)
     inside = part.points.mean(axis=1)[:, 0] < 0.5
-    half = {name: getattr(part, name)[inside] for name in FACET_ARRAYS}
-    near = Facets(part.cell, part.degree, bent=False, plane=True, **half)
+    near = part_of(part, inside)
     far = sheet(cell, 8, height=0.5, first=300)
     weights, distance = gaps(secondary, joined(near, far))
     assert weights.sum() == pytest.approx(1.0, rel=1e3 * EPS)

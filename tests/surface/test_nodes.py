@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rotations import rotation
 from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
@@ -60,16 +59,6 @@ def test_smooth_surface_has_one_entry_per_node(comm):
     assert np.allclose(scene.V.tabulate_dof_coordinates()[local], surface.points[own])
 
 
-@pytest.mark.parallel
-def test_normals_rotate_with_the_surface(comm):
-    R = rotation(1)
-    scene = two_bricks(comm, 4).moved(lambda x: x @ R.T, turn=R)
-    surface = nodes_of(scene, "upper_contact")
-    assert np.allclose(surface.normals, R @ [0, 0, -1], atol=1e3 * EPS)
-    own = surface.weights[owned_nodes(scene.V, surface)]
-    assert comm.allreduce(own.sum()) == pytest.approx(2.0, rel=1e-12)
-
-
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_normals_of_a_sphere(cell, degree):
@@ -105,7 +94,7 @@ def frames(rng: np.random.Generator, n: int, dim: int) -> tuple[np.ndarray, np.n
     return normals, rng.standard_normal((len(normals), 2, dim))
 
 
-SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
+SEEDS = settings(max_examples=60)
 
 
 @SEEDS
@@ -122,18 +111,6 @@ def test_tangents_are_orthonormal_and_point_towards_the_reference_points(seed, n
     if dim == 3:
         assert np.allclose(seen[:, 2, 0], 0.0, atol=1e3 * EPS)
         assert (seen[:, 2, 1] >= -100 * EPS).all()
-
-
-@SEEDS
-@given(st.integers(0, 10**6), st.sampled_from([2, 3]), st.booleans())
-def test_tangents_rotate_with_the_surface(seed, dim, mirrored):
-    rng = np.random.default_rng(seed)
-    normals, frame = frames(rng, 5, dim)
-    R = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    if mirrored:
-        R[:, 0] *= -1.0
-    turned = tangents(normals @ R.T, 7.0 * frame @ R.T)
-    assert np.allclose(turned, tangents(normals, frame) @ R.T, atol=1e4 * EPS)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -35,7 +35,7 @@ def check(centres, normals, radii, others, other_radii, limit=np.inf) -> int:
     return int(wanted.sum())
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(
     st.integers(0, 10**6),
     st.sampled_from([0.0, 1.0, 4.0]),

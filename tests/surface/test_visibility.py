@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from rotations import rotation
-from sheets import CELLS, joined, sheet
+from sheets import CELLS, joined, part_of, sheet
 
 from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility, distances
 
@@ -88,9 +87,7 @@ def test_layer_hides_only_points_behind_it(cell):
     half = []
     for part in plate:
         left = (part.points.mean(axis=1) @ inverse)[:, 0] < 0.5
-        names = FACET_ARRAYS
-        arrays = {name: getattr(part, name)[left] for name in names}
-        half.append(Facets(part.cell, 1, bent=False, plane=True, **arrays))
+        half.append(part_of(part, left))
     pieces = Pieces.of(joined(first, *half))
     piece = np.arange(len(first.points))
     x = (pieces.centres[piece] @ inverse)[:, 0]

@@ -9,7 +9,7 @@ import pytest
 
 from dolfinx_tresca import ContactStatus
 from scenes.nodal import nodal, surface_nodes_of
-from scenes.patches import KINDS, POISSON, patch
+from scenes.patches import KINDS, POISSON, dim_of, patch
 
 #: Of the solver, and relative of pressure and displacement at every node. A multiplier errs by the
 #: residual times the condition number of A, which is below 1e3 on these meshes.
@@ -39,7 +39,7 @@ def errors(scene):
 @pytest.mark.parametrize("kind", KINDS)
 def test_constant_pressure_in_curved_cells(comm, kind):
     """Cells of order 2 that are curved inside the blocks; displacements of degree 2 can follow."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
 
     def bend(x):
         x = x.copy()

@@ -13,13 +13,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
     Bonded,
-    ContactPair,
     ContactProblem,
     ContactStatus,
     Frictionless,
@@ -27,7 +25,7 @@ from dolfinx_tresca import (
     RigidSphere,
     Tresca,
 )
-from scenes.blocks import ABOVE, BELOW, block
+from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.patches import KINDS
 from scenes.rubbing import BOUND, YOUNG, rubbing
 from scenes.scene import EPS
@@ -121,19 +119,20 @@ def test_every_algorithm(comm, method):
 @pytest.mark.parallel
 def test_rigid_obstacle(comm):
     """A block under a load on a sphere."""
-    mesh = dolfinx.mesh.create_box(comm, [[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]], [8, 8, 4])
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 0.0))
-    tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(facets), np.full(len(facets), 7, dtype=np.int32))
-    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 1.0))
-    bc = fem.dirichletbc(np.array([1e-3, 0.0, -2e-2]), top, V)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
-    L = ufl.inner(fem.Constant(mesh, np.array([0.0, 1e-3, 0.0])), v) * ufl.dx
-    obstacle = RigidSphere((0.1, 0.0, -4.0), 4.0)
-    pair = ContactPair(tags, 7, obstacle, Tresca(1e-3), search_distance=1.0)
-    with ContactProblem(a, L, [pair], bcs=[bc]) as problem:
-        check(a, problem, [{"accuracy": 1e-2}, {"accuracy": 1e-4}])
+    scene = block(
+        comm,
+        (8, 8, 4),
+        size=(2.0, 2.0, 1.0),
+        young=1.0,
+        poisson=0.0,
+        held=[ABOVE],
+        moved=lambda x: np.outer([1e-3, 0.0, -2e-2], np.ones(x.shape[1])),
+        friction=Tresca(1e-3),
+        obstacles=[(BELOW, RigidSphere((1.1, 1.0, -4.0), 4.0))],
+    ).but(search_distance=1.0)
+    weight = fem.Constant(scene.mesh, np.array([0.0, 1e-3, 0.0]))
+    with scene.problem(L=ufl.inner(weight, ufl.TestFunction(scene.V)) * ufl.dx) as problem:
+        check(scene.a, problem, [{"accuracy": 1e-2}, {"accuracy": 1e-4}])
 
 
 def test_less_accuracy_takes_fewer_products(comm):
@@ -201,22 +200,19 @@ def test_the_answer_says_what_was_reached(comm):
 @pytest.mark.parallel
 def test_repeated_constraints(comm):
     """No bound can be had; the residual decides, unless a bound was asked for."""
-    mesh = dolfinx.mesh.create_box(comm, [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], [3, 3, 3])
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 0.0))
-    tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(facets), np.full(len(facets), 7, dtype=np.int32))
-    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 1.0))
-    bc = fem.dirichletbc(np.array([0.0, 0.0, -1e-2]), top, V)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
-    L = ufl.inner(fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
-    planes = [RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for _ in range(2)]
-    pairs = [ContactPair(tags, 7, plane, Frictionless()) for plane in planes]
-    with ContactProblem(a, L, pairs[:1], bcs=[bc]) as problem:
+    scene = block(
+        comm,
+        (3, 3, 3),
+        held=[ABOVE],
+        moved=lambda x: np.outer([0.0, 0.0, -1e-2], np.ones(x.shape[1])),
+        friction=Frictionless(),
+        obstacles=[(BELOW, floor(3)) for _ in range(2)],
+    )
+    with scene.problem(pairs=scene.pairs[:1]) as problem:
         once = problem.solve(rtol=1e-8)
-    with ContactProblem(a, L, pairs, bcs=[bc]) as problem:
+    with scene.problem() as problem:
         twice = problem.solve()
     assert twice.status is ContactStatus.CONVERGED
     assert twice.energy_error_bound == np.inf
     assert twice.residuals[-1] <= 1e-6
-    assert relative_error(a, twice.u, once.u) <= 1e-4
+    assert relative_error(scene.a, twice.u, once.u) <= 1e-4

@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from held_blocks import block_over
+from rotations import in_plane
 
 import ufl
 from dolfinx import fem
@@ -54,27 +56,11 @@ START = 0.3
 PUSH, DOWN, RADIUS = 0.3, 0.08, 1.0
 
 
-def sliding_far(pairs):
-    """Return the pairs with finite sliding."""
-    return [replace(pair, sliding="finite") for pair in pairs]
-
-
 def over_a_ball(comm, shift, friction, ball=None, sliding="finite"):
     """Return a block over a ball that is shifted the other way, and the motion of its top."""
     ball = RigidSphere((0.5 - shift, -RADIUS), RADIUS) if ball is None else ball
-    scene = block(
-        comm,
-        (10, 4),
-        size=(1.0, 0.5),
-        boxes=True,
-        load=(0.0, 0.0, 0.0),
-        friction=friction,
-        obstacles=[(BELOW, ball)],
-    )
-    motion = fem.Constant(scene.mesh, (PUSH - shift, -DOWN))
-    top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
-    pairs = [replace(pair, sliding=sliding) for pair in scene.pairs]
-    return scene.problem(bcs=[top], pairs=pairs, options=OPTIONS), motion
+    scene, motion = block_over(comm, (10, 4), 0.5, ball, friction, at=(PUSH - shift, -DOWN))
+    return scene.but(sliding=sliding).problem(options=OPTIONS), motion
 
 
 def settled(problem, rounds=15):
@@ -152,7 +138,7 @@ def over_the_edge(comm, friction, finer=1):
     motion = fem.Constant(scene.mesh, np.zeros(2))
     tags = scene.facet_tags
     bcs = [fixed(scene.V, tags.find(TOP), motion), fixed(scene.V, tags.find(BOTTOM))]
-    return scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS), motion
+    return scene.but(sliding="finite").problem(bcs=bcs, options=OPTIONS), motion
 
 
 def moved_to(problem, motion, x):
@@ -246,7 +232,7 @@ def test_a_body_that_comes_from_afar(comm, caplog):
         bcs = [fixed(scene.V, tags.find(TOP), motion), fixed(scene.V, tags.find(BOTTOM))]
         with (
             caplog.at_level(logging.WARNING, "dolfinx_tresca"),
-            scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS) as problem,
+            scene.but(sliding="finite").problem(bcs=bcs, options=OPTIONS) as problem,
         ):
             for x in (0.5 * away, away):
                 motion.value[:] = -x, -0.01
@@ -272,7 +258,7 @@ def test_no_error_where_only_prescribed_nodes_face(comm):
     ]
     with pytest.raises(PairingError, match="1 are prescribed"):
         scene.problem(bcs=bcs)
-    with scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS) as problem:
+    with scene.but(sliding="finite").problem(bcs=bcs, options=OPTIONS) as problem:
         for shift, pressed in ((0.0, False), (-0.6, True)):
             motion.value[:] = shift, -0.01
             solution = problem.solve()
@@ -281,7 +267,7 @@ def test_no_error_where_only_prescribed_nodes_face(comm):
             assert (solution.normal_force > 0.0) == pressed
     everything = [fixed(V, tags.find(tag)) for tag in (TOP, UPPER, BOTTOM)]
     with pytest.raises(PairingError, match="no node of the secondary side"):
-        scene.problem(bcs=everything, pairs=sliding_far(scene.pairs))
+        scene.but(sliding="finite").problem(bcs=everything)
 
 
 def test_the_path_of_nodes_that_leave(comm, folder):
@@ -312,15 +298,9 @@ def two_rubber_blocks(comm):
     ends = np.concatenate([scene.facet_tags.find(tag) for tag in (TOP, BOTTOM)])
     held = fem.dirichletbc(motion, fem.locate_dofs_topological(scene.V, 1, np.sort(ends)))
     problem = NonlinearContactProblem(
-        residual, u, sliding_far(scene.pairs), [held], options=OPTIONS
+        residual, u, scene.but(sliding="finite").pairs, [held], options=OPTIONS
     )
     return problem, motion
-
-
-def rotated(angle, vectors):
-    """Return vectors (2, n) turned by an angle."""
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return turn @ vectors
 
 
 @pytest.mark.parallel
@@ -331,7 +311,7 @@ def test_a_rotation_of_all_changes_nothing(comm):
     def displaced(x, angle):
         height = x[1] > 0.5 * x[1].max(initial=0.0)
         moved = np.array([x[0] + 0.05 * height, x[1] - 0.05 * height])
-        return rotated(angle, moved) - x[:2]
+        return in_plane(angle) @ moved - x[:2]
 
     forces = []
     with problem:
@@ -340,7 +320,7 @@ def test_a_rotation_of_all_changes_nothing(comm):
             solution = problem.solve()
             solution.raise_if_failed()
             problem.accept()
-            forces.append(rotated(-angle, solution.pair_resultants[0].force))
+            forces.append(in_plane(-angle) @ solution.pair_resultants[0].force)
     size = np.linalg.norm(forces[0])
     assert np.abs(forces[0]).min() > 0.01 * size
     assert np.allclose(forces, forces[0], rtol=0.0, atol=10 * len(forces) * GEOMETRY * size)
@@ -360,7 +340,7 @@ def rubber_over_a_ball(comm, divisions):
 def test_newtons_method_and_the_configuration_converge_together(comm):
     """A rubber block over a ball has the forces of the loop, in a few Newton steps."""
     scene = rubber_over_a_ball(comm, (6, 3))
-    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+    with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
         solution = problem.solve()
         solution.raise_if_failed()
     scene.u.x.array[:] = 0.0
@@ -385,7 +365,7 @@ def test_goes_on_while_the_configuration_converges(comm, monkeypatch):
 
     monkeypatch.setattr(finite_sliding.FiniteSliding, "observe", slowly)
     scene = rubber_over_a_ball(comm, (6, 3))
-    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+    with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
         solution = problem.solve()
     solution.raise_if_failed()
     assert [step.fraction for step in solution.newton.steps] == [1.0] * MANY_STEPS
@@ -420,7 +400,7 @@ def test_a_first_configuration_that_cannot_be_paired(comm, monkeypatch):
 
     monkeypatch.setattr(finite_sliding.FiniteSliding, "pair_first_configuration", refuse_once)
     scene = rubber_over_a_ball(comm, (6, 3))
-    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+    with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
         solution = problem.solve()
     solution.raise_if_failed()
     assert [step.fraction for step in solution.newton.steps if step.number == 1] == [0.5, 1.0]
@@ -581,7 +561,7 @@ def test_gaps_where_nothing_touches(comm):
     scene = rubber_block(
         comm, (6, 3), size=(1.0, 0.5), clamped=True, obstacle=RigidSphere(centre, RADIUS)
     )
-    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+    with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
         problem.u.interpolate(lambda x: START * (0.5 - x[1]) * np.array([1.0 + 0.0 * x[0], x[0]]))
         solution = problem.solve(newton=NewtonOptions(accuracy=0.1))
         solution.raise_if_failed()
@@ -599,7 +579,7 @@ def test_products_are_carried_over_to_the_next_configuration(comm, monkeypatch):
         if not carried:
             monkeypatch.setattr(ContactCompliance, "_far_field", lambda compliance: None)
         scene = rubber_over_a_ball(comm, (16, 8))
-        with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+        with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
             solution = problem.solve()
             solution.raise_if_failed()
         products.append([step.products for step in solution.newton.steps])

@@ -40,7 +40,7 @@ def pushed(comm, kind, degree, way, exchanged=False):
     scene = patch(comm, kind, degree, upper=(1, 1), lower=(3, 1), distort=0.0, span=span)
     tags = scene.facet_tags
     top = fixed(scene.V, tags.find(TOP), np.array([*way, -DEPTH]))
-    pairs = [replace(pair, sliding="finite") for pair in scene.pairs]
+    pairs = scene.but(sliding="finite").pairs
     if exchanged:
         pairs = [replace(pair, secondary=LOWER, primary=UPPER) for pair in pairs]
     bcs = [top, fixed(scene.V, tags.find(BOTTOM))]
@@ -83,7 +83,7 @@ def test_a_rotation_of_all_changes_nothing(comm, steps):
     u, motion = fem.Function(scene.V), fem.Function(scene.V)
     residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
     top = fem.locate_dofs_topological(scene.V, 2, scene.facet_tags.find(ABOVE))
-    pairs = [replace(pair, sliding="finite") for pair in scene.pairs]
+    pairs = scene.but(sliding="finite").pairs
     bcs = [fem.dirichletbc(motion, top)]
     forces, slips = [], []
     with NonlinearContactProblem(residual, u, pairs, bcs, options=OPTIONS) as problem:

@@ -31,7 +31,7 @@ from dolfinx_tresca.surface.numbering import label_bodies
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.blocks import YOUNG as YOUNG_OF_BLOCK
 from scenes.nodal import nodal
-from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, UPPER_BLOCK, patch
+from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, UPPER_BLOCK, dim_of, patch
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import SLIP_BOUND, YOUNG, floating, two_bricks
 
@@ -73,10 +73,7 @@ def without_top(scene: Scene) -> Scene:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_block_under_its_pressure(comm, kind, degree, stiffness):
     """Meshes that do not match, turned: the displacement is exact, rigid motion included."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
-    turn = rotation(3)
-    if dim == 2:
-        turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    turn = rotation(3, dim_of(kind))
     scene = without_top(patch(comm, kind, degree, turn=turn, friction=Tresca(0.3)))
     rtol, exact = (1e-10, 1e-8) if stiffness == "cholesky" else (1e-7, 1e-5)
     with scene.problem(stiffness=stiffness) as problem:

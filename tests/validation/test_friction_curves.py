@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
@@ -12,23 +13,20 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-import dolfinx
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactForce,
-    ContactPair,
-    ContactProblem,
     Coulomb,
     FrictionCurve,
     InputError,
     NonlinearContactProblem,
-    RigidPlane,
 )
-from scenes.blocks import block
-from scenes.elasticity import elasticity
+from scenes.blocks import ABOVE, LEFT, RIGHT, block
+from scenes.elasticity import elasticity, fixed
 from scenes.nodal import surface_nodes_of
+from scenes.scene import Scene
 
 #: Young's modulus [MPa] of a square of 1 mm without lateral contraction, compression of its height,
 #: pressure [MPa], and shift of its top [mm].
@@ -66,32 +64,16 @@ def slip_of(law: Coulomb, shift: float) -> float:
     return brentq(lambda v: SHEAR * (shift - v) - bound(law, v), 0.0, shift, xtol=1e-16)
 
 
-class Square:
+def square(comm: MPI.Comm, law: Coulomb) -> Scene:
     """A square on a rigid plane whose top is moved, in a state of uniform stress."""
-
-    def __init__(self, comm: MPI.Comm, law: Coulomb, kind: str = "triangle") -> None:
-        cells = getattr(dolfinx.mesh.CellType, kind)
-        mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (1, 1)], [4, 3], cells)
-        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        at = [lambda x, i=i, s=s: np.isclose(x[i], s) for i, s in ((1, 0), (1, 1), (0, 0), (0, 1))]
-        facets = [dolfinx.mesh.locate_entities_boundary(mesh, 1, where) for where in at]
-        numbers = np.concatenate([np.full(len(one), k + 1) for k, one in enumerate(facets)])
-        order = np.argsort(np.concatenate(facets))
-        tags = dolfinx.mesh.meshtags(
-            mesh, 1, np.concatenate(facets)[order], numbers[order].astype(np.int32)
-        )
-        self.top = fem.Constant(mesh, (SHIFT, -DEPTH))
-        self.shear = fem.Constant(mesh, 0.0)
-        bcs = [fem.dirichletbc(self.top, fem.locate_dofs_topological(V, 1, facets[1]), V)]
-        ds, v = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.TestFunction(V)
-        load = self.shear * v[1] * ds(4) - self.shear * v[1] * ds(3)
-        self.pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), law)
-        self.forms: Any = elasticity(V, YOUNG, 0.0), load, [self.pair], bcs
-        self.V = V
-
-    def problem(self) -> ContactProblem:
-        """Return the linear problem. Collective."""
-        return ContactProblem(*self.forms)
+    scene = block(comm, (4, 3), young=YOUNG, poisson=0.0, friction=law)
+    top, shear = fem.Constant(scene.mesh, (SHIFT, -DEPTH)), fem.Constant(scene.mesh, 0.0)
+    ds = ufl.Measure("ds", scene.mesh, subdomain_data=scene.facet_tags)
+    moved = shear * ufl.TestFunction(scene.V)[1]
+    L = moved * ds(RIGHT) - moved * ds(LEFT)
+    bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
+    data = SimpleNamespace(top=top, shear=shear)
+    return dataclasses.replace(scene, L=L, bcs=bcs, data=data)
 
 
 def check(solution: Any, shear: float, slip: float, accuracy: float = EXACT) -> None:
@@ -109,10 +91,10 @@ def check(solution: Any, shear: float, slip: float, accuracy: float = EXACT) -> 
 @pytest.mark.parametrize("law", LAWS)
 def test_uniform_sliding(comm, law):
     """The slip and the traction solve one scalar equation; the load on the sides belongs to it."""
-    scene = Square(comm, LAWS[law])
+    scene = square(comm, LAWS[law])
     slip = slip_of(LAWS[law], SHIFT)
     shear = SHEAR * (SHIFT - slip)
-    scene.shear.value = shear
+    scene.data.shear.value = shear
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-10)
     check(solution, shear, slip)
@@ -122,9 +104,9 @@ def test_uniform_sliding(comm, law):
 
 def test_sticking_is_without_slip():
     """At rest the coefficient is that of no slip, even if it falls steeply with the slip."""
-    scene = Square(MPI.COMM_SELF, Coulomb(lambda p, v: 0.5 * np.exp(-v / 1e-5)))
-    scene.top.value[0] = 0.49 * PRESSURE / SHEAR
-    scene.shear.value = 0.49 * PRESSURE
+    scene = square(MPI.COMM_SELF, Coulomb(lambda p, v: 0.5 * np.exp(-v / 1e-5)))
+    scene.data.top.value[0] = 0.49 * PRESSURE / SHEAR
+    scene.data.shear.value = 0.49 * PRESSURE
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-10)
     check(solution, 0.49 * PRESSURE, 0.0)
@@ -134,12 +116,12 @@ def test_sticking_is_without_slip():
 def test_the_slip_is_that_of_the_step():
     """Two steps to the same shift: in the second one a viscous contact creeps on."""
     law = LAWS["viscous"]
-    scene, before = Square(MPI.COMM_SELF, law), 0.0
+    scene, before = square(MPI.COMM_SELF, law), 0.0
     with scene.problem() as problem:
         for _ in range(2):
             slip = slip_of(law, SHIFT - before)
             shear = SHEAR * (SHIFT - before - slip)
-            scene.shear.value = shear
+            scene.data.shear.value = shear
             solution = problem.solve(rtol=1e-10)
             problem.accept()
             before += slip
@@ -149,32 +131,31 @@ def test_the_slip_is_that_of_the_step():
 def test_newtons_method():
     """The same body as the residual of a nonlinear problem."""
     law = LAWS["Stribeck"]
-    scene = Square(MPI.COMM_SELF, law)
+    scene = square(MPI.COMM_SELF, law)
     slip = slip_of(law, SHIFT)
-    scene.shear.value = SHEAR * (SHIFT - slip)
-    a, L, pairs, bcs = scene.forms
+    scene.data.shear.value = SHEAR * (SHIFT - slip)
     u = fem.Function(scene.V)
-    F = ufl.action(a, u) - L
-    with NonlinearContactProblem(F, u, pairs, bcs) as problem:
+    F = ufl.action(scene.a, u) - scene.L
+    with NonlinearContactProblem(F, u, scene.pairs, scene.bcs) as problem:
         solution = problem.solve()
     check(solution, SHEAR * (SHIFT - slip), slip, 1e-5)  # Newton's tolerance is 1e-6
 
 
 def test_derivatives_by_the_load():
     """Of pressure-dependent friction as differences; of slip-dependent friction none."""
-    scene = Square(MPI.COMM_SELF, Coulomb(lambda p, v: 0.1 + 0.1 * p / PRESSURE))
-    scene.shear.value = 0.2 * PRESSURE
+    scene = square(MPI.COMM_SELF, Coulomb(lambda p, v: 0.1 + 0.1 * p / PRESSURE))
+    scene.data.shear.value = 0.2 * PRESSURE
     goal, step = ContactForce((1.0, 0.0)), 1e-3 * DEPTH
     with scene.problem() as problem:
         problem.solve(rtol=1e-11)
-        found = problem.gradient(goal, [scene.top])[0][1]
+        found = problem.gradient(goal, [scene.data.top])[0][1]
         ends = []
         for sign in (1, -1):
-            scene.top.value[1] = -DEPTH + sign * step
+            scene.data.top.value[1] = -DEPTH + sign * step
             ends.append(problem.solve(rtol=1e-11).pair_resultants[0].force[0])
     wanted = (ends[0] - ends[1]) / (2 * step)
     assert found == pytest.approx(wanted, rel=1e-4)
-    with Square(MPI.COMM_SELF, LAWS["viscous"]).problem() as problem:
+    with square(MPI.COMM_SELF, LAWS["viscous"]).problem() as problem:
         problem.solve()
         with pytest.raises(InputError, match="depends on the slip"):
             problem.gradient(goal, [])
@@ -186,13 +167,12 @@ def test_derivative_by_a_limit_that_the_slip_has_reached():
     All nodes slip at the limit, so that no bound depends on the slip any more, and the tangential
     force is the limit times the area.
     """
-    scene = Square(MPI.COMM_SELF, LAWS["limit"])
-    limit = fem.Constant(scene.V.mesh, 0.22 * PRESSURE)
+    scene = square(MPI.COMM_SELF, LAWS["limit"])
+    limit = fem.Constant(scene.mesh, 0.22 * PRESSURE)
     law = Coulomb(LAWS["limit"].coefficient, limit=limit)
-    scene.forms[2][0] = dataclasses.replace(scene.pair, friction=law)
-    scene.shear.value = limit.value
+    scene.data.shear.value = limit.value
     goal = ContactForce((1.0, 0.0))
-    with scene.problem() as problem:
+    with scene.but(friction=law).problem() as problem:
         problem.solve(rtol=1e-11)
         (found,) = problem.gradient(goal, [limit])
         ends = []
@@ -241,7 +221,7 @@ def test_floating_blocks(comm):
 def test_wrong_curves(curve, message):
     with (
         pytest.raises(InputError, match=message),
-        Square(MPI.COMM_SELF, Coulomb(curve)).problem() as problem,
+        square(MPI.COMM_SELF, Coulomb(curve)).problem() as problem,
     ):
         problem.solve()
 
@@ -265,9 +245,9 @@ def test_wrong_arguments():
 )
 def test_bounds_that_decrease_are_warned_of(curve, words, caplog):
     """With the second one the square may stick as well as slide."""
-    scene = Square(MPI.COMM_SELF, Coulomb(curve))
-    scene.top.value[0] = 0.29 * PRESSURE / SHEAR
-    scene.shear.value = 0.1 * PRESSURE
+    scene = square(MPI.COMM_SELF, Coulomb(curve))
+    scene.data.top.value[0] = 0.29 * PRESSURE / SHEAR
+    scene.data.shear.value = 0.1 * PRESSURE
     with caplog.at_level(logging.WARNING), scene.problem() as problem:
         problem.solve()
     text = " ".join(caplog.text.split())

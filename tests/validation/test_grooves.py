@@ -21,7 +21,7 @@ from dolfinx_tresca import (
 )
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
-from scenes.patches import KINDS
+from scenes.patches import KINDS, dim_of
 
 RTOL = 1e-8
 TOLERANCE = 100 * RTOL
@@ -30,12 +30,6 @@ TOLERANCE = 100 * RTOL
 FIRST, SECOND = 1.0, 2.0
 
 LOADED, GROOVE = (3, 4), 5
-
-
-def turned(dim: int) -> np.ndarray:
-    if dim == 3:
-        return rotation(8)
-    return np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
 
 
 def angle(x: np.ndarray) -> np.ndarray:
@@ -50,8 +44,8 @@ def angle(x: np.ndarray) -> np.ndarray:
 
 def block_in_groove(comm, kind: str, divisions: int):
     """A unit block that two loads press into the groove, whole boundaries tagged 1 and 2."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
-    turn = turned(dim)
+    dim = dim_of(kind)
+    turn = rotation(8, dim)
     lower = Body((3, 3), [(0.0, 1.0)] * dim,
                  keep=lambda x: (x[:, 0] < 1 / 3) | (x[:, -1] < 1 / 3), move=angle)  # fmt: skip
     upper = Body((divisions, divisions), [(0.0, 1.0)] * dim)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from test_load_steps import GROWTH, strip
+from test_load_steps import GROWTH, reversals, strip
 
 import dolfinx
 import ufl
@@ -29,7 +29,7 @@ from dolfinx_tresca import (
 from dolfinx_tresca._base.parallel import reduce_array
 from scenes.blocks import ABOVE, POISSON, YOUNG, block, floor
 from scenes.nodal import global_vector, nodal, surface_nodes_of
-from scenes.patches import BOTTOM, TOP, UPPER_BLOCK
+from scenes.patches import BOTTOM, TOP, UPPER_BLOCK, dim_of
 from scenes.rubbing import moved_end, rubbing
 from scenes.scene import Scene
 from scenes.two_bricks import ENDS, two_bricks
@@ -175,7 +175,7 @@ def test_a_sliding_block_is_not_driven_backwards(comm):
 @pytest.mark.parametrize("pairing", ["mortar", "node", "obstacle"])
 def test_a_step_is_a_static_problem_of_the_difference(comm, kind, pairing, degree):
     """From a displacement w that does not move nodes across the surface: u - w is a static one."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     lower = (3, 1) if pairing == "node" else (2, 1)
     scene = rubbing(
         comm, kind, degree, upper=(3, 1), lower=lower, distort=0.0, friction=Tresca(3.0 * G)
@@ -373,34 +373,16 @@ def test_energy_balance_in_the_limit(comm):
 # Many steps, and the way in
 
 
-def reversals(comm: MPI.Comm, cells: int, steps: int) -> list[int]:
-    """Pull a strip to and fro; return the products of each step."""
-    model = strip(comm, cells)
-    amplitudes = np.random.default_rng(0).uniform(10.0, 90.0, steps)
-    products, dissipated = [], 0.0
-    with model.problem() as problem:
-        for step, amplitude in enumerate(amplitudes):
-            model.data.pull.value = (-1) ** step * amplitude
-            solution = problem.solve()
-            assert solution.status is ContactStatus.CONVERGED, step
-            problem.accept()
-            products.append(solution.products)
-            dissipated += solution.dissipation
-            assert solution.dissipation >= 0.0
-            assert solution.total_dissipation == pytest.approx(dissipated, rel=1e-12)
-    return products
-
-
 def test_reversals(comm):
     """What a step costs does not grow with their number."""
-    products = reversals(comm, 20, 12)
+    products = reversals(comm, 20, 12, accepts=True)
     assert np.mean(products[-4:]) <= GROWTH * np.mean(products[:4])
 
 
 @pytest.mark.long
 def test_many_reversals_with_history(comm):
     """The same with 200, on a finer strip."""
-    products = reversals(comm, 150, 200)
+    products = reversals(comm, 150, 200, accepts=True)
     assert np.mean(products[-50:]) <= GROWTH * np.mean(products[:50])
 
 

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from held_blocks import block_over
 
 from dolfinx import fem
 
@@ -35,18 +36,9 @@ RTOL, SETTLED = 1e-9, 1e-5
 def pushed(comm, push, shift=0.0, friction=None, height=0.5, n=(10, 4)):
     """Return a block over a ball, the ball's centre, shifted the other way, and the motion."""
     centre = np.array([0.5 - shift, -RADIUS])
-    scene = block(
-        comm,
-        n,
-        size=(1.0, height),
-        boxes=True,
-        load=(0.0, 0.0, 0.0),
-        friction=friction or Frictionless(),
-        obstacles=[(BELOW, RigidSphere(centre, RADIUS))],
-    )
-    motion = fem.Constant(scene.mesh, (push, -DOWN))
-    top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
-    return scene.problem(bcs=[top]), centre, motion
+    ball = RigidSphere(centre, RADIUS)
+    scene, motion = block_over(comm, n, height, ball, friction or Frictionless(), (push, -DOWN))
+    return scene.problem(), centre, motion
 
 
 def settled(problem, most=10):

@@ -60,18 +60,29 @@ def test_reversal(comm):
             assert found.products <= fresh.products + FEW
 
 
-@pytest.mark.long
-def test_many_reversals(comm):
-    """What a step costs does not grow with what was kept before."""
-    model = strip(comm, 150)
-    amplitudes = np.random.default_rng(0).uniform(10.0, 90.0, 200)
-    products = []
+def reversals(comm: MPI.Comm, cells: int, steps: int, *, accepts: bool) -> list[int]:
+    """Pull a strip to and fro, with or without a history; return the products of each step."""
+    model = strip(comm, cells)
+    amplitudes = np.random.default_rng(0).uniform(10.0, 90.0, steps)
+    products, dissipated = [], 0.0
     with model.problem() as problem:
         for step, amplitude in enumerate(amplitudes):
             model.data.pull.value = (-1) ** step * amplitude
             solution = problem.solve()
             assert solution.status is ContactStatus.CONVERGED, step
             products.append(solution.products)
+            if accepts:
+                problem.accept()
+                dissipated += solution.dissipation
+                assert solution.dissipation >= 0.0
+                assert solution.total_dissipation == pytest.approx(dissipated, rel=1e-12)
+    return products
+
+
+@pytest.mark.long
+def test_many_reversals(comm):
+    """What a step costs does not grow with what was kept before."""
+    products = reversals(comm, 150, 200, accepts=False)
     assert np.mean(products[-50:]) <= GROWTH * np.mean(products[:50])
 
 

@@ -56,24 +56,16 @@ def column(comm, blocks, top=None):
     return ContactProblem(elasticity(made.V, 5e3, 0.2), load, pairs)
 
 
-@pytest.mark.parallel
-def test_a_tall_column(comm):
+@pytest.mark.parallel(blocks=[60])
+@pytest.mark.parametrize("blocks", [60, pytest.param(300, marks=pytest.mark.long)])
+def test_a_tall_column(comm, blocks):
     """Contact resists the motions of all bodies together with 1 / n^4 of one body's resistance."""
-    blocks = 60
     with column(comm, blocks) as problem:
         solution = problem.solve(rtol=1e-6)
         solution.raise_if_failed()
     pressed = [one.force[1] for one in solution.pair_resultants]
     weights = WEIGHT * np.arange(blocks, 0, -1)
     assert pressed == pytest.approx(weights, rel=1e-9)
-
-
-@pytest.mark.long
-def test_a_column_of_300():
-    with column(MPI.COMM_SELF, 300) as problem:
-        solution = problem.solve(rtol=1e-6)
-        solution.raise_if_failed()
-    assert solution.pair_resultants[0].force[1] == pytest.approx(300 * WEIGHT, rel=1e-9)
 
 
 @pytest.mark.parallel

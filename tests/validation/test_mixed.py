@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 from scipy.optimize import lsq_linear
-from scipy.sparse import csr_array
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, Frictionless, RigidPlane, StiffnessError, Tresca
+from scenes.assembled import on_one_rank
 from scenes.blocks import ABOVE, BELOW, BOUND, LEFT, RIGHT, YOUNG, block
 from scenes.elasticity import lame_constants
 from scenes.pressures import strain_energy, with_mean_pressure, with_pressure
@@ -202,7 +202,8 @@ def test_an_independent_solver(comm):
         contact, free = problem.operators[0], ~problem.prescribed
         part = np.zeros(len(free), dtype=bool)
         part[mixed.V.sub(0).collapse()[1]] = True
-        K, N, T = (dense(M)[:, free] for M in (problem.stiffness, contact.N, contact.T))
+        matrices = (problem.stiffness, contact.N, contact.T)
+        K, N, T = (on_one_rank(M).toarray()[:, free] for M in matrices)
         K, f, part = K[free], problem.load.array[free], part[free]
         jumps = np.vstack([N, T])[:, part]
         areas = contact.weights[np.r_[contact.normal_node, contact.tangent_node]]
@@ -223,8 +224,3 @@ def test_an_independent_solver(comm):
     assert 0 < found.counts.slip < found.counts.nodes
     size = found.peak_pressure
     assert np.abs(found.multipliers - forces / areas).max() <= 1e-5 * size
-
-
-def dense(matrix) -> np.ndarray:
-    """On one rank."""
-    return csr_array(matrix.getValuesCSR()[::-1], matrix.size).toarray()

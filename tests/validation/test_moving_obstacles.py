@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from held_blocks import block_over
 
 import ufl
 from dolfinx import fem, mesh
@@ -23,7 +23,6 @@ from dolfinx_tresca import (
     SolverOptions,
     Tresca,
 )
-from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.rubber_block import neo_hookean
 
@@ -56,19 +55,8 @@ def ball():
 
 def over(comm, obstacle, friction, sliding):
     """Return a block that its top holds over an obstacle, and the motion of the top."""
-    scene = block(
-        comm,
-        (8, 3),
-        size=(1.0, 0.4),
-        boxes=True,
-        load=(0.0, 0.0, 0.0),
-        friction=friction,
-        obstacles=[(BELOW, obstacle)],
-    )
-    top = fem.Constant(scene.mesh, np.zeros(2))
-    bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
-    pairs = [replace(pair, sliding=sliding) for pair in scene.pairs]
-    return scene.problem(bcs=bcs, pairs=pairs, options=OPTIONS), top
+    scene, top = block_over(comm, (8, 3), 0.4, obstacle, friction)
+    return scene.but(sliding=sliding).problem(options=OPTIONS), top
 
 
 def plate_under(comm, obstacle):
@@ -280,20 +268,11 @@ def test_restart(comm, folder, sliding):
 
 def rubber_over(comm, obstacle, sliding):
     """Return a block of rubber that its top holds over an obstacle, and the motion of the top."""
-    scene = block(
-        comm,
-        (8, 3),
-        size=(1.0, 0.4),
-        boxes=True,
-        friction=Coulomb(F),
-        obstacles=[(BELOW, obstacle)],
-    )
-    top = fem.Constant(scene.mesh, np.zeros(2))
-    bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
+    scene, top = block_over(comm, (8, 3), 0.4, obstacle, Coulomb(F))
     u = fem.Function(scene.V)
     residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
-    pairs = [replace(pair, sliding=sliding) for pair in scene.pairs]
-    return NonlinearContactProblem(residual, u, pairs, bcs, options=OPTIONS), top
+    pairs = scene.but(sliding=sliding).pairs
+    return NonlinearContactProblem(residual, u, pairs, scene.bcs, options=OPTIONS), top
 
 
 def test_nonlinear_bodies(comm):

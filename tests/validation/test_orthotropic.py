@@ -11,8 +11,8 @@ from mpi4py import MPI
 import clarabel
 import numpy as np
 import pytest
+from conic import conic_minimum
 from rotations import rotation
-from scipy.sparse import csc_array
 from scipy.spatial import cKDTree
 
 from dolfinx import fem
@@ -28,7 +28,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.scene.friction import Friction
-from scenes.assembled import dual_program
+from scenes.assembled import dense_matrix, dual_program
 from scenes.blocks import ABOVE, BELOW, FRONT, RIGHT, block, floor
 from scenes.blocks import BOUND as BLOCK_BOUND
 from scenes.nodal import global_vector, nodal, node_function, surface_nodes_of
@@ -75,7 +75,7 @@ def conic_tractions(scene: Any, bounds: np.ndarray, direction: Sequence[float]) 
     """
     with dual_program(scene) as dual:
         jump, (pair,) = dual.jump, dual.jump.pairs
-        A, b = np.column_stack([dual.apply(e) for e in np.eye(dual.b.size)]), dual.b
+        A, b = dense_matrix(dual), dual.b
         scale, (normal, tangential) = jump.stress_scale, jump.slices[0]
         # in units of stress, and with numbers of size 1
         A, b = A / np.outer(scale, scale), b / scale
@@ -100,18 +100,7 @@ def conic_tractions(scene: Any, bounds: np.ndarray, direction: Sequence[float]) 
             rows.append(np.vstack([np.zeros(len(b)), cone]))
             right.append(np.append(1.0, np.zeros(kept.sum())))
             cones.append(clarabel.SecondOrderConeT(1 + int(kept.sum())))
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-        solver = clarabel.DefaultSolver(
-            csc_array(np.triu(0.5 * (A + A.T) / factor)),
-            -b / factor,
-            csc_array(np.vstack(rows)),
-            np.concatenate(right),
-            cones,
-            settings,
-        )
-        found = solver.solve()
+        found = conic_minimum(A / factor, -b / factor, rows, right, cones, tolerance=1e-12)
         assert str(found.status) in ("Solved", "AlmostSolved")
         traction = np.zeros((len(pair.nodes), 3))
         np.add.at(traction, pair.tangent_node, np.array(found.x)[tangential, None] * pair.tangents)

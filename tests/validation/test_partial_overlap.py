@@ -8,20 +8,12 @@ from rotations import rotation
 
 from dolfinx_tresca import ContactPair, PairingError, Tresca
 from scenes.boxes import Body, boxes, same
-from scenes.patches import KINDS
+from scenes.patches import KINDS, dim_of
 from scenes.scene import EPS
 
 ROUNDING = 1e5 * EPS
 
 SECONDARY, PRIMARY, SECOND = 1, 2, 3
-
-
-def dim_of(kind: str) -> int:
-    return 2 if kind in ("triangle", "quadrilateral") else 3
-
-
-def turned(kind: str) -> np.ndarray:
-    return rotation(6) if dim_of(kind) == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
 
 
 def top(x: np.ndarray) -> np.ndarray:
@@ -34,7 +26,7 @@ def test_weights_of_a_small_block_on_a_large_plate(comm, kind):
     dim = dim_of(kind)
     plate = Body((4, 1), [(0.0, 2.0)] * (dim - 1) + [(-0.5, 0.0)])
     block = Body((2, 1), [(0.5, 1.5)] * (dim - 1) + [(0.0, 1.0)])
-    both = boxes(comm, kind, [plate, block], turn=turned(kind))
+    both = boxes(comm, kind, [plate, block], turn=rotation(6, dim))
     tags = both.tags((SECONDARY, [0], top), (PRIMARY, [1], top))
     for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
         results = {
@@ -57,7 +49,7 @@ def test_a_block_on_two_blocks(comm, kind):
     if dim == 3:  # cells of the same size both ways
         halves = [Body((2, 1), [(0.5 * i, 0.5 * i + 0.5), (0.0, 0.5), (-1.0, 0.0)])
                   for i in range(2)]  # fmt: skip
-    bodies = boxes(comm, kind, [*halves, block], turn=turned(kind))
+    bodies = boxes(comm, kind, [*halves, block], turn=rotation(6, dim))
     area = 1.0 if dim == 2 else 0.5
     single = bodies.tags((PRIMARY, [0, 1], top), (SECONDARY, [2], top))
     for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
@@ -82,7 +74,7 @@ def test_nodes_match_to_rounding_or_not_at_all(comm, kind, shift, pairing):
     dim = dim_of(kind)
     lower = Body((2, 1), [(0.0, 1.0)] * (dim - 1) + [(-1.0, 0.0)])
     upper = Body((2, 1), [(shift, 1.0 + shift)] * (dim - 1) + [(0.0, 1.0)])
-    both = boxes(comm, kind, [lower, upper], turn=turned(kind))
+    both = boxes(comm, kind, [lower, upper], turn=rotation(6, dim))
     tags = both.tags((SECONDARY, [1], top), (PRIMARY, [0], top))
     assert both.operators(ContactPair(tags, SECONDARY, PRIMARY, Tresca(1.0))).pairing == pairing
 
@@ -99,7 +91,7 @@ def test_graded_meshes_that_overlap_in_part_do_not_match(comm, kind):
 
     lower = Body((1, 1), [(0.0, 1.0)] * (dim - 1) + [(-1.0, 0.0)])
     upper = Body((4, 1), [(0.0, 1.0)] * (dim - 1) + [(0.0, 1.0)], move=graded)
-    both = boxes(comm, kind, [lower, upper], turn=turned(kind))
+    both = boxes(comm, kind, [lower, upper], turn=rotation(6, dim))
     tags = both.tags((SECONDARY, [1], top), (PRIMARY, [0], top))
     for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
         found = both.operators(ContactPair(tags, one, other, Tresca(1.0)))

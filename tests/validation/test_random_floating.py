@@ -14,9 +14,8 @@ from mpi4py import MPI
 import clarabel
 import numpy as np
 import pytest
-from scipy.sparse import csc_array, vstack
+from conic import conic_minimum
 
-import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
@@ -33,7 +32,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.pairing.operators import PairOperators
-from scenes.patches import BOTTOM, KINDS, LOWER_BLOCK, TOP, UPPER_BLOCK, patch
+from scenes.patches import BOTTOM, KINDS, LOWER_BLOCK, TOP, UPPER_BLOCK, dim_of, patch
 from scenes.scene import Scene
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="each scene is one rank's")
@@ -60,6 +59,8 @@ HOLDING, FARTHER, SWEEPS, SETTLED = 1e-5, 30.0, 60, 1e-6
 #: may end so though no body slides away: of a thousand two do, whose bodies slide on soft springs.
 MISSES, MISSED = (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED), 1
 
+#: Of Clarabel.
+TOLERANCE = 1e-10
 #: Gaps over what the load moves, beyond which an interior-point method has trouble with them.
 WIDE = 1e6
 
@@ -104,7 +105,7 @@ def floating_scene(seed: int, turned: bool, coulomb: bool = False) -> Floating:
     """Return a random scene, as it is or turned; with Coulomb's law in the place of Tresca's."""
     rng = np.random.default_rng(seed)
     kind = str(rng.choice(KINDS))
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    dim = dim_of(kind)
     most = 5 if dim == 2 else 3
     turn, _ = np.linalg.qr(rng.standard_normal((dim, dim)))
     turn[:, 0] *= np.sign(np.linalg.det(turn))
@@ -168,10 +169,7 @@ class Conic:
     def __init__(self, scene: Floating) -> None:
         V = scene.scene.V
         self.scene, self.dim = scene, V.mesh.geometry.dim
-        K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.scene.a))
-        K.assemble()
-        self.K = K[:, :]
-        K.destroy()
+        self.K = fem.assemble_matrix(fem.form(scene.scene.a)).to_dense()
         self.form = fem.form(scene.scene.L)
         self.held = np.zeros(len(self.K), dtype=bool)
         for bc in scene.scene.bcs:
@@ -260,8 +258,9 @@ class Conic:
                 right.append(np.append(bound / size, np.zeros(len(rows))))
                 cones.append(clarabel.SecondOrderConeT(1 + len(rows)))
         cost = -np.eye(1, 1 + m)[0]
-        found, _, status = _conic(np.zeros((1 + m, 1 + m)), cost, blocks, right, cones)
-        return float(found[0]) if status == "Solved" else None
+        no_square = np.zeros((1 + m, 1 + m))
+        found = conic_minimum(no_square, cost, blocks, right, cones, TOLERANCE)
+        return float(found.x[0]) if str(found.status) == "Solved" else None
 
     def displacement(self, forces: np.ndarray) -> np.ndarray | None:
         """Return u that minimises the energy; None where clarabel does not find it.
@@ -327,29 +326,18 @@ class Conic:
             blocks.append(block)
             right.append(np.minimum(gap / unit, WIDE))
         size = np.abs(q).max()
-        found, duals, status = _conic(P / size, q / size, blocks, right, cones)
+        found = conic_minimum(P / size, q / size, blocks, right, cones, TOLERANCE)
+        duals = np.array(found.z)
         pressing, row, dual = np.zeros_like(forces), 0, len(right[0])
         for (rows, *_, kind), block in zip(parts, blocks[1:], strict=True):
             if kind == "normal":
                 pressing[row : row + len(rows)] = size * stiff * unit * duals[dual:][: len(rows)]
             row, dual = row + len(rows), dual + len(block)
-        return unit * found[:n], pressing, status
+        return unit * np.array(found.x)[:n], pressing, str(found.status)
 
     def distance(self, u: np.ndarray, v: np.ndarray) -> float:
         """Return the distance of u and v in the energy norm, over that of v."""
         return float(np.sqrt(max((u - v) @ self.K @ (u - v), 0.0) / (v @ self.K @ v)))
-
-
-def _conic(P, q, blocks, right, cones) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return the minimiser, the cones' duals, and what clarabel says of them."""
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
-    matrix = csc_array(vstack([csc_array(block) for block in blocks]))
-    found = clarabel.DefaultSolver(
-        csc_array(np.triu(P)), q, matrix, np.concatenate(right), cones, settings
-    ).solve()
-    return np.array(found.x), np.array(found.z), str(found.status)
 
 
 def why_none_is_found(conic: Conic) -> str:

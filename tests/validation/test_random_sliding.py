@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from rotations import in_plane
 
 from dolfinx_tresca import Coulomb, Frictionless, RigidSphere, SolverOptions, Tresca
 from scenes.blocks import ABOVE, BELOW, block
@@ -21,11 +20,6 @@ LOOP, ROUNDS = 1e-7, 80
 
 #: Random scenes of `make test`, and of `make test-long`.
 FEW, MANY = 6, 200
-
-
-def turned(angle):
-    """Return the rotation (2, 2) by an angle."""
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def scene_of(comm, seed):
@@ -51,12 +45,12 @@ def scene_of(comm, seed):
         scene = patch(
             comm, kind, degree, upper=(int(draw.integers(1, 4)), 1),
             lower=(int(draw.integers(2, 6)), 2), span=[(start, start + 0.4)], friction=law,
-            turn=turned(angle), shift=draw.uniform(-5.0, 5.0, 3) * [1.0, 1.0, 0.0],
+            turn=in_plane(angle), shift=draw.uniform(-5.0, 5.0, 3) * [1.0, 1.0, 0.0],
         )  # fmt: skip
         tags = scene.facet_tags
-        top = fixed(scene.V, tags.find(TOP), turned(angle) @ way)
+        top = fixed(scene.V, tags.find(TOP), in_plane(angle) @ way)
         bcs = [top, fixed(scene.V, tags.find(BOTTOM))]
-    return scene, bcs, [replace(pair, sliding="finite") for pair in scene.pairs]
+    return scene, bcs, scene.but(sliding="finite").pairs
 
 
 def force_of(solution):

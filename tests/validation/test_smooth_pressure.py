@@ -15,6 +15,7 @@ from scenes.hertz import compare, cylinder_on_plane
 from scenes.manufactured import YOUNG, blocks_scene
 from scenes.nodal import global_vector, surface_nodes_of
 from scenes.patches import KINDS as CELLS
+from scenes.patches import dim_of
 
 #: Second differences of the error over H^2 |p''|, and those of the coarse side's kinks (see below).
 SMOOTH, KINKS = 0.6, 1.0
@@ -39,7 +40,7 @@ def test_no_oscillation_on_meshes_that_do_not_match(comm, cell, degree, ratio):
     is the stress E H |w''|, repeats with the coarse cells, and does not alternate from node to
     node.
     """
-    dim = 2 if cell in CELLS[:2] else 3
+    dim = dim_of(cell)
     divisions = {"2:3": (8, 12), "1:3": (6, 18), "3:1": (12, 4)}[ratio]
     if dim == 3:
         divisions = {"2:3": (4, 6), "1:3": (4, 12), "3:1": (6, 2)}[ratio]

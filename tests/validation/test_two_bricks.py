@@ -9,7 +9,7 @@ import pytest
 from dense import clarabel_minimum
 
 from dolfinx_tresca import ContactStatus
-from scenes.assembled import dual_program, points_of
+from scenes.assembled import dense_matrix, dual_program
 from scenes.dense import METHODS
 from scenes.nodal import global_vector, surface_nodes_of
 from scenes.scene import EPS
@@ -54,8 +54,7 @@ def test_clarabel_confirms_the_minimum(comm, end):
     """A from unit vectors, Lambda as second-order cones; each rank solves its own copy."""
     scene = two_bricks(MPI.COMM_SELF, 4, end=end)
     with dual_program(scene) as dual:
-        A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
-        A = 0.5 * (A + A.T)
+        A = dense_matrix(dual)
         x = clarabel_minimum(A, dual.b, dual.feasible_set)
         q = 0.5 * x @ A @ x - x @ dual.b
         stress = x * dual.jump.stress_scale
@@ -156,17 +155,3 @@ def test_products_do_not_grow_much_with_the_mesh(comm):
             counts.append(problem.solve(rtol=1e-6).products)
     assert counts[1] <= 2 * counts[0]
     assert counts[1] <= 100
-
-
-@pytest.mark.parallel
-def test_the_mesh_file_gives_the_sizes_of_the_paper(comm):
-    """Table 38.1: n = 6 N^3, m = N^2, and the contact nodes are those that are not fixed."""
-    for N, hexahedra in ((3, False), (4, True)):
-        scene = two_bricks(comm, N, hexahedra=hexahedra)
-        with bricks_problem(comm, N, hexahedra=hexahedra) as problem:
-            assert problem.free_dofs == 6 * N**3
-            assert problem.contact_nodes == N**2
-        with dual_program(scene) as dual:
-            x = points_of(scene, dual.jump.pairs[0])
-            assert (np.abs(x[:, 2] - 1.0) < 1e-12).all()
-            assert (x[:, 0] < 2.0 - 1e-12).all()

@@ -16,24 +16,13 @@ from dolfinx_tresca import (
     Tresca,
 )
 from scenes.boxes import Body, boxes, same
-from scenes.patches import KINDS
+from scenes.patches import KINDS, dim_of
 from scenes.scene import EPS
 
 #: Of sums over some products of numbers of size 1.
 ROUNDING = 1e5 * EPS
 
 SECONDARY, PRIMARY = 1, 2
-
-
-def dim_of(kind: str) -> int:
-    return 2 if kind in ("triangle", "quadrilateral") else 3
-
-
-def turned(kind: str, seed: int = 4) -> np.ndarray:
-    if dim_of(kind) == 3:
-        return rotation(seed)
-    angle = float(seed)
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def at(axis: int, value: float):
@@ -74,7 +63,7 @@ def obstacles(dim: int, turn: np.ndarray):
 def test_before_an_obstacle_only_the_facets_that_face_it_count(comm, kind, degree):
     """The bottom of a block alone, with its sides, and all of its boundary."""
     dim = dim_of(kind)
-    turn = turned(kind)
+    turn = rotation(4, dim)
     block = boxes(comm, kind, [Body((2, 2), box(dim, 0.0, 1.0))], degree, turn=turn)
     bottom = at(dim - 1, 0.0)
     round_ = sides(dim, 0.0, 1.0)
@@ -115,7 +104,7 @@ def test_stacked_blocks(comm, kind, name, divisions):
     gap, across = STACKS[name]
     lower = Body((divisions[0], 1), box(dim, 0.0, 1.0))
     upper = Body((divisions[1], 1), box(dim, 1.0 + gap, 2.0 + gap, *across))
-    stack = boxes(comm, kind, [lower, upper], turn=turned(kind))
+    stack = boxes(comm, kind, [lower, upper], turn=rotation(4, dim))
     faces = (at(dim - 1, 1.0), at(dim - 1, 1.0 + gap))
     rims = (sides(dim, 0.0, 1.0), sides(dim, *across))
     for one, other in ((0, 1), (1, 0)):
@@ -143,7 +132,7 @@ def test_layers_between_layers(comm, kind):
     dim = dim_of(kind)
     h = 0.04
     plates = [Body((n, 1), box(dim, i * h, (i + 1) * h)) for i, n in enumerate((2, 3, 2))]
-    stack = boxes(comm, kind, plates, turn=turned(kind))
+    stack = boxes(comm, kind, plates, turn=rotation(4, dim))
     low, high = at(dim - 1, h), at(dim - 1, 2 * h)
     clean = stack.tags(
         (SECONDARY, [0], low), (SECONDARY, [2], high),
@@ -167,7 +156,7 @@ def test_nothing_pairs_through_a_plate_that_touches_both(comm, kind, divisions):
     h = 0.05
     bodies = [Body((divisions[0], 1), box(dim, -1.0, 0.0))]
     bodies += [Body((divisions[1], 1), box(dim, i * h, (i + 1) * h)) for i in range(2)]
-    stack = boxes(comm, kind, bodies, turn=turned(kind))
+    stack = boxes(comm, kind, bodies, turn=rotation(4, dim))
     touching = at(dim - 1, 0.0)
     clean = stack.tags((SECONDARY, [1], touching), (PRIMARY, [0], touching))
     whole = stack.tags((SECONDARY, [1, 2], None), (PRIMARY, [0], None))
@@ -197,7 +186,7 @@ def test_a_ring_on_a_ring(comm, kind, fit):
     along = [(0.0, 1.0)] * (dim - 1)
     inner = Body((1, n), [(-0.3, 0.0), *along], move=bent_round(radius, dim))
     outer = Body((1, n + 1), [(fit, 0.3), *along], move=bent_round(radius, dim))
-    rings = boxes(comm, kind, [inner, outer], turn=turned(kind))
+    rings = boxes(comm, kind, [inner, outer], turn=rotation(4, dim))
     clean = (at(0, 0.0), at(0, fit))
     for one, other in ((0, 1), (1, 0)):
         tags = [
@@ -223,7 +212,7 @@ def test_the_legs_of_a_u(comm, kind):
         return (x[:, 0] < 0.2) | (x[:, 0] > 0.8) | (x[:, dim - 1] < 1 / 3)
 
     body = Body((5, 3), box(dim, 0.0, 1.0), keep=is_u)
-    u = boxes(comm, kind, [body], turn=turned(kind))
+    u = boxes(comm, kind, [body], turn=rotation(4, dim))
 
     def leg(left: bool):
         return lambda x: (x[:, dim - 1] > 1 / 3 + 1e-9) & ((x[:, 0] < 0.5) == left)

@@ -26,9 +26,9 @@ class EnergyBound(PetscOwner):
 
     a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
     slip since the last step, here and below. The displacement v is u + w. The lift w moves contact
-    nodes alone (`Lift`), such that the jump at every node takes its best value with the neighbours
-    fixed: nodes that should close or stick do so. If K also has rows for a pressure, w moves all
-    nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the pressure
+    nodes alone (`Lift`), such that the jump at every node takes its best value for fixed
+    neighbours: nodes that should close or stick do so. If K also has rows for a pressure, w moves
+    all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the pressure
     eliminated. If such a K is the tangent of a Newton step, there is no bound: the factorisation
     for `SaddleLift` would double the cost of the step.
 
@@ -71,7 +71,8 @@ class EnergyBound(PetscOwner):
             error: a bound of the error of u, |u - K^-1 (f - B'x)|_K.
 
         Returns:
-            the bound of |u - u*|_K; infinite if there is none, or if rows of B are dependent.
+            the bound of |u - u*|_K; infinite if there is no bound, or if rows of B are linearly
+            dependent.
         """
         if self._lift is None:
             return np.inf

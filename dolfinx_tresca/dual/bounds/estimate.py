@@ -22,40 +22,42 @@ from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell
 
-#: Cells whose gradients are evaluated together, to bound the memory.
+#: Number of cells whose gradients are evaluated together; it limits the memory.
 CELLS_AT_ONCE = 50_000
 
 #: Least ratio of the stiffnesses of different materials, and the largest number of materials. Each
 #: material has a recovery of its own, which costs as much as the recovery for a single material.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
-#: Approximate ratio of the error to the difference between the gradient and its mean, both in the
-#: energy norm, by the degree of the displacement and whether cells are simplices. It is not 1,
-#: since the mean has a higher order than the gradient only for degree 1, and since singular edges
-#: lower the difference by up to a third. Factors are mid-range values of benchmarks/estimate.py.
+#: Approximate ratio of the error to the difference between the gradient and its mean at the nodes,
+#: both in the energy norm. The keys are the degree of the displacement, and whether cells are
+#: simplices. The ratio is not 1, since the mean has a higher order than the gradient only for
+#: degree 1, and since singular edges lower the difference by up to a third. The factors are
+#: mid-range values of benchmarks/estimate.py.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
 class DiscretisationError:
     """Estimates the error of the mesh in the energy norm by gradient recovery.
 
-    The gradient of a finite element displacement jumps from cell to cell; the mean at the nodes,
+    The gradient of a finite element displacement jumps from cell to cell. The mean at the nodes,
     weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
-    difference of the two is an estimate of the error. The energy of this difference follows from
-    the form `a`, in which it replaces the gradient, for any cell and material. The gradient is
-    evaluated at the Gauss points of order 2 (degree - 1), where it is most accurate (Barlow, 1976),
-    and extrapolated to the nodes, where means are taken. If it were evaluated at a node of a
-    quadrilateral or hexahedron, the derivative along an edge would depend on that edge alone, and
-    on a boundary with its singular edges the difference would be zero.
+    difference of the two gradients is an estimate of the error. The energy of this difference is
+    computed with the form `a`, in which the difference replaces the gradient; this works for any
+    cell and material. The gradient is evaluated at the Gauss points of order 2 (degree - 1), where
+    it is most accurate (Barlow, 1976), and extrapolated to the nodes, where means are taken. If it
+    were evaluated at the nodes of quadrilaterals or hexahedra instead, its derivative along an edge
+    would depend on that edge alone, and the difference would be zero on the boundary, which has
+    singular edges.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
-    singular edges and Poisson's ratios of up to 0.49. It is not a bound. For ratios closer to 0.5
-    cells lock: the error spreads from its origin, and its ratio to the estimate is larger. At the
-    corners of inclusions that are 1000 times stiffer than the rest the estimate is up to 1.7 times
-    the error for degree 2. If the material inside a body changes abruptly, the true gradient jumps
-    too: each material then has means of its own, for up to `MOST_MATERIALS` materials. If the
-    material varies from cell to cell without gaps between the stiffnesses, the estimate is too
-    large.
+    singular edges and Poisson's ratios of up to 0.49. It is not a bound. For Poisson's ratios
+    closer to 0.5 cells lock: the error spreads from its origin, and is larger compared with the
+    estimate. At the corners of inclusions that are 1000 times stiffer than the rest the estimate is
+    up to 1.7 times the error for degree 2. If the material inside a body changes abruptly, the true
+    gradient jumps too: each material then has means of its own, for up to `MOST_MATERIALS`
+    materials. If the material varies from cell to cell without gaps between the stiffnesses, the
+    estimate is too large.
 
     For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
     polynomial P_2. This difference is equal on both sides of a node if neighbouring cells are
@@ -146,7 +148,7 @@ class DiscretisationError:
         return np.asarray(self._factor**2 * squares)
 
     def _classify_materials(self, energy: fem.Form, volume: fem.Form) -> tuple[Indices, int]:
-        """Return the material (cells,) of each of this rank's cells, and how many there are.
+        """Return the material (cells,) of each of this rank's cells, and the number of materials.
 
         Collective.
 
@@ -154,7 +156,8 @@ class DiscretisationError:
         that varies gradually makes one group.
 
         Args:
-            energy: the form that gives each cell's energy [energy] under the same gradient.
+            energy: the form that gives each cell's energy [energy] for the same displacement
+                gradient in all cells.
             volume: the form that gives each cell's volume, or for bodies of revolution the volume
                 of the cell's ring up to a constant factor.
         """
@@ -217,7 +220,7 @@ def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
         cell: `basix.CellType` of the cell.
         degree: degree of the polynomial.
         points: (n, d) unisolvent points of the polynomial.
-        nodes: (m, d) points at which it is evaluated.
+        nodes: (m, d) points at which the polynomial is evaluated.
     """
     element = basix.create_element(
         basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced, discontinuous=True

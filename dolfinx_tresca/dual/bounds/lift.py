@@ -17,32 +17,33 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Most rows of B with which MUMPS factors the matrix on all ranks together. Its analysis stores the
-#: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, half a gigabyte for this
-#: number.
+#: Largest number of rows of B for which MUMPS factors B D B' on all ranks together. The analysis of
+#: MUMPS stores the pattern of all rows, and a graph of the pattern, on one rank: 1 to 2 kB per row,
+#: or half a gigabyte for this number of rows.
 MOST_FACTORED = 300_000
 
 #: Limit on steps of conjugate gradients.
 MOST_ITERATIONS = 1000
 
-#: Euclidean |B w - jump| / |jump| of a lift w above which the rows of B count as dependent. It is
-#: between rounding and 1, the order of the ratio for a jump outside the range of B.
+#: The rows of B count as linearly dependent if the ratio |B w - jump| / |jump| (Euclidean norms) of
+#: a lift w exceeds this number. The ratio is of the order of 1 for a jump outside the range of B,
+#: and otherwise of the order of rounding.
 DEPENDENT_ROWS = 1e-6
 
 
 class Lift(PetscOwner):
     """w = D B' (B D B')^-1 jump with D = diag(K)^-1: the least w with B w = jump in the D^-1 norm.
 
-    `EnergyBound` closes gaps with it. B D B' is sparse, with a row for each row of B. If it has
-    more than `MOST_FACTORED` rows, systems with it are solved by conjugate gradients preconditioned
-    by a factorisation of each rank's own rows: memory and work of a rank depend on these rows
-    alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff secondary side touches a coarse
-    primary side that is 1e6 times softer, the number grows with the number of ranks: 288, 1124 and
-    2108 steps on 2, 3 and 5 ranks. They stop after `MOST_ITERATIONS`; the energy norm of w counts
-    as infinite if B w then misses the jump by more than `DEPENDENT_ROWS`. A factorisation of all
-    rows has none of these limits.
+    `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row for each row of B. If
+    it has more than `MOST_FACTORED` rows, systems with it are solved by conjugate gradients
+    preconditioned by a factorisation of each rank's own rows: memory and work of a rank depend on
+    these rows alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff secondary side
+    touches a coarse primary side that is 1e6 times softer, the number of steps grows with the
+    number of ranks: 288, 1124 and 2108 steps on 2, 3 and 5 ranks. The iteration stops after
+    `MOST_ITERATIONS` steps; the energy norm of w counts as infinite if B w then misses the jump by
+    more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
 
-    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """
 
     def __init__(self, jump: JumpOperator) -> None:

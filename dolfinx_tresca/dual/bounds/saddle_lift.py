@@ -20,23 +20,24 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 class SaddleLift(PetscOwner):
     """The w of least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
 
-    `Lift` moves contact nodes only. In a body that cannot change its volume this costs infinite, or
-    nearly infinite, energy. This lift has the least energy of all, and needs a factorisation as
-    large as the factorisation of K.
+    `Lift` moves contact nodes only. In a body that cannot change its volume, moving contact nodes
+    alone costs infinite, or nearly infinite, energy. This lift has the least energy of all lifts,
+    and needs a factorisation as large as the factorisation of K.
 
-    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """
 
     def __init__(self, jump: JumpOperator) -> None:
         """Factor (K, B'; B, 0). Collective.
 
-        If it fails because rows of B depend on each other, `energy_norm` returns inf for any jump.
+        If the factorisation fails because rows of B are linearly dependent, `energy_norm` returns
+        inf for any jump.
 
         Args:
             jump: B, and the system with K.
 
         Raises:
-            StiffnessError: rows of B are independent of each other, but not of the
+            StiffnessError: rows of B are linearly independent of each other, but not of the rows of
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
         system = jump.system

@@ -25,15 +25,16 @@ from dolfinx_tresca.status import ContactStatus
 
 @dataclass(frozen=True)
 class StepStart:
-    """The state of a process between two load steps, from which the next one begins.
+    """The state of a process between two load steps, from which the next load step begins.
 
     Attributes:
         history: slip and dissipation of the accepted steps.
         multipliers: (size,) multipliers at which the next solve starts.
         accepted_u: displacement of the last accepted step, or of the slip origin [length]; None:
-            the undeformed state, or not kept, as in the checkpoints of a `ProcessTape`.
-        accepted_motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) at the last
-            accepted step.
+            the bodies are undeformed, or the displacement is not kept, as in checkpoints of a
+            `ProcessTape`.
+        accepted_motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) at the
+            last accepted step.
     """
 
     history: SlipHistory
@@ -53,17 +54,18 @@ class LoadSteps:
         jump: B; each multiplier belongs to one of its rows.
         u: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which solves
             start and end, owned by the caller; None for linear bodies.
-        multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
-            it returns to those of the last accepted step.
+        multipliers: (size,) multipliers of the last solve, at which the next solve starts unless it
+            returns to the multipliers of the last accepted step.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement [length] from which the slip of a step counts with finite
-            sliding: that of the last accepted step, of the slip origin (`begin_at`), or of the
-            state that was read or returned to, whichever came last. None: the undeformed state, or
-            unknown since that state does not keep it (`StepStart`).
+            sliding: the displacement of the last accepted step, of the slip origin (`begin_at`), or
+            of the state that was read or returned to, whichever came last. None: the bodies were
+            undeformed, or the state does not keep the displacement (`StepStart`).
         accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
             has set it.
-        motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
-        accepted_motions: places at the last accepted step, from which the slip counts.
+        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) in the present
+            solve.
+        accepted_motions: `motions` at the last accepted step, from which the slip counts.
         last: status, history and displacement of the last solve, with all unknowns of a mixed
             space; None: there is nothing to accept.
     """
@@ -73,7 +75,7 @@ class LoadSteps:
 
         Args:
             jump: B.
-            motions: (pairs, 3, 4) places of rigid obstacles.
+            motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
             depends_on_start: whether solutions of load steps may depend on the start of the solve.
         """
         self.jump, self._depends_on_start = jump, depends_on_start
@@ -123,7 +125,7 @@ class LoadSteps:
         self._set_start(self.multipliers)
 
     def begin_with(self, history: SlipHistory) -> None:
-        """Begin with a slip history and the present places of obstacles. Not collective."""
+        """Begin with a slip history and the present positions of obstacles. Not collective."""
         self.accepted_motions = self.motions
         self.begin(history)
 
@@ -163,7 +165,7 @@ class LoadSteps:
 
     @property
     def end(self) -> StepStart:
-        """The state from which the next solve begins if the last one is accepted."""
+        """The state from which the next solve begins if the last solution is accepted."""
         assert self.last is not None
         return StepStart(self.last[1], self.multipliers, self.last[2], self.motions)
 
@@ -223,7 +225,10 @@ class LoadSteps:
         self._set_start(stress / self.jump.stress_scale)
 
     def _carry_over(self, jump: JumpOperator) -> Carry:
-        """Replace B, convert the multipliers to it, and return the conversion. Not collective."""
+        """Replace B, convert the multipliers to the new B, and return the conversion.
+
+        Not collective.
+        """
         carry, self.jump = Carry(self.jump, jump), jump
         self.multipliers, self._accepted = (
             carry.multipliers(one) for one in (self.multipliers, self._accepted)
@@ -231,7 +236,7 @@ class LoadSteps:
         return carry
 
     def rotate_tangents(self, jump: JumpOperator) -> None:
-        """Replace B by one with rotated tangents, before a solve. Not collective.
+        """Replace B by the jump operator with rotated tangents, before a solve. Not collective.
 
         Components of the multipliers and of the slip history change with the tangents.
         """
@@ -277,7 +282,7 @@ class LoadSteps:
         Args:
             path: path of the file; the first rank's path is used.
             step: number of the step, which is stored, and which `load` returns.
-            moved_by: displacement [length] at which the surfaces were paired; None:
+            moved_by: displacement [length] at which the surfaces were paired; None: the bodies were
                 undeformed.
             material: Functions of the material's history.
 
@@ -302,7 +307,7 @@ class LoadSteps:
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
         """Continue from the file that `save` wrote, and return the number of its step. Collective.
 
-        Obstacles keep their present places.
+        Obstacles keep their present positions.
 
         Args:
             path: path of the file, the same on all ranks.

@@ -28,7 +28,7 @@ from dolfinx_tresca.errors import InputError
 def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return name -> rows of the file for this rank's own nodes, to be written. Collective.
 
-    These are the values, and the `surroundings` of the nodes.
+    The rows are the values, and the `surroundings` of the nodes.
 
     Args:
         V: the space of the displacement.
@@ -58,7 +58,7 @@ def read_functions(
 
     Args:
         path: path of the file.
-        functions: Functions on the spaces of the saved ones; they are not changed.
+        functions: Functions on the same spaces as the saved Functions; they are not changed.
         comm: the communicator.
         kind: `MATERIAL` or `UNKNOWN`.
 
@@ -174,10 +174,10 @@ def values_of(u: fem.Function) -> Array:
 def surroundings(V: Any) -> Array:
     """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
 
-    The first position is that of the node. The second is the mean of the midpoints of the cells
-    around the node, which distinguishes nodes of two bodies that touch. Both identify a node on any
-    partition, up to rounding, also on refined meshes, where numbers of nodes depend on the
-    partition.
+    The first is the position of the node itself. The second is the mean of the midpoints of the
+    cells around the node, which distinguishes nodes of two bodies that touch. Together the
+    positions identify a node on any partition, up to rounding, also on refined meshes, where the
+    number of a node depends on the partition.
 
     Args:
         V: the space of a displacement, or of values at points of quadrature.
@@ -205,7 +205,7 @@ def same_nodes(known: Array, asked: Array, accuracy: float) -> Indices | None:
     if known.shape != asked.shape:
         return None
     rows: Indices = np.arange(len(known))
-    if np.abs(known - asked).max(initial=0.0) > accuracy:  # another order
+    if np.abs(known - asked).max(initial=0.0) > accuracy:  # the file has another order
         rows = KDTree(known).query(asked, distance_upper_bound=accuracy)[1]
     found = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(known)
     return rows if found else None

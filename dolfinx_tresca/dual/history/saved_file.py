@@ -1,4 +1,4 @@
-"""The contents of the file of a state, and reading it on the first rank."""
+"""The contents of the file of a state, and the function that reads it on the first rank."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from dolfinx_tresca.errors import InputError
 #: Name and version of the format of the file.
 FORMAT = "dolfinx_tresca state 4"
 
-#: Arrays in every file.
+#: Names of the arrays that every file has.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
 #: Name of the array with the `surroundings` of the nodes, which locate the rows of displacements.
 SURROUNDINGS = "surroundings"
 
-#: Prefixes of the names of arrays that have positions of their own: arrays of the material's
-#: history, and of the unknowns of a mixed space that are no displacements.
+#: Prefixes of the names of arrays that come with positions of their own: arrays of the material's
+#: history, and of those unknowns of a mixed space that are not displacements.
 MATERIAL, UNKNOWN = "material ", "unknown "
 
-#: Distance of a node from its position in the file, divided by the extent of all nodes, up to which
-#: it is rounding.
+#: A node and a position in the file count as the same if their distance is at most this fraction of
+#: the extent of all nodes.
 SAME_PLACE = 1e-9
 
-#: The rank that reads and writes.
+#: The rank that reads and writes files.
 ROOT = 0
 
 
@@ -61,7 +61,7 @@ def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
     """Check for contents that `save_state` never writes. Not collective.
 
     Raises:
-        ValueError: values are not finite, or some are missing.
+        ValueError: values are not finite, or some values are missing.
     """
     for name, values in content.items():
         if values.dtype.kind not in "fiuU":

@@ -43,10 +43,11 @@ from dolfinx_tresca.errors import InputError
 class SavedState:
     """The multipliers and the history at which a solve starts.
 
-    The file has one row for each contact node: its pair, its number in the mesh file, which is
-    independent of the partition, and its coordinates, for refined meshes, whose numbers depend on
-    the partition. The tractions and slips in a row are vectors, since the tangents are arbitrary.
-    Displacements and the slip of all steps have separate rows for all nodes.
+    The file that `write` makes has one row for each contact node, with the node's pair, its number
+    in the mesh file and its coordinates. The number is independent of the partition, except on
+    refined meshes, where the coordinates identify a node. The tractions and slips in a row are
+    vectors, since the tangents are arbitrary. Displacements and the slip of all steps have separate
+    rows for all nodes.
 
     Attributes:
         multipliers: (size,) multipliers times `JumpOperator.stress_scale` [stress].
@@ -54,7 +55,7 @@ class SavedState:
         step: a number chosen by the user, such as the number of the load step.
         displacements: further displacements in the file, by name.
         material: Functions of the material's history.
-        unknowns: unknowns of a mixed space that are no displacements.
+        unknowns: unknowns of a mixed space that are not displacements.
     """
 
     multipliers: Array
@@ -70,7 +71,7 @@ class SavedState:
         Args:
             path: path of the file.
             jump: B.
-            motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`).
+            motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
 
         Raises:
             InputError: the file cannot be written.
@@ -156,7 +157,7 @@ def _slipped(pair: int) -> str:
 
 
 def read_motions(path: Path, comm: MPI.Comm, pairs: int) -> Array:
-    """Return the places (pairs, 3, 4) of rigid obstacles in a file. Collective.
+    """Return the positions (pairs, 3, 4) of rigid obstacles in a file. Collective.
 
     Raises:
         InputError: the file cannot be read, or belongs to a problem with another number of pairs.
@@ -252,9 +253,9 @@ def _same_rows(
 ) -> Indices | None:
     """Return for each node its row in the file; None if the nodes differ. Not collective.
 
-    Nodes correspond if they have the same key and the same place. If the mesh file now numbers
-    nodes differently, each one corresponds to the nearest known node, which must be of the same
-    pair and patch, at the same place, and correspond to no other node.
+    Nodes correspond if they have the same key and the same position. If the mesh file now numbers
+    nodes differently, each node corresponds to the nearest node in the file. That node must be of
+    the same pair and patch, have the same position, and correspond to no other node.
 
     Args:
         known: (n, 3) keys in the file: pair, number in the mesh file, and patch of the surface.

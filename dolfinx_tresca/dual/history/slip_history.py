@@ -17,14 +17,16 @@ from dolfinx_tresca.dual.jump import JumpOperator
 class SlipHistory:
     """The slip and the dissipation of the accepted load steps.
 
-    Friction dissipates: in a quasi-static process it resists the slip of each step, T u - s with
-    the origin s (docs/theory/problem.md). This is implicit in time, like backward Euler.
+    In a quasi-static process friction resists the slip T u - s of each step, where s is the slip
+    origin, and dissipates energy (docs/theory/problem.md). This formulation is implicit in time,
+    like the backward Euler method.
 
     Attributes:
         origin: (size,) s, the tangential jump at which the slip of the step is zero, divided by
             `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
-        slipped: for each pair (owned nodes of V, d + 1) the sum of the slip vectors of all steps,
-            and the sum of their lengths [length]; kept at nodes that have no partner at present.
+        slipped: for each pair an array (owned nodes of V, d + 1) with the sum of the slip vectors
+            of all steps, and the sum of their lengths [length]. Nodes that have no partner at
+            present keep their values.
         dissipation: dissipation of all steps [energy].
         begun: whether a step was accepted; if not, slips count from the undeformed bodies, as in a
             static problem.

@@ -20,16 +20,17 @@ from dolfinx_tresca.optimise.models.sparse_model import SparseModel
 from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies
 
-#: A is computed as a sparse matrix if no body has more multipliers than BODY_SHARE of all
-#: multipliers, or than MOST_ON_BODY. Both limit the number of solves with K. With half the share,
-#: two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not solved, and
-#: all take 3,594 iterations and 7,088 products in place of 1,253 and 8,243; with twice the share
-#: 463 and 8,770. Walls of 15 bricks with up to 220 and 348 multipliers on a brick take 0.5 and 0.65
-#: times the time if A is computed as a matrix.
+#: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
+#: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
+#: the share, two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not
+#: solved, and all piles together take 3,594 iterations and 7,088 products in place of 1,253 and
+#: 8,243; with twice the share they take 463 and 8,770. Walls of 15 bricks with up to 220 and 348
+#: multipliers on a brick would take 0.5 and 0.65 times the time if A were computed as a matrix.
 BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
-#: Approximate minimum fill, a value of MUMPS's ICNTL(7). For a matrix of 5,005 bricks it takes 0.76
-#: times the time of MUMPS's own choice, and 0.87 times the memory.
+#: Value of MUMPS's option ICNTL(7) for an ordering by approximate minimum fill. For a matrix of
+#: 5,005 bricks this ordering takes 0.76 times the time of MUMPS's own choice, and 0.87 times the
+#: memory.
 MINIMUM_FILL = 2
 
 #: Number of solves with K in one block.
@@ -39,16 +40,17 @@ BLOCK = 32
 def sparse_model(operator: DualOperator) -> SparseModel | None:
     """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
 
-    It does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The result is
-    also None with an iterative solver for K or a mixed space, for which the method does not work.
+    The matrix does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The
+    result is also None with an iterative solver for K or a mixed space, for which the method does
+    not work.
 
-    K is block diagonal, with a block K_b for each body, also with the springs that fix floating
-    bodies. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of
-    body b: A couples multipliers only if they act on the same body. One solve with K finds one
-    column of each A_b: on each body acts the force of one multiplier, without the opposite force on
-    the other body. The number of solves is the largest number of multipliers on a body, however
-    many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of sparse
-    Jacobian matrices.)
+    K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
+    are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
+    A couples multipliers only if they act on the same body. One solve with K finds one column of
+    each A_b: in this solve the force of one multiplier acts on each body, without the opposite
+    force on the other body. The number of solves is the largest number of multipliers on a body,
+    however many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of
+    sparse Jacobian matrices.)
 
     Args:
         operator: A. Each solve counts as a product.
@@ -80,8 +82,8 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
 def _solve(matrix: csr_array, right: Array) -> Array:
     """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
 
-    On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors a
-    third of the memory.
+    On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
+    take a third of the memory.
 
     Raises:
         StiffnessError: the factorisation failed.
@@ -130,11 +132,12 @@ class _BodyForces:
         jump: B.
         row: (m,) multiplier of each force, a local number.
         body: (m,) body on which each force acts.
-        members: (bodies, count) global numbers of the multipliers that act on each body; -1 where
-            there are no more.
-        place: (m,) column of `members` in which each force's multiplier is, in its body's row.
+        members: (bodies, count) global numbers of the multipliers that act on each body; -1 at the
+            end of the row of a body with fewer multipliers.
+        place: (m,) column of `members` that holds each force's multiplier, in the row of its body.
         unknowns: (n,) global numbers of the unknowns that this rank's rows of B couple, ascending.
-        weights: (m, n) for each force the entries of its multiplier's row of B on its body.
+        weights: (m, n) for each force the row of B of its multiplier, with the entries on its body
+            only.
     """
 
     jump: JumpOperator

@@ -29,16 +29,19 @@ from dolfinx_tresca.optimise.models.known_products import KnownProducts, SparseP
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Number of products with the near field that are kept: each slows down all algebra with the model,
-#: and more of them save few products with A (slender strip: 4.3 instead of 4.6 per load step).
+#: Largest number of products with the near field that are kept. Each product slows down all algebra
+#: with the model, and a larger number saves few products with A (slender strip: 4.3 instead of 4.6
+#: per load step).
 NEAR_CAPACITY = 40
 
-#: Share of the near field in all degrees of freedom up to which the near field is used: with larger
-#: shares it costs more than the products with A that it saves. The first number is for a direct
-#: solver and a single solve from zero with this K (two bricks: as fast as without near field at
-#: N = 26, slower at N = 16), the second for all other cases (multigrid, plate 6 cells thick, share
-#: 0.43: 1.3 times slower; Cholesky, refined meshes, start from the tractions of the previous mesh:
-#: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 times the time).
+#: The near field is used if it has at most this share of all degrees of freedom: with larger shares
+#: it costs more than the products with A that it saves. `NEAR_SHARE_ONCE` is for a direct solver
+#: and a single solve from zero with this K. (On two bricks, such a solve is as fast as without the
+#: near field at N = 26, and slower at N = 16.) `NEAR_SHARE` is for all other cases. (With
+#: multigrid, a plate 6 cells thick, which has the share 0.43, takes 1.3 times the time. With a
+#: Cholesky factorisation, refined meshes, and a start from the tractions of the previous mesh,
+#: solves take 14 products in place of 60, 12 in place of 29 and 12 in place of 24, in 0.83, 1.0 and
+#: 1.03 times the time.)
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 
 
@@ -47,7 +50,7 @@ class ContactCompliance(PetscOwner):
 
     Data that not every solve needs are computed on first access.
 
-    Owns PETSc objects, the solver among them: call `destroy()`. B stays the caller's.
+    Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
         jump: B.
@@ -72,8 +75,8 @@ class ContactCompliance(PetscOwner):
                 same pairs; its products give the first model of A. None: there is none.
 
         Raises:
-            StiffnessError: a solve failed, or rows of B depend on the incompressibility in K; the
-                solver is destroyed.
+            StiffnessError: a solve failed, or rows of B are linearly dependent on the rows of
+                incompressibility in K; the solver is destroyed.
         """
         self.jump = jump
         with destroyed_on_error(solver):
@@ -113,7 +116,7 @@ class ContactCompliance(PetscOwner):
         self.operator.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
-        """Return the compliance for another B, such as that of displaced surfaces. Collective.
+        """Return the compliance for another B, such as the B of displaced surfaces. Collective.
 
         The solver is the same, and the model of A begins with the far field of this compliance.
         PETSc objects of this compliance are destroyed, except the solver.
@@ -127,7 +130,7 @@ class ContactCompliance(PetscOwner):
         return result
 
     def _far_field(self) -> ProductStore | None:
-        """Return a store with the far field of an earlier compliance; None: unknown. Collective.
+        """Return a store with the far field of an earlier compliance; None if unknown. Collective.
 
         The far field is the contribution to A of the bodies away from the contact, see `FarField`.
         """
@@ -151,7 +154,7 @@ class ContactCompliance(PetscOwner):
 
     @property
     def springs(self) -> FixingSprings | None:
-        """The springs that are in the solver's K, but not in the system's."""
+        """The springs that are in the solver's K, but not in the system's K."""
         return None if self.floating is None else self.floating.springs
 
     @cached_property
@@ -198,11 +201,11 @@ class ContactCompliance(PetscOwner):
 
     @property
     def used(self) -> bool:
-        """Whether products are known: K has served a solve. Not collective."""
+        """Whether any products are known, which means that K has served a solve. Not collective."""
         return self._store is not None and len(self._store) > 0
 
     def near_products(self, is_first_solve: bool) -> ProductStore | None:
-        """Return the store of products with the near field, which solves fill. Collective.
+        """Return the store of products with the near field, to which solves add. Collective.
 
         The first call computes the first products with A, if there are none.
 
@@ -210,9 +213,9 @@ class ContactCompliance(PetscOwner):
             is_first_solve: whether this is the first solve with K.
 
         Returns:
-            the store, empty at first; None if the near field would cost more than it saves, or if u
-            is a part of a mixed space: the clamped nodes round an incompressible near field would
-            fix its volume.
+            the store, empty at first; None if the near field would cost more than it saves, if A is
+            a sparse matrix, or if u is a part of a mixed space: the clamped nodes round an
+            incompressible near field would fix its volume.
         """
         store = self.known_products()
         if self.jump.system.component is not None or not isinstance(store, ProductStore):
@@ -242,7 +245,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def stress_rounding(self) -> float:
-        """Pressures [stress] caused by the rounding of coordinates. Collective."""
+        """Size of the pressures [stress] that the rounding of coordinates causes. Collective."""
         jump = self.jump
         stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
         largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]

@@ -33,7 +33,8 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
     The mean of x_i (A x)_i estimates the mean of A_ii (Hutchinson 1989, A stochastic estimator of
     the trace of the influence matrix). A_ii is nearly proportional to the compliance of a node
     whose neighbours are fixed, which depends on materials, edges and cell sizes. Therefore only two
-    factors are fitted for a pair: one for all normal multipliers, one for all tangential ones.
+    factors are fitted for a pair: one for all normal multipliers, and one for all tangential
+    multipliers.
 
     Args:
         jump: B.
@@ -73,7 +74,7 @@ def rescaled_diagonal(
     result = np.empty_like(compliance)
     after = [part for slices in jump.slices for part in slices]
     for part, (energy, size) in zip(after, totals, strict=True):
-        # the sum over few nodes may even be negative: the mean over all pairs then replaces theirs
+        # the sum over few nodes may even be negative: the mean of all pairs is then used instead
         factor = energy / size if energy > 0.0 else mean
         result[part] = factor * compliance[part]
     return result

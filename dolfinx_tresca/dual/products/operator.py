@@ -15,9 +15,10 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 class DualOperator(PetscOwner):
     """A of (38.4), for one K: each product is one solve with K.
 
-    If bodies float, K stands for K_p, K with springs that fix them (`floating/fixing.py`).
+    If bodies float, K stands for K_p, which is K with springs that fix these bodies
+    (`floating/fixing.py`).
 
-    Owns PETSc objects: call `destroy()`. B and the solver stay the caller's.
+    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver.
 
     Attributes:
         jump: B.
@@ -28,7 +29,7 @@ class DualOperator(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Prepare products; none is made. Collective."""
+        """Prepare products, without computing any. Collective."""
         self.jump, self.solver = jump, solver
         self.products = 0
         self.product_error = 0.0
@@ -65,8 +66,8 @@ class DualOperator(PetscOwner):
 
         Args:
             x: (size,) multipliers.
-            rtol: relative error in the energy norm at which an iterative solver stops; None: as in
-                its options.
+            rtol: relative error in the energy norm at which an iterative solver stops; None: the
+                error in the solver's options.
 
         Returns:
             the product (size,), and the norm sqrt(e'A^-1 e) of its error e, as estimated by the

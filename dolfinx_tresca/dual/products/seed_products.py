@@ -20,16 +20,18 @@ from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 #: more groups they are constant on each group.
 FEW_GROUPS = 4
 
-#: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
+#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
+#: fraction of the largest eigenvalue.
 INDEPENDENT = 1e-8
 
 
 def affine_tractions(jump: JumpOperator) -> Array:
     """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
 
-    On each group of pairs these are the pressures, and the tangential parts of the force densities,
-    that are affine functions of the position: nine on a flat surface in 3D. If there are more than
-    `FEW_GROUPS` groups, only the constant ones are returned.
+    On each group of pairs the affine tractions are the pressures that are affine functions of the
+    position, and the tangential parts of the force densities that are affine functions of the
+    position: nine on a flat surface in 3D. If there are more than `FEW_GROUPS` groups, only the
+    constant tractions are returned.
     """
     V = jump.system.V
     dim = V.mesh.geometry.dim
@@ -69,9 +71,9 @@ def affine_tractions(jump: JumpOperator) -> Array:
 def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
     """Return the numbers of the pairs in each group. Collective.
 
-    If there are few pairs (`FEW_GROUPS`), each is a group of its own. Otherwise the pairs that join
-    the same bodies are one group: a body with 50 strips of surface responds to forces on the strips
-    as it responds to forces on one surface.
+    If there are few pairs (`FEW_GROUPS`), each pair is a group of its own. Otherwise the pairs that
+    join the same bodies are one group: a body with 50 strips of surface responds to forces on the
+    strips as it responds to forces on one surface.
     """
     if len(jump.pairs) <= FEW_GROUPS:
         return [[k] for k in range(len(jump.pairs))]
@@ -98,10 +100,11 @@ def seed_products(
 ) -> ProductStore:
     """Return a store with an estimate of diag(A) and the first products with A. Collective.
 
-    The diagonal is estimated from the product with a vector of random signs. With a near field this
-    is a product with the near field, since the effect of random signs is local; the store then has
-    no products with A. Without a near field the product with the random signs is stored, and with a
-    direct solver also the products with affine tractions, which are solved for as one block.
+    The diagonal is estimated from the product of A with a vector of random signs. If there is a
+    near field, it replaces A in this product, since the effect of random signs is local; the store
+    then has no products with A. Otherwise the store keeps the product with the random signs. With a
+    direct solver it also gets the products with affine tractions, which are solved for as one
+    block.
 
     Args:
         operator: A.
@@ -109,7 +112,8 @@ def seed_products(
             directions of a friction disc.
         affine: whether to compute products with affine tractions, which save later products only if
             the iteration starts far from the solution.
-        near_field: applies the near field; None: there is none.
+        near_field: function that applies the near field to multipliers (size,); None: there is
+            none.
     """
     jump = operator.jump
     probe = rademacher_vector(jump)
@@ -117,8 +121,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the probe comes last, since the newest product sets the scale of the model: the order of
-        # the affine tractions is arbitrary
+        # the vector of random signs comes last, since the newest product sets the scale of the
+        # model: the order of the affine tractions is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

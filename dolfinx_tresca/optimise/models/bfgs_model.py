@@ -16,11 +16,12 @@ from dolfinx_tresca.optimise.reductions import Reductions
 class BlockBFGSModel(Model):
     """The model M = Y Y' + (I - Y W') D (I - W Y') of A: symmetric and positive definite.
 
-    M equals A on all vectors with known products (M W = Y); on other vectors it has the size of D,
-    an approximation of diag(A). M is the block BFGS update of D with the pairs (W, Y); the term
-    Y Y' alone is a Nystroem approximation of A. Applying or inverting M needs no product with A. D
-    may be replaced by another model, such as the model of an earlier A; M is then the block BFGS
-    update of that model.
+    The columns of Y are the known products A w with the columns w of W, and W'Y = I. M equals A on
+    all combinations of these vectors (M W = Y); on other vectors it has the magnitude of D, an
+    approximation of diag(A). M is the block BFGS update of D with W and Y; the term Y Y' alone is a
+    Nystroem approximation of A. Applying or inverting M needs no product with A. D may be replaced
+    by another model, such as the model of an earlier A; M is then the block BFGS update of that
+    model.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
@@ -34,12 +35,12 @@ class BlockBFGSModel(Model):
         Y: Array,
         base: BlockBFGSModel | None = None,
     ) -> None:
-        """Update D with pairs. Collective.
+        """Update D with known products. Collective.
 
         Args:
             reductions: sums over the ranks.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
-            W: (size, k) vectors.
+            W: (size, k) vectors with known products.
             Y: (size, k) products A W, with W'Y = I.
             base: model that is updated in place of D; its diagonal replaces `diagonal`.
         """
@@ -57,8 +58,8 @@ class BlockBFGSModel(Model):
             self._U = np.column_stack([base._U, self._U])
             self._C = block_diag(base._C, self._C)
             self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
-        # root of the mean of D, weighted by D: it scales the constraints so that all rows of the
-        # matrix that Woodbury's formula inverts have a similar size
+        # square root of the mean of D, weighted by D: it scales the constraints so that all rows of
+        # the matrix that Woodbury's formula inverts have a similar size
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
@@ -97,8 +98,8 @@ class BlockBFGSModel(Model):
         that the system has a solution even if the second equation has none. Collective.
 
         Args:
-            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns); C
-                couples the multipliers of a node only.
+            inverse: function that applies (D + C)^-1, or its part along a face, to arrays of shape
+                (size,) or (size, columns); C couples only multipliers of the same node.
             right: (size,) right-hand side of the first equation.
             G: (size, k) columns of length 1.
             softness: (k, k) S.
@@ -121,7 +122,7 @@ class BlockBFGSModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
-        """Return the solution of `solve` with the inverse in `maps`. Collective."""
+        """Return the result of `solve` with the function `maps.inverse`. Collective."""
         return self.solve(maps.inverse, right, G, softness, missing)
 
 

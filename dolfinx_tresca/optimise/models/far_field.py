@@ -1,4 +1,4 @@
-"""The far field, an earlier A minus its cheap approximation: the model of the next A adds it."""
+"""The far field: the part of A that a cheap approximation misses, kept for the next model of A."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Least ratio of x'(A - D) x to x'A x with which a vector x of the far field is kept. Smaller
-#: ratios may be errors of inexact products, or of the model of the near field. Twice or half the
-#: value needs the same number of products (benchmarks/ablation.py).
+#: A vector x of the far field of A, which is A - D for an approximation D of A, is kept if the
+#: ratio of x'(A - D) x to x'A x exceeds this number. Smaller ratios may be due to errors of inexact
+#: products, or of the model of the near field. With twice or half the value the number of products
+#: is the same (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
 
 class FarField:
     """The low-rank approximation F = s Z Z' of A - D, from known products with A.
 
-    D is an approximation of A that is too small. If D is the near field, which represents bodies
-    near the contact, F represents the rest of the bodies: it is smooth, so that few columns
-    suffice. For another A with its own D, the sum D + F is positive definite in any case, and
+    D is an approximation of A that is smaller than A. If D is the near field, which represents the
+    bodies near the contact, F represents the rest of the bodies. F is then smooth, so that few
+    columns suffice. For another A with its own D, the sum D + F is always positive definite, and
     accurate near the contact; the scale of F follows from the first products with the new A.
 
     Attributes:
-        W: (size, k) vectors.
-        Z: (size, k) factor with Z Z'W = (A - D) W.
+        W: (size, k) vectors with known products (A - D) W.
+        Z: (size, k) factor of F, with Z Z'W = (A - D) W.
         scale: s, the ratio of the present A - D to the earlier A - D.
     """
 
@@ -56,17 +57,20 @@ class FarField:
         """Return the far field for another pairing of the same bodies. Collective.
 
         Args:
-            multipliers: maps multipliers (size, k) to multipliers of the other pairing.
-            products: maps products A x (size, k) to products with A of the other pairing.
+            multipliers: function that maps multipliers (size, k) to multipliers of the other
+                pairing.
+            products: function that maps products A x (size, k) to products with A of the other
+                pairing.
         """
         W, Z = multipliers(self.W), products(self.root)
         return FarField(self._reductions, W, Z @ self._inner(Z, W), W.shape[1])
 
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
-        """Scale F so that w'(D + F) w = w'A w for W's columns, by least squares. Collective.
+        """Fit the scale of F so that w'(D + F) w is near w'A w for each column w of W. Collective.
 
-        Vectors that are nearly orthogonal to F are left out: with them alone the scale would follow
-        from rounding errors, and could be so large that no step changes the multipliers.
+        The fit is by least squares. Columns w with a small w'F w are left out. With such columns
+        alone the scale would follow from rounding errors, and could be so large that no step
+        changes the multipliers.
 
         Args:
             W: (size, k) vectors with W'A W = I for the present A.

@@ -1,4 +1,4 @@
-"""The interface of known products with A, and A as a sparse matrix."""
+"""The interface of known products with A, and its implementation for a sparse matrix A."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dolfinx_tresca.optimise.models.sparse_model import SparseModel
 
 
 class KnownProducts(ABC):
-    """Products with A that are known, and the model of A that they give.
+    """Products with A that are known, and the model of A that follows from them.
 
     Methods are collective.
     """
@@ -27,13 +27,13 @@ class KnownProducts(ABC):
         """Add the product of x (size,), with its error in the norm sqrt(e'A^-1 e).
 
         Returns:
-            True if the new part of the product, which known products do not give, exceeds its
-            error.
+            True if the new part of the product, which does not follow from known products, exceeds
+            its error.
         """
 
     @abstractmethod
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x whose product is not known, and A times the rest of x."""
+        """Return the part of x whose product is unknown, and A times the rest of x."""
 
     @abstractmethod
     def product(self, x: Array) -> tuple[Array, float]:
@@ -51,12 +51,12 @@ class KnownProducts(ABC):
         """Scale the far field of an earlier A, if there is one, to fit the known products.
 
         Args:
-            base: model of the near field, in place of the diagonal; None: the diagonal.
+            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
         """
         return
 
     def drop_inaccurate_pairs(self) -> None:
-        """Drop products whose errors are too large for later solves; exact ones stay."""
+        """Drop products whose errors are too large for later solves; exact products stay."""
         return
 
 
@@ -71,7 +71,7 @@ class SparseProducts(KnownProducts):
         return self._matrix.number
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
-        """Return False: the product of x is known."""
+        """Return False, since the product of x is already known."""
         return False
 
     def split(self, x: Array) -> tuple[Array, Array]:
@@ -79,7 +79,7 @@ class SparseProducts(KnownProducts):
         return np.zeros_like(x), self._matrix.product(x)
 
     def product(self, x: Array) -> tuple[Array, float]:
-        """Return A x (size,), and zero. Collective."""
+        """Return A x (size,), and its error, which is zero. Collective."""
         return self._matrix.product(x), 0.0
 
     def model(self) -> SparseModel:

@@ -11,8 +11,9 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.sets.feasible_set import Face
 
-#: Least softness of equality constraints, divided by the compliance of the multipliers: systems
-#: then have a solution even if the constraints have none.
+#: Least softness S of the equality constraints G'lambda + S c = e, divided by the compliance of the
+#: multipliers. With this softness the linear systems have a solution even if the constraints have
+#: none.
 LEAST_SOFTNESS = 1e-10
 
 
@@ -20,9 +21,9 @@ LEAST_SOFTNESS = 1e-10
 class NodalMaps:
     """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
 
-    Here M is the model of A, and G c the contribution of equality constraints. Such equations give
-    Newton steps on a face, and steps to an adjoint. Each map couples the multipliers of a node
-    only, and takes (size,) or (size, columns).
+    Here M is the model of A, and G c the contribution of equality constraints. Such equations
+    determine Newton steps on a face, and steps towards an adjoint solution. Each map couples only
+    multipliers of the same node, and is applied to arrays (size,) or (size, columns).
 
     Attributes:
         test: T, with P T = T.
@@ -47,6 +48,8 @@ class NodalMaps:
         with_bound_change: Callable[[Array, Array], Array],
     ) -> NodalMaps:
         """Return the maps along a face, with T = P and V = (I + Q) P. Not collective.
+
+        Here Q is the change of slip bounds with the pressure.
 
         Args:
             face: face with the projector P.
@@ -78,7 +81,7 @@ class Model(ABC):
     def proximal_softness(self) -> float:
         """Softness to add to the constraints after a Newton step that failed; 0: none.
 
-        It keeps steps short on faces whose system is nearly singular.
+        The softness keeps steps short on faces whose system is nearly singular.
         """
         return 0.0
 
@@ -119,10 +122,10 @@ class Model(ABC):
     ) -> tuple[Array, Array]:
         """Return a Newton step s on a face, and the step c of the constraints' multipliers.
 
-        They satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s, where Q
-        is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the system is
-        symmetric. Along the radius of a disc whose bound depends on the slip, the step solves
-        s = Q s + h (right - M s + G c), with the slope h.
+        Both steps satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s,
+        where Q is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the
+        system is symmetric. Along the radius of a disc whose bound depends on the slip, the step
+        solves s = Q s + h (right - M s + G c), with the slope h of the bound.
 
         Args:
             face: face with the projector P.

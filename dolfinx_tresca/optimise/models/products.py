@@ -14,55 +14,61 @@ from dolfinx_tresca.optimise.models.far_field import FarField
 from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Least energy of the new part of a vector x, which no known pair gives, divided by x'A x, with
-#: which the product of x is kept: rounding of a pair is divided by the root of this ratio.
+#: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
+#: vectors with known products, has more than this fraction of the energy x'A x. When the new part
+#: is normalised, its rounding errors are divided by the root of this ratio.
 NEW_ENERGY = 1e-10
 
-#: Rayleigh quotient x'A x / x'x of a new part, divided by the largest quotient so far, up to which
-#: the quotient counts as rounding: A is singular if rows of B are linearly dependent.
+#: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as
+#: rounding up to this multiple of the largest quotient so far. Such quotients occur: A is singular
+#: if rows of B are linearly dependent.
 NULL_ENERGY = 1e-12
 
-#: Least energy norm of a product's new part, divided by its error, with which the product is kept.
+#: A product is kept if its new part, which known products do not give, has an energy norm above
+#: this multiple of the product's error.
 RESOLVED = 1.5
 
-#: A known pair is removed if the error that it brings into the known part of a new product, in the
-#: norm sqrt(e'A^-1 e), hides the new part and exceeds this number times the new product's error.
+#: A known pair (w, A w) brings an error into the known part of a new product. The pair is removed
+#: if this error, in the norm sqrt(e'A^-1 e), hides the new part and exceeds this multiple of the
+#: new product's own error.
 WORSE_ERROR = 2.0
 
-#: Largest error of a pair, in the norm sqrt(e'A^-1 e) and divided by the pair's energy norm, with
-#: which it is kept for later solves. Less accurate pairs spoil the model of A: with twice the limit
+#: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
+#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit
 #: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
 #: the limit such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
-#: Norm of a vector's part along the pairs, divided by the norm of the rest, up to which the part
-#: counts as rounding. The Gram-Schmidt process with exact pairs reaches it in two passes.
+#: The part of a vector along the vectors w of known pairs (w, A w) counts as rounding if its norm
+#: is at most this multiple of the norm of the rest. With exact pairs the Gram-Schmidt process
+#: reaches this limit in two passes.
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
-#: Rounding error of a product, divided by the product's norm, or of q, divided by |lambda| |r|
-#: (Euclidean norms). Doubling or halving it changes no status and no number of products
-#: (benchmarks/ablation.py).
+#: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
+#: |lambda| |r| (Euclidean norms). Doubling or halving it changes no status and no number of
+#: products (benchmarks/ablation.py).
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
 class ProductStore(KnownProducts):
-    """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
+    """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
 
     Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
-    same. After a change of the stiffness they are not valid, but still approximate the new A: see
-    `successor`.
+    same. After a change of the stiffness the pairs are no longer valid, but they still approximate
+    the new A: see `successor`.
 
     Attributes:
         W: (size, k) vectors.
         Y: (size, k) products A W.
         errors: (k,) errors of Y in the norm |e| = sqrt(e'A^-1 e).
-        scale: factor on diag(A), at most 1: energy of the new part of the newest pair, divided by
-            its energy with diag(A). It decreases, since the unknown part of A acts on vectors that
-            oscillate more and more, for which diag(A) is too large.
+        scale: factor on the estimate of diag(A), at most 1: the energy of the new part of the
+            newest pair, divided by the energy that this part has with diag(A) in place of A. The
+            factor decreases, since new parts oscillate more and more, and diag(A) is too large for
+            vectors that oscillate.
         far: difference between an earlier A and the diagonal or near field of that A; None if there
             was no earlier A.
         capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
-            capacity / 2 combinations of them, for the largest eigenvalues of A.
+            capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
@@ -102,7 +108,8 @@ class ProductStore(KnownProducts):
             diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
             base: model of the near field of this A, which is subtracted from A in place of the
                 diagonal; None: the diagonal is subtracted. The other A has its own near field.
-            carry: maps the far field to another pairing; None: the pairing is the same.
+            carry: function that maps the far field to another pairing; None: the pairing is the
+                same.
         """
         result = ProductStore(self._reductions, diagonal, self.capacity)
         W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
@@ -117,19 +124,20 @@ class ProductStore(KnownProducts):
         return int(self.W.shape[1])
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
-        """Add a pair x, A x, unless its new part is less than errors or rounding. Collective.
+        """Add a pair (x, A x), unless its new part is smaller than errors or rounding. Collective.
 
-        The new part is the part of the pair that known pairs do not give. If errors of known pairs
-        hide it, and the product is more accurate than these pairs, they are removed.
+        The new part is the part of the pair that does not follow from known pairs. If errors of
+        known pairs hide the new part, and the product is more accurate than these pairs, they are
+        removed.
 
         Args:
             x: (size,) vector.
             product: (size,) A x.
-            error: error of the product in the norm sqrt(e'A^-1 e), without rounding.
+            error: error of the product in the norm sqrt(e'A^-1 e), without rounding errors.
 
         Returns:
-            True if the new part exceeds its error: the pair was added, or the new part is so small
-            that only rounding prevented it.
+            True if the new part exceeds its error. The pair was then added, unless its new part is
+            so small that it may be rounding.
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))
@@ -167,8 +175,9 @@ class ProductStore(KnownProducts):
         """Return an approximation of A x from the pairs, and its error. Collective.
 
         Returns:
-            A times the part of x in the span of the pairs (size,), and its error in the norm
-            sqrt(e'A^-1 e): errors of the pairs, and the energy of the other part with diag(A).
+            A times the part of x in the span of the pairs (size,), and the error in the norm
+            sqrt(e'A^-1 e). The error contains the errors of the pairs, and the energy of the other
+            part of x, computed with diag(A) in place of A.
         """
         new, known = self.split(x)
         inner = self._reductions.inner
@@ -177,11 +186,12 @@ class ProductStore(KnownProducts):
         return known, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
-        """Return c (k,) such that x - W c has no parts along the pairs, x - W c, and A (x - W c).
+        """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
-        errors of the first. Pairs with errors are not orthonormal and need more passes: after two,
-        parts along them would remain and be added as new pairs, more than there are unknowns.
+        errors of the first. Pairs with errors are not orthonormal and need more passes. After two
+        passes, parts along known pairs would remain and be added as new pairs, until there are more
+        pairs than unknowns.
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
@@ -228,7 +238,8 @@ class ProductStore(KnownProducts):
         # for exact pairs the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
         # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
-        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: they are added
+        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds
+        # are added
         errors = self.errors @ np.abs(vectors)
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), known)
@@ -237,17 +248,18 @@ class ProductStore(KnownProducts):
         """Scale the far field of an earlier A so that it fits the pairs. Collective.
 
         Args:
-            base: model of the near field, in place of the diagonal; None: the diagonal.
+            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
         """
         if self.far is not None and len(self) > 0:
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,) for the model M of `updated_model`, with D as a function. Collective.
+        """Return M x (size,) for the model M of `updated_model`, where D is a function. Collective.
 
         Args:
             x: (size,) vector.
-            apply_base: applies D, the model of A without known pairs, to (size,); called once.
+            apply_base: function that applies D, the model of A without known pairs, to an array
+                (size,); it is called once.
         """
         new, known = self.split(x)
         image = apply_base(new)
@@ -263,7 +275,7 @@ class ProductStore(KnownProducts):
         """Return the model of A: diagonal and far field, updated with all pairs. Collective.
 
         Args:
-            base: model of the near field, in place of the diagonal; None: the diagonal.
+            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
         """
         if self.far is not None:
             base = (self._diagonal_model() if base is None else base).plus(self.far.root)

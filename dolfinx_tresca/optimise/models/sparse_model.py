@@ -32,9 +32,9 @@ class SparseModel(Model):
     A, and the error falls by the factor s / (s + sigma) in each iteration, where sigma is the least
     positive eigenvalue of A.
 
-    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. Its matrix neglects that
-    bounds may depend on the slip; for such bounds Newton's method converges linearly. Every rank
-    has the whole matrix.
+    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. The matrix of the direct
+    solver neglects that slip bounds may depend on the slip; for such bounds Newton's method
+    converges linearly. Every rank has the whole matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
@@ -55,7 +55,8 @@ class SparseModel(Model):
             rows: (size, n) this rank's rows of A, with columns for the multipliers of all ranks.
             first: position of this rank's first row in A.
             nodes: (size,) the node of each of this rank's multipliers.
-            solve: solves with a sparse matrix that is not symmetric; every rank calls it.
+            solve: function that solves a system of equations with a sparse matrix that is not
+                symmetric; every rank calls it.
         """
         self._reductions, self._rows, self._solve = reductions, rows, solve
         size, n = rows.shape
@@ -79,7 +80,7 @@ class SparseModel(Model):
 
     @property
     def size(self) -> Array:
-        """diag(M) up to the shift, (size,)."""
+        """diag(M) without the shift, (size,)."""
         return self.diagonal
 
     def product(self, x: Array) -> Array:
@@ -135,7 +136,7 @@ class SparseModel(Model):
         return self._reductions.sparse_inner(self._placed, csr_array(rows))
 
     def _matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
-        """Return the matrix (size, size) of a map that couples the multipliers of a node only."""
+        """Return the matrix (size, size) of a map that couples only multipliers of one node."""
         row, column, place = self._groups
         size, width = self._placed.shape[0], int(place.max(initial=0)) + 1
         units = np.zeros((size, width))
@@ -145,11 +146,11 @@ class SparseModel(Model):
 
 
 def _groups(nodes: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return all pairs of multipliers of the same node, and numbers of multipliers in their node.
+    """Return all pairs of multipliers of the same node, and each multiplier's number in its node.
 
     Returns:
-        row (m,) and column (m,) of all pairs; and (size,) a number 0, 1, ... for each multiplier
-        that differs between the multipliers of a node.
+        the positions of the first multiplier (m,) and of the second multiplier (m,) of each pair;
+        and for each multiplier (size,) its number 0, 1, ... among the multipliers of its node.
     """
     size = len(nodes)
     _, index = np.unique(nodes, return_inverse=True)

@@ -16,31 +16,33 @@ from dolfinx_tresca.optimise.problem import DualProblem
 #: First and least step of the path parameter, which goes from 0 to 1 along the path.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
-#: Limit on halvings of a step of Newton's method that does not reduce the residual.
+#: Limit on the number of halvings of a Newton step that does not reduce the residual.
 MOST_HALVINGS = 5
 
 #: The softness of the constraints is multiplied by `SOFTER` after a step of which no part reduces
 #: the residual, and divided by `SOFTER` after a step that reduces the residual to less than
-#: `GOOD_STEP` of its value.
+#: `GOOD_STEP` times its value.
 SOFTER, GOOD_STEP = 3.0, 0.5
 
-#: Softness in the first step of each run, divided by the least softness, and the factor in place of
-#: `SOFTER`. Of 216 standing piles (`tests/validation/test_random_piles.py`) one is not solved
-#: without the second run, and the others take twice the time; one without the third run, and a
-#: tilted wall of 20 bricks (`tests/validation/test_many_bodies.py`). With the third run first, as
-#: it once was, the push of 2,046 bricks takes six times the time, but a push of 1,025 bricks with
-#: F = 0.4 a sixth.
+#: For each run of Newton's method: the softness of the constraints in its first step, divided by
+#: the least softness, and the factor that takes the place of `SOFTER`. Without the second run, one
+#: of 216 standing piles (`tests/validation/test_random_piles.py`) is not solved, and the others
+#: take twice the time. Without the third run, one of the piles and a tilted wall of 20 bricks
+#: (`tests/validation/test_many_bodies.py`) are not solved. If the third run comes first, the push
+#: of 2,046 bricks takes six times the time, but a push of 1,025 bricks with F = 0.4 takes a sixth
+#: of the time.
 RUNS = (1.0, SOFTER), (100.0, SOFTER), (0.0, 1.0)
 
-#: The runs from a start that is nearly a fixed point, with exact constraints first. With `RUNS` an
-#: arch whose springings slide ends with NO_FIXED_POINT (`tests/validation/test_arch.py`, F = 0.39).
+#: The runs from a start that is nearly a fixed point: the run with exact constraints comes first.
+#: In the order of `RUNS`, an arch whose springings slide ends with NO_FIXED_POINT
+#: (`tests/validation/test_arch.py`, F = 0.39).
 REFINING_RUNS = RUNS[2], *RUNS[:2]
 
 #: Multipliers, multipliers of the constraints, and gradient.
 Iterate = tuple[Array, Array, Array]
 
-#: Maps the last path parameter, the next one and the point reached to Newton's method for the next
-#: problem and its initial guess.
+#: Function of the last path parameter, the next path parameter and the point reached. It returns
+#: Newton's method for the next problem, and the initial guess for this problem.
 NextProblem = Callable[[float, float, Point], tuple[FaceNewton, Point]]
 
 
@@ -53,16 +55,16 @@ def along_load(
 ) -> Point:
     """Follow the fixed points of changing loads, from the start to the present load.
 
-    The path begins at the nearest load for which the start is a fixed point; if the start is the
-    last load step's solution, this is the path of the process. Newton's method cycles if many nodes
-    change between stick and slip at once, as on a belt that is pulled round a drum; few nodes
-    change in each step along the path.
+    The path begins at the nearest load for which the start is a fixed point. If the start is the
+    last load step's solution, the path is that of the process. Without the path, Newton's method
+    cycles if many nodes change between stick and slip at once, as on a belt that is pulled round a
+    drum. In each step along the path only few nodes change.
 
     Collective. Needs no product with A.
 
     Args:
-        problem: cones and inner product.
-        model: M.
+        problem: the dual problem, with friction cones and constraints.
+        model: model M of A.
         start: point in the cones; its residual is not used.
         rho: step length with which the natural residual is measured.
         tolerance: requested natural residual.
@@ -93,9 +95,9 @@ def along_friction(
 ) -> Point:
     """Follow the fixed points from zero friction to the given coefficients of friction.
 
-    Artificial springs hold bodies that the reduced friction cannot hold; their stiffness goes to
-    zero as friction reaches its full value. Arguments and result are as in `along_load`; the start
-    is the solution without friction. Collective.
+    Artificial springs hold bodies that the reduced friction cannot hold; the stiffness of the
+    springs goes to zero as friction reaches its full value. Arguments and result are as in
+    `along_load`, but the start is the solution without friction. Collective.
     """
     no_force = np.zeros_like(start.c)
 
@@ -108,7 +110,7 @@ def along_friction(
 def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
     """Return the end of a path, or the last point reached with the residual inf.
 
-    The step is halved if Newton's method fails, and doubled if it converges.
+    The step of the path parameter is halved if Newton's method fails, and doubled if it converges.
     """
     point, part, step = start, 0.0, FIRST_PART
     while step >= LEAST_PART and part < 1.0:
@@ -129,10 +131,10 @@ def nearest_fixed_point(
     The method begins with softened constraints and softens them further after each step that fails,
     as in the method of Levenberg and Marquardt. If this does not converge, a second run begins with
     softer constraints. In a third run the constraints are exact until a step fails, and softened by
-    a constant from then on. A model without a softness has one run, with exact constraints.
+    a constant from then on. If the model has no softness, there is one run, with exact constraints.
 
     Args:
-        newton: method and problem.
+        newton: Newton's method on the faces, with its problem.
         start: initial guess.
         tolerance: requested natural residual.
         refine: whether the start is nearly a fixed point: the third run then comes first.
@@ -150,18 +152,18 @@ def _nearest_fixed_point(
 ) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
-    A step is shortened if it does not reduce the residual. If no part of it reduces the residual,
-    the contact of the face may hardly hold some bodies, or not at all: with exact constraints the
-    step is then repeated with softened constraints; with softened constraints the part with the
-    least residual is taken.
+    A step is shortened if it does not reduce the residual. If no part of the step reduces the
+    residual, contact on this face may hold some bodies only weakly, or not at all. With exact
+    constraints, the step is then repeated with softened constraints. With softened constraints, the
+    part of the step with the least residual is taken.
 
     Args:
-        newton: method and problem.
+        newton: Newton's method on the faces, with its problem.
         start: initial guess.
         tolerance: requested natural residual.
         softness: softness of the constraints in the first step.
-        growth: factor on the softness after a step that fails; after a step that reduces the
-            residual to less than `GOOD_STEP` of its value the softness is divided by this factor.
+        growth: factor by which the softness is multiplied after a step that fails, and divided
+            after a step that reduces the residual to less than `GOOD_STEP` times its value.
     """
     best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
     iterate = at.multipliers, at.c, at.gradient
@@ -187,16 +189,17 @@ def _nearest_fixed_point(
 def _part_of_step(
     newton: FaceNewton, start: Iterate, end: Iterate, residual: float
 ) -> tuple[Iterate, Point]:
-    """Return the end of a part of a step, and its projection onto the cones. Collective.
+    """Return the end of a part of a step, and this end projected onto the cones. Collective.
 
     The projection is `FaceNewton.point_without_constraints`, which need not satisfy the equality
     constraints. The whole step, its half, its quarter and so on are tried until one reduces the
     residual; if none does, the part with the least residual is returned.
 
     Args:
-        newton: method and problem.
+        newton: Newton's method on the faces, with its problem.
         start: multipliers, multipliers of the constraints, and gradient at the start.
-        end: these three at the end of the step; the gradient is linear between start and end.
+        end: the same three arrays at the end of the step; the gradient is linear between start and
+            end.
         residual: residual at the start.
     """
     found: list[tuple[Iterate, Point]] = []

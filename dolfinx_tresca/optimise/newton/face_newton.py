@@ -16,14 +16,15 @@ from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 
-#: The product rho D in the active sets (38.12), (38.13), with the diagonal D of the model. With 1
-#: each node would take the state of its minimiser for fixed neighbours; with a smaller value nodes
-#: change their states less often.
+#: The product rho D in the active sets (38.12), (38.13), with the diagonal D of the model. With the
+#: value 1, each node would take the state that minimises q for fixed multipliers of the other
+#: nodes; with a smaller value nodes change their states less often.
 RHO_DIAGONAL = 0.2
 
-#: Natural residual, divided by the tolerance, at which a point is accepted even if the model of q
-#: has not decreased. With twice the value no number of products of benchmarks/ablation.py changes;
-#: with 0.1 a cube held by springs of 1e-6 of its stiffness takes 160 products in place of 20.
+#: A point whose natural residual is at most this fraction of the tolerance is accepted even if the
+#: model of q has not decreased. With twice the value no number of products of
+#: benchmarks/ablation.py changes; with 0.1 a cube held by springs with 1e-6 of its stiffness takes
+#: 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
 
 
@@ -43,20 +44,21 @@ class Point:
 class FaceNewton:
     """Newton's method on the faces of Lambda, or of the sections of cones, for the model of A.
 
-    On a face, the multipliers of slipping nodes move along their circles only. The solution on the
-    face satisfies r + kappa lambda = 0 with kappa = |r| / g, so that
+    On a face, the multipliers of slipping nodes only move along the circles that bound their
+    friction discs. At the solution on the face, slipping nodes satisfy r + kappa lambda = 0 with
+    kappa = |r| / g, where g is the slip bound. Hence
 
         (P M P + diag(kappa)) s = -P r
 
-    is the exact Newton system of the face. It is symmetric and positive definite; equality
-    constraints border it. The convergence is quadratic once the active sets no longer change
-    (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
-    node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand side,
-    where Q contains the slope of g. The number of equations and the cost stay the same, but the
-    system is no longer symmetric. If g also depends on the slip v, which is the component of -r
-    along the radius of the disc, the radial component of s solves s = Q s + h (change of v) with
-    the slope h = dg/dv. Steps may leave Lambda: a multiplier outside Lambda changes the active sets
-    of the next step.
+    is the exact Newton system of the face, with the projector P onto the face and the model M of A.
+    The system is symmetric and positive definite; equality constraints add rows and columns. The
+    convergence is quadratic once the active sets no longer change (docs/theory/algorithms.md). If
+    slip bounds grow with the pressure, the multiplier of a slipping node also moves outwards with
+    its pressure: s is replaced by P s + Q s on the left-hand side, where Q contains the slope of g.
+    The number of equations and the cost stay the same, but the system is no longer symmetric. If g
+    also depends on the slip v, which is the component of -r along the radius of the disc, the
+    radial component of s solves s = Q s + h (change of v) with the slope h = dg/dv. Steps may leave
+    Lambda: a multiplier outside Lambda changes the active sets of the next step.
 
     Methods are collective, and need no product with A.
     """
@@ -72,7 +74,7 @@ class FaceNewton:
 
         Args:
             problem: admissible multipliers, constraints and inner product.
-            model: M.
+            model: model M of A.
             rho: step length with which natural residuals are measured.
             constraints: equality constraints; None: those of the problem.
         """
@@ -87,8 +89,9 @@ class FaceNewton:
         """
         admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho
-        # Open nodes stay open unless c closes them: rounding of c would cause pressures there whose
-        # work across a wide gap exceeds the work of small loads.
+        # Open nodes stay open unless c closes them. Otherwise rounding of c would cause pressures
+        # at open nodes, and the work of these pressures across a wide gap would exceed the work of
+        # small loads.
         normal = self._problem.feasible_set.normal
         slack = np.zeros_like(z)
         slack[normal] = np.where(z[normal] > 0.0, 0.0, rho * np.maximum(r[normal], 0.0))
@@ -102,9 +105,9 @@ class FaceNewton:
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
         """Return the projection of multipliers z onto the friction cones only, with its residual.
 
-        The residual contains the residual of the constraints. This costs less than `point`, which
-        projects onto the constraints as well, and does not require that the section of z contains a
-        point that satisfies the constraints.
+        The residual contains the residual of the constraints. This function costs less than
+        `point`, which projects onto the constraints as well. Unlike `point`, it does not require
+        that the section of z contains a point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.at(z, r, self._rho).project(z)
@@ -119,7 +122,7 @@ class FaceNewton:
     def proximal_softness(self) -> float:
         """Softness to add to the constraints after a step that failed; 0: none.
 
-        It keeps steps short on faces whose system is nearly singular.
+        The softness keeps steps short on faces whose system is nearly singular.
         """
         return self._model.proximal_softness
 
@@ -134,8 +137,8 @@ class FaceNewton:
             z: (size,) multipliers.
             c: (k,) multipliers of the constraints.
             r: (size,) gradient at z.
-            softness: softness that is added to the constraints for the step in c only, as in a
-                proximal point method: solutions remain solutions.
+            softness: softness that is added to the constraints, but acts on the step in c only, as
+                in a proximal point method: solutions of the problem remain solutions.
         """
         model, constraints = self._model, self._constraints
         rho = np.asarray(RHO_DIAGONAL / self._size, dtype=np.float64)
@@ -165,13 +168,13 @@ def from_face_to_face(newton: FaceNewton, start: Point, good: Callable[[Point], 
     """Return the iterate of Newton's method on faces with the least residual. Collective.
 
     Args:
-        newton: the method.
+        newton: Newton's method on the faces, with its problem.
         start: first point.
         good: whether a point is accurate enough.
     """
     best = start
     z, c, r = start.multipliers, start.c, start.gradient
-    # the first step may increase the residual: progress is counted from its end
+    # the first step may increase the residual: progress is counted from the end of this step
     idle, least = 0, float("inf")
     for _ in range(MOST_STEPS):
         z, c, r = newton.step(z, c, r)
@@ -195,16 +198,16 @@ def minimise(
     """Return an approximate minimiser in Lambda of the model of q.
 
     The model is gradient'd + 1/2 d'M d with the step d from `multipliers`. If the active sets of
-    Newton's method do not settle, an interior-point method (`interior_point`) provides other points
-    to start from, from which they settle. Near the minimiser the interior-point method is less
-    accurate than the start: a strip of 150 nodes that is pulled to and fro ends with STAGNATED if
-    the interior-point method takes over after two idle steps.
+    Newton's method do not settle, an interior-point method (`interior_point`) provides other
+    starting points, from which they settle. Near the minimiser, the points of the interior-point
+    method are less accurate than the initial guess: a strip of 150 nodes that is pulled to and fro
+    ends with STAGNATED if the interior-point method takes over after two idle steps.
 
     Collective. Needs no product with A.
 
     Args:
         problem: Lambda and the inner product.
-        model: M.
+        model: model M of A.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
         rho: step length with which the natural residual is measured.

@@ -27,24 +27,25 @@ from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Limit on the number of sweeps, which are Tresca problems with the bounds of the last solution;
-#: and softness of the springs that support bodies in sweeps, divided by the softness of the bodies.
+#: `MOST_SWEEPS` limits the number of sweeps, which are Tresca problems with the bounds of the last
+#: solution. `SPRINGS` is the softness of the springs that support bodies in sweeps, divided by the
+#: softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
 #: Factor that makes slip bounds practically infinite.
 LARGE = 1e100
 
-#: Largest residual after a step, divided by the residual before it, with which the step is taken.
+#: A step is taken if the residual after the step is at most this multiple of the residual before.
 WORSE = 2.0
 
-#: Natural residual of a fixed point of the model, divided by the residual of the present point,
-#: above which the model is solved more accurately. (A wall of 52 bricks is pushed in accepted
-#: steps: with 0.5 and with 0.03, steps end with NO_FIXED_POINT.)
+#: The model is solved more accurately while the natural residual of its fixed point exceeds this
+#: fraction of the residual of the present point. (A wall of 52 bricks is pushed in accepted steps.
+#: Some of the steps end with NO_FIXED_POINT both with 0.5 and with 0.03.)
 REDUCTION = 0.003
 
-#: Number of consecutive iterations after which the solve ends if in each of them, with the model in
-#: place of A, friction is too weak to hold a body. (For a bolted joint beyond its limit this is so
-#: from the first product on.)
+#: The solve ends after this number of consecutive iterations in which friction, computed with the
+#: model in place of A, is too weak to hold a body. (For a bolted joint beyond its limit, friction
+#: is too weak from the first product on.)
 FAILURES = 2
 
 
@@ -56,12 +57,12 @@ def solve(
     Their slip bounds are the fixed point g = G(lambda_nu(g)), where lambda(g) is the solution of
     Tresca's problem with the bounds g, and G(p) are the bounds at the pressures p (Haslinger 1983,
     Approximation of the Signorini problem with friction, obeying the Coulomb law). A, b and the
-    gradient do not depend on g. In each iteration, the fixed point is computed on the model of A
-    (see `projected_newton`), which costs no products, by Newton's method (Alart and Curnier 1991),
-    which requires no contraction; the product of A with the step to this point then improves the
-    model. All iterates lie in the cones, hence each in its own section: the natural residual, the
-    energy bound and the nodes' states are those of Tresca's problem with the bounds G(lambda_nu) of
-    the same lambda.
+    gradient do not depend on g. In each iteration, Newton's method (Alart and Curnier 1991)
+    computes the fixed point for the model of A (see `projected_newton`). This costs no products
+    with A and requires no contraction. The product of A with the step to this point then improves
+    the model. All iterates lie in the cones, hence each in its own section: the natural residual,
+    the energy bound and the nodes' states are those of Tresca's problem with the bounds
+    G(lambda_nu) that follow from the iterate itself.
 
     No quantity is guaranteed to decrease. A step that more than doubles the residual is not taken,
     and its product only improves the model; if residuals stop decreasing, the iteration ends with
@@ -75,10 +76,11 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Projected Newton method whose target is the fixed point of the model."""
 
-    #: Whether the last step changed neither multipliers nor model: the next would be the same.
+    #: Whether the last step changed neither multipliers nor model: the next step would be the same.
     has_stalled = False
 
-    #: Consecutive iterations in which friction was too weak for the constraints on the model.
+    #: Number of consecutive iterations in which friction on the model was too weak for the
+    #: constraints.
     failures = 0
     #: Deficit of friction in the last iteration; None if friction was strong enough.
     deficit: FrictionDeficit | None = None
@@ -97,14 +99,14 @@ class _FixedPointNewton(ProjectedNewton):
         rho: float,
         tolerance: float,
     ) -> Array:
-        """Return a fixed point of the model, or record by how much friction is too weak.
+        """Return a fixed point of the model; if none is found, record how much friction is missing.
 
         Newton's method on the model measures errors of the equilibrium and of the tractions as two
-        independent equations. The projection in the natural residual satisfies the equilibrium
-        exactly. Where bodies slide as a whole, few tractions can satisfy it, and the natural
-        residual is a hundred times larger than these errors. The model is then solved more
-        accurately, from the projected point; the natural residual decides which of the points is
-        returned.
+        independent equations. The natural residual contains a projection that satisfies the
+        equilibrium exactly. Where bodies slide as a whole, few tractions can satisfy the
+        equilibrium, and the natural residual is a hundred times larger than the errors that
+        Newton's method measures. The model is then solved more accurately, from the projected
+        point; the natural residual decides which of the points is returned.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
@@ -144,11 +146,11 @@ class _FixedPointNewton(ProjectedNewton):
         return dataclasses.replace(found, deficit=self.deficit if lost else None)
 
     def is_useful_start(self, start: Array, r: Array) -> bool:
-        """Return whether the iteration begins at a start: in a load step it always does.
+        """Return whether the iteration begins at the given start; in a load step it always does.
 
-        There may be several fixed points, and a process continues with the nearest. For example,
-        friction keeps a wedge in place after the force that pushed it in is removed, although zero
-        tractions satisfy the law of friction as well.
+        There may be several fixed points, and a process continues with the nearest fixed point. For
+        example, friction keeps a wedge in place after the force that pushed it in is removed,
+        although zero tractions satisfy the law of friction as well.
         """
         if not self.problem.is_load_step:
             return super().is_useful_start(start, r)
@@ -205,7 +207,7 @@ def fixed_point_of_model(
       friction, which has one solution; bodies that the reduced friction cannot support are held by
       springs as soft as the bodies;
     * the solution with all nodes sticking;
-    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. They
+    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. Sweeps
       approach the fixed point if friction is too weak to reverse pressures. Bounds of a sweep may
       be too small to support a floating body; springs then support the body at its position in the
       previous sweep, as in the method of multipliers.
@@ -216,17 +218,18 @@ def fixed_point_of_model(
     Collective. Needs no product with A.
 
     Args:
-        problem: cones and inner product.
-        model: M.
+        problem: the dual problem, with friction cones and constraints.
+        model: model M of A.
         multipliers: (size,) point in the cones.
         gradient: (size,) gradient at this point.
         rho: step length with which the natural residual is measured.
-        tolerance: requested natural residual, with the bounds at the point itself.
+        tolerance: requested natural residual, with the slip bounds that follow from the point
+            itself.
 
     Returns:
         the fixed point (size,) and None; or, if none was found, the point of the last sweep
-        projected onto cones and constraints, and the same point before the projection, in whose
-        equilibrium springs may take part.
+        projected onto cones and constraints, and the same point before the projection, where
+        springs may contribute to the equilibrium.
     """
     constraints = problem.constraints
     enough = max(tolerance, ROUNDING * norm(problem, problem.b))
@@ -292,12 +295,12 @@ def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
     """Return the motion along which friction is too weak for the constraints. Collective.
 
     Args:
-        problem: cones and constraints.
+        problem: the dual problem, with friction cones and constraints.
         x: (size,) multipliers whose pressures determine the slip bounds.
 
     Returns:
-        the motion, with the work of the loads and of friction; None if some multipliers with the
-        bounds of x satisfy the constraints.
+        the motion, with the work of the loads and of friction along it; None if some multipliers
+        with the slip bounds of x satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.admissible.section(x)
     if len(constraints) == 0:  # no body floats

@@ -13,20 +13,21 @@ from dolfinx_tresca.optimise.models.model import Model, NodalMaps
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
-#: Part taken of the largest step that stays inside Lambda and its dual (the customary 0.99).
+#: Part that is taken of the largest step that stays inside Lambda and its dual (the customary
+#: 0.99).
 TO_BOUNDARY = 0.99
 
 #: Largest norm of a friction disc's multiplier at the start, divided by the radius of the disc.
 INITIAL_RADIUS = 0.9
 
-#: Barrier after shortened and after nearly whole steps, divided by the mean product of multipliers
-#: and duals; and the part of a step above which it counts as nearly whole. These numbers determine
-#: the number of steps, but not the point to which the steps converge.
+#: Barrier mu after a shortened step, and after a nearly whole step, divided by the mean product of
+#: multipliers and duals. A step is nearly whole if more than the part `WHOLE_STEP` of it is taken.
+#: These numbers determine the number of steps, but not the point to which the steps converge.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
 #: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0. Here s is
-#: the larger one of |x| and |r| / D, and |r| / D is the change of a multiplier x to its minimiser
-#: with all other multipliers fixed.
+#: the larger one of |x| and |r| / D. The number |r| / D is the distance of a multiplier x from its
+#: minimiser with all other multipliers fixed.
 INITIAL_BARRIER = 1.0
 
 
@@ -60,13 +61,13 @@ def central_path(
     in the scaling of Nesterov and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone
     program solvers). Each step costs one solve with M and a diagonal. There are no active sets that
     could cycle, and the number of steps hardly depends on condition, size, or start. The iteration
-    ends when, by rounding, the point or its dual is no longer strictly inside.
+    ends when, by rounding, the point or its dual is no longer strictly inside its cone.
 
     Collective. Needs no product with A.
 
     Args:
         problem: Lambda and the inner product.
-        model: M.
+        model: model M of A.
         multipliers: (size,) the origin of d.
         gradient: (size,) r at the origin.
     """
@@ -84,7 +85,7 @@ class _CentralPath:
         x: (size,) multipliers.
         r: (size,) gradient of the model at x.
         c: (k,) multipliers of the equality constraints.
-        dual: (size,) z of normal, s of tangential multipliers, zero elsewhere.
+        dual: (size,) z for normal multipliers, s for tangential multipliers, zero elsewhere.
         t: (n_discs,) first components of the duals of friction discs.
         barrier: mu.
     """
@@ -132,12 +133,12 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 of each disc, positive inside; 1 for discs without a cone."""
+        """Return first^2 - |v|^2 of each disc, positive in the cone; 1 for discs without a cone."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
     def on_path(self) -> tuple[Array, Array]:
-        """Return the duals of x on the central path: mu times the inverse of x in the cone."""
+        """Return the duals of x on the central path: mu times the inverse of x (Jordan product)."""
         n, t = self.set.normal, self.set.tangential
         dual = np.zeros_like(self.x)
         dual[n] = self.barrier / self.x[n]
@@ -237,7 +238,7 @@ class _CentralPath:
     def _reach_in_cone(
         self, first: Array, v: Array, size: Array, first_step: Array, step: Array
     ) -> float:
-        """Return the largest factor of a step that stays in all friction cones."""
+        """Return the largest factor of a step with which the step stays in all friction cones."""
         turned = (first * first_step - self.dot(v, step)) / size
         factor = (turned + first_step) / (first + size)
         across = np.zeros_like(v)
@@ -250,7 +251,8 @@ class _CentralPath:
         """Reduce the barrier below the present mean of the products of multipliers and duals.
 
         Args:
-            part: the part of the Newton step that was taken; nearly whole steps reduce it more.
+            part: the part of the Newton step that was taken; nearly whole steps reduce the barrier
+                more.
         """
         if self.count == 0:
             return
@@ -267,6 +269,6 @@ class _CentralPath:
 
 
 def _reach(values: Array, steps: Array) -> float:
-    """Return the largest factor of a step that keeps positive values positive."""
+    """Return the largest factor with which steps keep positive values positive."""
     falling = steps < 0.0
     return float((values[falling] / -steps[falling]).min(initial=np.inf))

@@ -38,8 +38,8 @@ class Iterate(ABC):
         multipliers: (size,) the point.
         r: (size,) gradient at the point.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
-        finest: least error that is requested of a gradient. It is reduced if errors are as large as
-            the change by a step.
+        finest: least error that is requested of a gradient. This error is reduced if errors are as
+            large as the change of the gradient by a step.
         resolved: whether the new part of the last product was larger than the product's error.
         learned: whether the last step may have changed the model of A.
     """
@@ -49,7 +49,7 @@ class Iterate(ABC):
 
         Args:
             problem: the dual problem (38.4), for products and gradients.
-            store: known products; new ones are added.
+            store: known products, to which new products are added.
         """
         self._problem = problem
         self._store = store
@@ -63,7 +63,7 @@ class Iterate(ABC):
     def of(cls, problem: DualProblem, store: KnownProducts) -> Iterate:
         """Return an iterate at zero, with the policy for the problem's products.
 
-        Arguments as in `__init__`.
+        The arguments are those of `__init__`.
         """
         return (ExactIterate if problem.exact else InexactIterate)(problem, store)
 
@@ -82,13 +82,13 @@ class Iterate(ABC):
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective.
 
-        No product is needed at zero, or if known pairs determine the gradient, for example at the
-        multipliers of the last solve with another load.
+        No product is needed at zero, or if known products determine the gradient, for example at
+        the multipliers of the last solve with another load.
 
         Args:
             multipliers: (size,) the point.
             part: sufficient error of the gradient, divided by the energy norm of the multipliers;
-                for inexact products.
+                it is used for inexact products only.
         """
 
     def increase_accuracy(self) -> bool:
@@ -99,7 +99,7 @@ class Iterate(ABC):
         """Compute b and the gradient again, as accurately as possible. Collective.
 
         Returns:
-            Whether they were computed; False if they are already exact.
+            True if b and the gradient were computed again; False if they are already exact.
         """
         return False
 
@@ -142,7 +142,8 @@ class Iterate(ABC):
     def refine(self, accuracy: float) -> None:
         """Compute the gradient again if its error exceeds an accuracy. Collective.
 
-        If its error is near the least that the solver for K has reached, it is not computed again.
+        If the error is near the least error that the solver for K has reached, the gradient is not
+        computed again.
         """
         if self.error > max(accuracy, SLACK * self._least):
             self.r, self.error = self._gradient(self.multipliers, accuracy)
@@ -152,7 +153,7 @@ class Iterate(ABC):
         self.move_to(self.multipliers + step.direction, self.r + step.product, step.error)
 
     def _known_gradient(self, multipliers: Array, part: float) -> tuple[Array, float, float]:
-        """Return the gradient from b and known pairs, its error, and the sufficient error."""
+        """Return the gradient from b and known products, its error, and the sufficient error."""
         problem = self._problem
         if float(problem.inner(multipliers, multipliers)) == 0.0:
             return -problem.b, problem.response.b_error, np.inf
@@ -202,7 +203,7 @@ class InexactIterate(Iterate):
     """
 
     def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
-        """Begin at zero, where no product is needed. Arguments as in `Iterate`."""
+        """Begin at zero, where no product is needed. The arguments are those of `Iterate`."""
         super().__init__(problem, store)
         self._length = 0.0
 
@@ -213,7 +214,8 @@ class InexactIterate(Iterate):
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        The store keeps the part of the pair that known products do not give.
+        The store keeps the part of the direction and of its product that known products do not
+        give.
         """
         if float(self._problem.inner(direction, direction)) == 0.0:
             return self.zero_step()
@@ -232,8 +234,8 @@ class InexactIterate(Iterate):
         r, error, wanted = self._known_gradient(multipliers, part)
         if error <= wanted:
             return r, error
-        # an accuracy below the error of b is useless: for tiny multipliers the product would be
-        # nothing but that error
+        # an accuracy below the error of b is useless: for tiny multipliers the product would
+        # consist of the error of b only
         r, error = problem.response.gradient(multipliers, max(wanted, problem.response.b_error))
         self._store.add(multipliers, r + problem.b, error + problem.response.b_error)
         return r, error

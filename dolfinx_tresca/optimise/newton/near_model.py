@@ -14,8 +14,8 @@ from dolfinx_tresca.optimise.record.residual import NaturalResidual
 #: Limit on products with the near field in one iteration.
 MOST = 8
 
-#: A function that solves the problem for a model of A: `face_newton.minimise`, or another one with
-#: the same arguments.
+#: A function that solves the problem for a model of A: `face_newton.minimise`, or another function
+#: with the same arguments.
 SolveModel = Callable[[DualProblem, Model, Array, Array, float, float], Array]
 
 
@@ -30,16 +30,16 @@ def solve(
     """Return an approximate solution of the dual problem with the model M in place of A.
 
     With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
-    the basic model has a diagonal. Its error is smaller by an order of magnitude, but there is no
-    formula for its inverse on a face. Hence the near field is itself approximated: by D~, a
+    the basic model has a diagonal. The error of M is then smaller by an order of magnitude, but
+    there is no formula for the inverse of M on a face. Hence D is itself approximated by D~, a
     low-rank model made of known products with D. Each iteration solves the problem for M with D~ in
-    place of D, and then computes a product with D, which gives the residual for M and improves D~.
-    A product with D costs a solve with a small matrix, and none with K. Products with D are kept as
-    long as the products with A. Collective.
+    place of D. It then computes a product with D, which gives the residual for M and improves D~. A
+    product with D costs one solve with a small matrix, and no solve with K. Products with D are
+    kept as long as the products with A. Collective.
 
     Args:
         problem: Lambda, D, and the known products with D and A.
-        solve_model: solves the problem for M with D~ in place of D.
+        solve_model: function that solves the problem for M with D~ in place of D.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
         residual: the natural residual, with its step length.
@@ -55,7 +55,7 @@ def solve(
         near.add(new, product)
         return product
 
-    tolerance *= FORCING  # costs no product with A and saves some, since the model is accurate
+    tolerance *= FORCING  # this costs no product with A and saves some, since the model is accurate
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):

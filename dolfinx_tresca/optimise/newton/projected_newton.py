@@ -22,8 +22,8 @@ from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Number of products of the near field D with b, D b, ... before the iteration. With two, the
-#: largest Ritz value is near sigma_max.
+#: Number of products of the near field D with b, D b, ... before the iteration. With two products,
+#: the largest Ritz value is near sigma_max, the largest eigenvalue of A.
 NEAR_POWERS = 2
 
 #: Limit on reductions of rho in one iteration, each of which takes a product with A.
@@ -39,16 +39,16 @@ def solve(
     """Minimise q over Lambda by Newton steps on a model of A.
 
     The model M (`near_model`) equals A on all vectors with known products. Newton's method on the
-    faces of Lambda (`face_newton`) minimises q with M in place of A, active sets and slip
-    directions included, by small dense algebra. One product A d with the step d to this minimiser
-    follows, then the step to the minimiser of q along d, and M is updated with the pair (d, A d).
-    While the face does not change, the method is the conjugate gradient method with M as the
-    preconditioner; changes of the face need no products.
+    faces of Lambda (`face_newton`) minimises q with M in place of A by small dense algebra, and
+    finds active sets and slip directions at the same time. Let d be the step to this minimiser. The
+    product A d is computed, the iteration goes to the minimiser of q along d, and M is updated with
+    the pair (d, A d). While the face does not change, the method is the conjugate gradient method
+    with M as the preconditioner; changes of the face need no products.
 
-    A step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which bounds the value
+    A step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which is an upper bound
     of q after the gradient projection step p = P_Lambda(lambda - rho r) - lambda; otherwise the
-    gradient projection step is taken first. The proof of Theorem 38.1 needs no more, and its part
-    (i) holds with eta = 1 - rho sigma_min for the rho of the result.
+    gradient projection step is taken first. This is sufficient for the proof of Theorem 38.1; part
+    (i) of the theorem holds with eta = 1 - rho sigma_min, where rho is the step length at the end.
 
     Collective.
 
@@ -56,7 +56,7 @@ def solve(
         problem: A, b, Lambda; the products of this solve are added to its store.
         start: (size,) first multipliers; projected onto Lambda.
         options: tolerances.
-        observe: called with each iterate, the first one included.
+        observe: function that is called with each iterate, the first one included.
     """
     return ProjectedNewton(problem, options, observe).run(start)
 
@@ -67,8 +67,8 @@ class ProjectedNewton:
     Attributes:
         problem: A, b, Lambda.
         options: tolerances.
-        observe: called with each iterate, the first one included.
-        largest: lower bound of sigma_max, kept when pairs are dropped.
+        observe: function that is called with each iterate, the first one included.
+        largest: lower bound of sigma_max, kept when known products are dropped.
         store: known products with A.
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
@@ -143,7 +143,7 @@ class ProjectedNewton:
                 at.move_to(start, r, error)
 
     def is_useful_start(self, start: Array, r: Array) -> bool:
-        """Return whether a start has no larger residual than the origin."""
+        """Return whether the residual at a start is at most the residual at the origin."""
         return self.residual.at(start, r) <= self.residual.scale
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
@@ -153,7 +153,7 @@ class ProjectedNewton:
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
     def proposed_rho(self) -> float:
-        """Return rho from the lower bound of sigma_max; an arbitrary number without loads."""
+        """Return the step length rho from the bound of sigma_max; any number without loads."""
         stores = [self.store, self.problem.near_products()]
         known = [store.largest_ritz_value() for store in stores if store is not None]
         self.largest = max(self.largest, *known)
@@ -178,8 +178,8 @@ class ProjectedNewton:
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
         """Return the solution, changed such that it satisfies soft constraints to rounding.
 
-        The multipliers c of an iterate belong to the end of the next projection step, and only
-        there satisfy the constraints. One Newton step on the model, which needs no product,
+        The multipliers c of an iterate belong to the end of the next projection step, and satisfy
+        the constraints only at this end. One Newton step on the model, which needs no product,
         corrects x and c with the least increase of the energy.
         """
         constraints = self.problem.constraints
@@ -223,7 +223,7 @@ class ProjectedNewton:
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
         size = norm(self.problem, at.multipliers) * norm(self.problem, at.r)
         if -promised <= PRODUCT_ROUNDING * size:
-            # changes of q are rounding, those of the gradient are not: the residual decides
+            # changes of q are rounding, changes of the gradient are not: the residual decides
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:
                 return whole
@@ -246,7 +246,7 @@ class ProjectedNewton:
         return float(self.problem.inner(direction, r)) + soft
 
     def curvature(self, direction: Array, product: Array) -> float:
-        """Return the second derivative of q along a direction, soft equations included.
+        """Return the second derivative of q along a direction, soft constraints included.
 
         The product is A times the direction, or an approximation of it.
         """

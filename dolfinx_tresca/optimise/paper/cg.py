@@ -1,4 +1,4 @@
-"""Conjugate gradients on the free multipliers, and CGM_feas, which stops inside of Lambda."""
+"""Conjugate gradients on the free multipliers, and CGM_feas, which ends before it leaves Lambda."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ def conjugate_gradients(
 ) -> FaceSolution:
     """Minimise q over steps s of the free multipliers, (38.14).
 
-    Collective. The caller judges the step: it is not reported which of the limits ended the
-    iteration.
+    Collective. The result does not say which of the limits ended the iteration: the caller judges
+    the step.
 
     Args:
         problem: the dual problem (38.4), for A and the inner product.
         free: (size,) True for multipliers that may change.
         gradient: (size,) r at s = 0.
         tolerance: norm of r + A s in the free rows at which the iteration ends.
-        feasible: returns whether the iterate with a step s lies in Lambda, the same on all ranks.
-            The iteration ends with the last iterate before the first one outside (CGM_feas).
+        feasible: function that returns whether the multipliers after a step s lie in Lambda, with
+            the same result on all ranks. The iteration ends before the first step that leaves
+            Lambda (CGM_feas).
         most: limit on the number of products.
     """
     step = np.zeros_like(gradient)

@@ -33,7 +33,7 @@ def solve(
         move = projected - multipliers
         product = problem.apply(move)
         curvature = float(problem.inner(product, move) / problem.inner(move, move))
-        # the Lanczos iteration missed an eigenvalue, whose vector is almost orthogonal to b
+        # the Lanczos iteration missed an eigenvalue whose eigenvector is almost orthogonal to b
         if curvature * history.residual.rho >= 2.0:
             history.residual.set_rho(options.step_factor / curvature)
             continue
@@ -43,7 +43,7 @@ def solve(
         def feasible(step: Array, base: Array = projected) -> bool:
             moved = base + step
             outside = moved - feasible_set.project(moved)
-            # rounding alone may move a node off its circle
+            # rounding alone may move the traction of a slipping node off its circle
             return bool(
                 problem.inner(outside, outside)
                 <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)

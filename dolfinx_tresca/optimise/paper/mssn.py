@@ -21,10 +21,11 @@ INNER_RESIDUAL = 1e-12
 def solve_exactly(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> DualSolution:
-    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with inner CG to 1e-12.
+    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
 
-    The method converges fast if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only
-    states that the limit, if there is one, is the solution. Collective.
+    The inner CG iterations end at 1e-12 times the residual at the start. The method converges fast
+    if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
+    there is one, is the solution. Collective.
     """
     return _iterate(
         problem,

@@ -12,8 +12,9 @@ from dolfinx_tresca.options import SolverOptions
 class AdaptivePrecision:
     """The tolerance tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), tol^0 = r_tol / c_fact.
 
-    The paper does not define the reference value of the inner residual. It is err^0 here: the first
-    argument of the minimum is r_tol times the outer residual.
+    The paper does not define the reference value of the inner residual. Here the reference is
+    err^0: an inner iteration ends at the norm tol^{k+1} err^0, which is at most r_tol times the
+    outer residual err^k.
     """
 
     history: History

@@ -13,8 +13,9 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     """Return an estimate of sigma_max by the Lanczos iteration started at b.
 
     The largest Ritz value is a lower bound; the norm of its residual is added. The sum is an upper
-    bound if the Ritz value approximates the largest eigenvalue, but not if its eigenvector is
-    almost orthogonal to b: algorithms check the curvature along their steps.
+    bound if the Ritz value approximates the largest eigenvalue. This fails if the eigenvector of
+    the largest eigenvalue is almost orthogonal to b; algorithms therefore check the curvature along
+    their steps.
 
     Collective. The products are counted.
 

@@ -1,4 +1,4 @@
-"""SSN: the semi-smooth Newton method without symmetrisation; non-symmetric systems, BiCGSTAB."""
+"""SSN: the semi-smooth Newton method without symmetrisation. BiCGSTAB solves its linear systems."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def solve(
     """Solve lambda = P(lambda - rho r(lambda)) by Newton steps with the full slanting function.
 
     The full derivative of the projection onto the circle makes the systems non-symmetric. Table
-    38.1 of the paper compares with this variant. Convergence is not guaranteed.
+    38.1 of the paper compares its methods with this variant. Convergence is not guaranteed.
 
     Collective.
     """

@@ -37,12 +37,12 @@ def solve(
     observe: Observe,
     tresca: Solve,
 ) -> DualSolution:
-    """Find the fixed point by sweeps: Tresca problems with the bounds g of the previous pressures.
+    """Find the fixed point by sweeps: Tresca problems with the slip bounds of the last pressures.
 
     The authors of the paper use this method, which extends algorithms for Tresca's problem to
     Coulomb's law; `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed.
-    The result counts the iterations and products of all sweeps and has the residuals of all; the
-    last residual is measured with the bounds of its own pressures.
+    The result has the iterations and residuals of all sweeps. The last residual is measured with
+    the slip bounds that follow from the last pressures themselves.
 
     Collective.
     """

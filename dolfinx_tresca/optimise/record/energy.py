@@ -78,7 +78,7 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
     """Return an error bound divided by the norm of the displacement; 0 if both are rounding.
 
     If the contact carries all loads and no body deforms, the displacement and its error are both
-    rounding of displacements that cancel, and their ratio has no meaning.
+    only rounding errors of displacements that cancel, and their ratio has no meaning.
 
     Collective.
 

@@ -19,7 +19,8 @@ from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Called with each iterate, the first one included; returns whether to stop, the same on all ranks.
+#: Function that is called with each iterate, the first one included. It returns whether to stop,
+#: with the same result on all ranks.
 Observe = Callable[[Iteration], bool]
 
 
@@ -66,7 +67,7 @@ class History:
         Args:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: see `error_of_product`.
         """
         problem, residual = self._problem, self.residual
         if error is None:
@@ -126,7 +127,7 @@ class History:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
             status: reason for the end of the iteration.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: see `error_of_product`.
         """
         problem, rho = self._problem, self.residual.rho
         lam = problem.admissible.at(x, r, rho).section(x)
@@ -141,8 +142,8 @@ class History:
             q=tuple(self.q),
             rho=rho,
             wanted=self.stopping.accuracy,
-            # the displacement is solved for after the last check of convergence: with an error as
-            # large as the tolerable one, its bound could exceed the bound that was checked
+            # the displacement is computed after the last check of convergence: with an error as
+            # large as the tolerable error, its error bound could exceed the bound that was checked
             accuracy=None
             if error is None
             else max(error, FORCING * self.stopping.tolerable_error(x, r)),

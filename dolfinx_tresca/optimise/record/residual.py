@@ -8,23 +8,25 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: Residual, divided by its scale or by |b|, up to which rounding may be the cause of a stagnation.
+#: Rounding may be the cause of a stagnation if the residual, divided by its scale or by |b|, is at
+#: most this number.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
 class NaturalResidual:
     """The residual |lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
 
-    The relative residual is divided by the residual at lambda = 0, so that it does not depend on
-    units, on the size of the load, or on the initial guess. If zero does not satisfy the equality
-    constraints, the nearest point that does is used instead of zero, and |A lambda| at this point
-    is the scale if it is larger. |A lambda| at the initial multipliers of a load step counts in the
-    same way if they have a larger residual than the origin: friction may support a body that no
-    load presses.
+    The relative residual is this residual divided by its scale. The scale is the residual at
+    lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
+    on the initial guess. If zero does not satisfy the equality constraints, the origin, which is
+    the nearest point to zero that satisfies them, takes the place of zero. The scale is then at
+    least |A lambda| at the origin. In a load step whose initial multipliers have a larger residual
+    than the origin, the scale is also at least |A lambda| at these multipliers: friction may
+    support a body that no load presses.
 
     Attributes:
         rho: step length.
-        scale: residual at the origin; zero if the origin is the solution.
+        scale: the divisor of relative residuals, see above.
         origin_is_solution: whether the residual at the origin is rounding.
         rounding: largest residual that counts as rounding.
         origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
@@ -47,7 +49,7 @@ class NaturalResidual:
             origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
             origin_gradient: (size,) gradient at the origin.
             origin_error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e), if the
-                solver cannot reduce it further: residuals below it count as zero.
+                solver cannot reduce this error further; residuals below the error count as zero.
         """
         self._problem, self._error, self._counted = problem, origin_error, 0.0
         self.origin, self.origin_gradient = origin, origin_gradient
@@ -106,7 +108,8 @@ class NaturalResidual:
         """Return whether rounding may keep a residual from decreasing. Not collective.
 
         The residual is then small compared with its scale or with b. If displacements by the loads
-        are tiny compared with a gap, the scale follows from the loads, but rounding from the gap.
+        are tiny compared with a gap, the scale follows from the loads, but rounding errors follow
+        from the gap.
         """
         size = max(self.scale, self.rounding / ROUNDING)
         return residual <= EXHAUSTED * size

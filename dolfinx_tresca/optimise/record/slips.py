@@ -13,9 +13,9 @@ def cones_at(
 ) -> tuple[FeasibleSet | FrictionCones, Array]:
     """Return the admissible set with coefficients of friction at the slips of x, and c (k,).
 
-    The multipliers c of the constraints are those of the gradient projection step. The slips lack
-    the motion of floating bodies, which follows from c: bounds that depend on the slip are not
-    allowed for such bodies. Collective.
+    The multipliers c of the constraints are those of the gradient projection step. The slips do not
+    include the motion of floating bodies, which follows from c; slip bounds that depend on the slip
+    are not allowed for such bodies. Collective.
 
     Args:
         problem: the dual problem.

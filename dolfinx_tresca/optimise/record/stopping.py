@@ -14,9 +14,9 @@ from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.record.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 
-#: Least relative energy error that is requested if the mesh's error determines it; and, with
-#: `rtol`, the relative energy error below which the mesh's error is not estimated, since every mesh
-#: has a larger error.
+#: `LEAST_ACCURACY` is the least relative energy error that is requested if the mesh's error
+#: determines the request. With `rtol`, the mesh's error is not estimated if the relative energy
+#: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
@@ -28,9 +28,9 @@ class Stopping:
 
     With `accuracy=`, only the bound of the energy error is checked. By default the requested energy
     error is a part of the discretisation error, and the traction of every node must be near its
-    local minimiser, since energies say little about peaks and states. With `rtol=`, the residual is
-    checked in addition: for slender bodies, for example, the energy error may be large although the
-    residual is small.
+    local minimiser (`DualProblem.local_error`), since energies say little about peaks and states.
+    With `rtol=`, the residual is checked in addition: for slender bodies, for example, the energy
+    error may be large although the residual is small.
 
     Attributes:
         accuracy: relative error in the energy norm that is requested at present; inf if it is not
@@ -53,9 +53,9 @@ class Stopping:
     def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
-        The two numbers belong to the first criterion that is not met; if all are met, to the last.
-        Unless the user set `accuracy=`, the first call with a small bound sets `accuracy` from the
-        error of the mesh. Collective.
+        The two numbers belong to the first criterion that is not met; if all criteria are met, they
+        belong to the last criterion. Unless the user set `accuracy=`, the first call with a small
+        bound sets `accuracy` from the error of the mesh. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -74,7 +74,7 @@ class Stopping:
     ) -> Iterator[tuple[float, float]]:
         """Yield the reached and the requested value of each criterion in turn. Collective.
 
-        A criterion is computed only if the caller asks for it, after the earlier ones are met.
+        A criterion is computed only if the caller asks for it, after the earlier criteria are met.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -106,8 +106,8 @@ class Stopping:
     def tolerable_error(self, x: Array, r: Array) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
 
-        It is small compared with the error of the multipliers, since the local errors of the nodes
-        are computed from the gradient.
+        The tolerable error is small compared with the error of the multipliers, since the local
+        errors of the nodes are computed from the gradient.
 
         Args:
             x: (size,) multipliers in Lambda.

@@ -14,23 +14,24 @@ from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.positive_definite import factored
 
-#: Rounding error of G z, divided by the terms of the equation, above which the iteration ends
-#: without a solution: z goes to infinity if the equation has no solution, or if all its solutions
-#: are on the boundary of Lambda.
+#: The iteration ends without a solution if the rounding error of G z, divided by the terms of the
+#: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its
+#: solutions are on the boundary of Lambda.
 LOST = 1e-6
 
-#: Damping, which is the fraction of the diagonal of the majorant G'G + C that is added to the
-#: Hessian: its first, least and largest value.
+#: First, least and largest value of the damping, which is the fraction of the diagonal of the
+#: majorant G'G + C that is added to the Hessian.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 
-#: Factors by which the damping changes: after a whole step, since the next step may be longer if
-#: phi is flat; and if rounding makes the matrix indefinite.
+#: Factors on the damping. `RELAXATION` is applied after a whole step, since the next step may be
+#: longer where phi is flat. `MORE_DAMPING` is applied if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
-#: Line search for the part t of a step s. Let l be the longest part known to be too short. A part t
-#: is too long if (t - l) s'g(t) exceeds OVERSHOOT times the larger one of slope^2 / curvature and
-#: -l s'g(l), a lower bound of the descent at l. A shortened step is too short if the slope at its
-#: end is steeper than SLOPE_LEFT times the slope at its start.
+#: Line search for the part t of a step s, with the gradient g(t) of phi there. Let l be the longest
+#: part known to be too short. A part t is too long if (t - l) s'g(t) exceeds OVERSHOOT times the
+#: larger one of slope^2 / curvature and -l s'g(l), which is a lower bound of the descent at l. A
+#: shortened step is too short if the slope at its end is steeper than SLOPE_LEFT times the slope at
+#: its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
@@ -41,9 +42,10 @@ class ConstrainedProjection:
     Attributes:
         shift: (k,) the solution z.
         excess: (k,) residual of the equation.
-        satisfied: whether the residual is rounding of the equation's terms. Rounding of G z may be
-            larger, and a residual as large as that rounding does not prove that a solution exists.
-        unbounded: whether phi fell below minus the `depth`.
+        satisfied: whether the residual is at most the rounding error of the equation's terms. The
+            rounding error of G z may be larger; a residual of that size does not prove that a
+            solution exists.
+        unbounded: whether phi fell below -depth, where `depth` is an argument of the function.
     """
 
     shift: Array
@@ -73,7 +75,7 @@ def constrained_projection(
     z has left the flat region. The Hessian of phi is nowhere larger than G'G + C. If the gradient
     g(t) at the part t of a step s satisfies t s'g(t) <= (s'g(0))^2 / (4 s'(G'G + C) s), phi
     decreases by at least the right-hand side, which is sufficient for convergence. The test uses
-    gradients, since values of phi differ by no more than rounding near the solution.
+    gradients, since near the solution values of phi differ only by rounding.
 
     Args:
         feasible_set: Lambda.
@@ -81,7 +83,8 @@ def constrained_projection(
         softness: (k, k) C, symmetric and positive semidefinite.
         y: (size,) constant part of x.
         target: (k,) right-hand side of the equation.
-        sizes: (k,) sums of the absolute values of the terms of `target`, for rounding.
+        sizes: (k,) sums of the absolute values of the terms of `target`, from which rounding errors
+            are estimated.
         depth: the iteration ends if phi falls below -depth. With y = 0, all x in Lambda and c with
             G'x + C c = target then have |x|^2 + c'C c > 2 depth (weak duality).
         guess: (k,) first z, used if its residual is smaller than the residual of zero; None: zero.
@@ -121,7 +124,7 @@ def constrained_projection(
         if ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
         if (np.abs(excess) <= small + cancelled).all():
-            if z.any():  # at z = 0, rounding would cause pressure at open nodes
+            if z.any():  # from z = 0, this step would press open nodes by rounding
                 # one more step, kept if it reduces the residual: the residual times the
                 # multipliers c enters the energy of every later step
                 step = newton(x, excess, ROUNDING)

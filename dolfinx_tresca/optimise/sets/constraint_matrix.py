@@ -23,7 +23,9 @@ def stored(matrix: csr_array) -> Matrix:
 
 @dataclass(frozen=True)
 class ConstraintMatrix:
-    """The matrix G of `EqualityConstraints`, G'x + S c = e. A row has entries for few bodies only.
+    """The matrix G of `EqualityConstraints`, G'x + S c = e.
+
+    Each row of G has entries for few bodies only.
 
     Attributes:
         columns: (size, k) G, sparse or dense, whose columns have length 1 or less.
@@ -64,11 +66,11 @@ class ConstraintMatrix:
     def hessian(self, derivative: Callable[[Array], Array]) -> Array | csc_array:
         """Return G'D G, (k, k), the same on all ranks. Collective.
 
-        This is the Hessian of exact equations in `constrained_projection`.
+        This is the Hessian of phi in `constrained_projection` if all equations are exact.
 
         Args:
-            derivative: applies D to (size, columns); D is symmetric and couples the multipliers of
-                a node only.
+            derivative: function that applies D to an array (size, columns); D is symmetric and
+                couples only multipliers of the same node.
         """
         if not issparse(self.columns):
             return self.reductions.inner(self.columns, derivative(self.columns))
@@ -83,9 +85,10 @@ class ConstraintMatrix:
         """The entries of G by nodes, and the positions of their products in G'D G. Collective.
 
         Returns:
-            the entries (size, width) of G in the columns of each row's node; the position
-            (size * width^2,) of the product of any two of them in the values of `pattern`; and
-            `pattern` (k, k), a matrix with the sparsity of G'D G and a full diagonal.
+            the entries of G (size, width), where a row has only those columns in which its node has
+            entries; for any two entries of a row, the position of their product in the values of
+            `pattern` (size * width^2,); and `pattern` (k, k), a matrix with the sparsity of G'D G
+            and a full diagonal.
         """
         entries = csr_array(self.columns).tocoo()
         (size, k), row, column = entries.shape, entries.row, entries.col
@@ -96,7 +99,7 @@ class ConstraintMatrix:
         width = int(place.max(initial=0)) + 1
         narrow = np.zeros((size, width))
         narrow[row, place[index]] = entries.data
-        of_nodes = np.zeros((size, width), dtype=np.int64)  # 0 where there is none
+        of_nodes = np.zeros((size, width), dtype=np.int64)  # 0 where a node has fewer columns
         of_nodes[node, place] = of_node
         columns = of_nodes[self.nodes]
 

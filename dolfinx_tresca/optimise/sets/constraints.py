@@ -21,8 +21,8 @@ from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 
-#: Norm of multipliers that satisfy the equations, divided by the norm of `sizes`, above which
-#: `balance` does not accept the multipliers and ends its search.
+#: `balance` ends its search without a solution if all multipliers that satisfy the equations have a
+#: norm above this multiple of the norm of `sizes`.
 LARGEST_REACTION = 1e4
 
 
@@ -44,7 +44,8 @@ class EqualityConstraints:
         matrix: G (size, k), with columns of length 1 or less.
         softness: (k, k) S, symmetric and positive semidefinite, sparse if `matrix` is.
         values: (k,) e.
-        sizes: (k,) sums of the absolute values of the terms of e, for rounding.
+        sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
+            estimated.
     """
 
     matrix: ConstraintMatrix
@@ -113,7 +114,7 @@ class EqualityConstraints:
         """Return the point x of Lambda nearest to y that satisfies the equations, and a change dc.
 
         The multipliers of the equations become c + dc. The point and dc minimise
-        |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that x is
+        |x - y|^2 / 2 + rho dc'S dc / 2 under the condition G'x + S (c + dc) = e, so that x is
         P_Lambda(y + rho G dc). For y = z - rho r with the gradient r at z, this is the gradient
         projection step from z.
 
@@ -199,7 +200,7 @@ class EqualityConstraints:
     def gradient_step(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> tuple[Array, Array]:
-        """Return P_Lambda(x - rho (r - G c)), and the c (k,) with which it satisfies the equations.
+        """Return P_Lambda(x - rho (r - G c)), which satisfies the equations, and this c (k,).
 
         The search for c begins at the c of the last call. For the equations of a body that nothing
         presses, c is not unique and depends on this start, unlike the c of `multipliers`.
@@ -234,16 +235,17 @@ class EqualityConstraints:
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
-        For floating bodies it is the energy norm of the rigid displacements that equilibrium lacks.
+        For floating bodies the result is the energy norm of the rigid displacements that are
+        missing for equilibrium.
         """
         missing = self.residual(x, c)
         return float(np.sqrt(missing @ self._inverse @ missing))
 
     def soft_multipliers(self, x: Array) -> Array:
-        """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
+        """Return S^-1 (e - G'x), (k,), for soft equations, and zero for exact equations."""
         missing = self.values - self.matrix.along(x)
         first = self._inverse @ missing
-        # one step of iterative refinement: rounding of stiff equations would spoil softer ones
+        # one step of iterative refinement: rounding of stiff equations would spoil softer equations
         result: Array = first + self._inverse @ (missing - self.softness @ first)
         return result
 
@@ -264,7 +266,7 @@ class EqualityConstraints:
 
     @cached_property
     def _inverse(self) -> Matrix:
-        """S^-1 on its range, zero on its kernel, (k, k)."""
+        """S^-1 on the range of S, zero on the kernel of S, (k, k)."""
         values, vectors = self._range
         return (vectors * (1.0 / values)) @ vectors.T
 

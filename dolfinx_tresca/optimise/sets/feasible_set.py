@@ -24,7 +24,8 @@ class Face:
     A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
     Attributes:
-        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside.
+        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside the
+            disc.
         slip: (n_discs,) discs whose multiplier is on the circle.
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
             of (38.12), tangential multipliers of sticking nodes, and all multipliers of bonded
@@ -33,7 +34,7 @@ class Face:
             move along their circles.
         radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
             zero elsewhere.
-        discs: Lambda.
+        discs: Lambda, with the positions of the discs' multipliers.
     """
 
     stick: Mask
@@ -74,7 +75,8 @@ class FeasibleSet:
         normal: (n_normal,) positions of the normal multipliers lambda_nu.
         tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
-        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in its units.
+        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in the units of
+            lambda_tau.
     """
 
     size: int
@@ -105,7 +107,7 @@ class FeasibleSet:
 
     @property
     def has_curves(self) -> bool:
-        """Whether coefficients are functions of pressure and slip: False without coefficients."""
+        """Whether coefficients depend on pressure and slip: False, there are no coefficients."""
         return False
 
     def at(self, x: Array, r: Array, rho: float | Array) -> FeasibleSet:
@@ -131,7 +133,7 @@ class FeasibleSet:
         parts, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
             return np.bincount(self.node, parts, minlength=n).astype(np.float64)
-        size = len(parts)  # stored by columns, so that the nodes need no conversion
+        size = len(parts)  # stored by columns, so that `node` needs no conversion
         total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
         return np.asarray(total @ parts)
 
@@ -208,9 +210,9 @@ class FeasibleSet:
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
         """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.
 
-        Kappa is the multiplier of |lambda| <= g: the curvature of the circle adds it to the second
-        derivative of q along the circle. If the gradient points outwards, kappa is zero instead of
-        negative.
+        Kappa is the Lagrange multiplier of |lambda| <= g: the curvature of the circle adds kappa to
+        the second derivative of q along the circle. If the gradient points outwards, kappa is zero
+        instead of negative.
         """
         kappa = np.zeros_like(self.radius)
         with np.errstate(over="ignore"):  # a radius that is almost zero
@@ -245,7 +247,7 @@ class FeasibleSet:
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v (size,) or (size, k) with tangential parts multiplied by factors of discs.
+        """Return v (size,) or (size, k) with the tangential parts of each disc times a factor.
 
         Args:
             v: vectors.

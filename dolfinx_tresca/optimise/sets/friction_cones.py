@@ -27,13 +27,13 @@ class FrictionCones:
     pressure minimises q over its own section, not over this set: see `fixed_point`.
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
-    at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of one
-    point, which `at` changes: they serve to move points near that point into the set.
+    at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of a
+    single point, which `at` sets; they serve to move nearby points into the set.
 
     Attributes:
         discs: Lambda with arbitrary radii, for the positions of normal and tangential multipliers.
-        normal_of: (n_discs,) position of the normal multiplier that each bound grows with; -1
-            for bounds that do not depend on a pressure.
+        normal_of: (n_discs,) position of the normal multiplier with which each bound grows; -1 for
+            bounds that do not depend on a pressure.
         constant: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
@@ -75,8 +75,8 @@ class FrictionCones:
         Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere it is
         evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
         distance rho v from the circle with radius g(v). At a solution of the problem this v equals
-        |r|. At other points it depends less on r than |r| does, and bounds that grow steeply with
-        the slip stay moderate.
+        |r|. At other points this v depends less on r than |r| does, so that bounds that grow
+        steeply with the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
@@ -122,8 +122,9 @@ class FrictionCones:
         s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
         node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
         to the change of the bound with the slip. The change of a bound itself changes the slip, by
-        -D times this change. So both maps contain the factor 1 / (1 + h D), with the derivative h
-        of the bound with respect to the slip. Both map (size,) or (size, k).
+        -D times the change of the bound. So both maps contain the factor 1 / (1 + h D), with the
+        derivative h of the bound with respect to the slip. Both maps take arrays (size,) or
+        (size, k).
 
         Args:
             x: (size,) multipliers.
@@ -147,7 +148,7 @@ class FrictionCones:
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return the function of v with the value (I + Q') v, with the Q of `with_bound_change`.
 
-        It is the transpose of I + Q if no bound depends on the slip.
+        The function is the transpose of I + Q if no bound depends on the slip.
         """
         slope, _ = self.slopes(x, face)
 
@@ -206,7 +207,7 @@ class FrictionCones:
         return result
 
     def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
-        """Return dg/dp and dg/dv (n_discs,) at x for the bounds g of slipping nodes, else 0."""
+        """Return dg/dp and dg/dv (n_discs,) at x for bounds g of slipping nodes, zero elsewhere."""
         by_pressure, by_slip = self._slopes(self._pressures(x))
         return np.where(face.slip, by_pressure, 0.0), np.where(face.slip, by_slip, 0.0)
 

@@ -85,7 +85,10 @@ class Camera:
 
     @classmethod
     def turned(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return the view of `at`, or a much larger view with `up` to the right if there is one."""
+        """Return the view of `at`, turned by a right angle if points are then much larger.
+
+        In the turned view `up` points to the right.
+        """
         upright = cls.at(points, normal, up, aspect)
         flat = cls.at(points, normal, -upright.axes[0], aspect)
         return flat if flat.half < TURN * upright.half else upright
@@ -168,8 +171,8 @@ def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
     Args:
         figure: a figure of matplotlib.
         box: box of the whole picture.
-        draw: function that is given a plotter of pyvista and the width of the view divided by its
-            height, and draws.
+        draw: function of a plotter of pyvista and of the width of the view divided by its height;
+            it draws the view, and returns the camera and the texts.
     """
     import pyvista
 

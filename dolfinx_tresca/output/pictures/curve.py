@@ -45,7 +45,7 @@ class Curve:
 
     @classmethod
     def of(cls, contact: Contact) -> Curve:
-        """Put the nodes of a contact surface of 2D in order."""
+        """Put the nodes of a contact surface of 2D in order, and compute their arc lengths."""
         grid = contact.grid
         pieces, arcs = _chains(grid.points, grid.cells[:, 1:]), []
         steps = [np.linalg.norm(np.diff(grid.points[piece], axis=0), axis=1) for piece in pieces]

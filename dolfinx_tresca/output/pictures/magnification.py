@@ -30,7 +30,7 @@ class Magnification:
     * an initial overlap (a press fit) is magnified as much as the displacement: the primary body is
       drawn larger. Its surface is shifted by (scale - 1) d n, and its inside by the polynomial of
       degree 2 at most that is nearest to these shifts;
-    * the remaining difference limits the scale, unless the user chooses the scale: neither a gap
+    * the rest of the jump limits the scale, unless the user chooses the scale: neither a gap
       between pressed surfaces nor any overlap may be visible (`INVISIBLE`). A displacement that
       would be invisible with this limit is drawn without magnification. Rigid obstacles are not
       shifted, so only this second rule applies to them.
@@ -117,8 +117,8 @@ class _OverlapShifts:
         """Return the largest scale, minus 1, at which no gap in contact and no overlap is visible.
 
         The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is the
-        distance that the displacement closes beyond the shifts. Up to `invisible` [length], the
-        drawn distance must not be negative, and must be zero at pressed nodes.
+        distance that the displacement closes beyond the shifts. With a tolerance of `invisible`
+        [length], the drawn distance must not be negative, and must be zero at pressed nodes.
         """
         allowed = math.inf
         for contact, own, other in self._sides:

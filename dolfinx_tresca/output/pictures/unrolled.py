@@ -21,7 +21,7 @@ NOT_STRAIGHT = 0.02
 PLANES = 2e-3
 #: Largest difference of radii from the radii of a circular cone, relative to the cone's radii.
 NOT_ROUND = 0.15
-#: A surface is open if a part of it with this angle [rad] has no nodes.
+#: A surface is open if a sector of this angle [rad] about the axis contains no node.
 SEAM = 0.35
 #: Largest angle [degrees] between an end and the coordinate direction after which it is named.
 NEAR = 12
@@ -103,7 +103,7 @@ class _Cone:
 
     @classmethod
     def through(cls, surface: Any) -> _Cone | None:
-        """Return the cone nearest to a surface; None if none is near."""
+        """Return the cone or cylinder fitted to a surface; None if the surface is not near it."""
         axis = _axis(surface)
         if axis is None:
             return None
@@ -145,8 +145,12 @@ class _Cone:
 def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
     """Cut a surface along the seam: cells (m, 1 + k) that cross the seam get nodes of their own.
 
+    Args:
+        cells: (m, 1 + k) the number k and the nodes of each cell.
+        angle: angle of each node, measured from the seam [rad].
+
     Returns:
-        the cells, with the numbers of new nodes, and the nodes of which the new nodes are copies.
+        the cells with their new nodes; and for each new node the number of the node that it copies.
     """
     corners = angle[cells[:, 1:]]
     across = np.ptp(corners, axis=1, keepdims=True) > math.pi
@@ -163,7 +167,8 @@ def _side(angle: float, index: int, oblique: bool) -> str:
     """Return the text of a direction around an axis: "y side", "−x side", or degrees.
 
     Args:
-        angle: angle from the coordinate direction after the axis, in cyclic order [rad].
+        angle: angle of the direction, measured from the coordinate direction that follows the axis
+            in cyclic order [rad].
         index: number of the coordinate direction of the axis.
         oblique: whether the axis is not along a coordinate direction.
     """
@@ -176,7 +181,10 @@ def _side(angle: float, index: int, oblique: bool) -> str:
 
 
 def _axis(surface: Any) -> Array | None:
-    """Return the direction with which all normals make the same angle; None if there is none."""
+    """Return the axis of a surface like a cylinder or a cone; None for other surfaces.
+
+    All normals make nearly the same angle with the axis.
+    """
     normals = np.asarray(surface.cell_data["Normals"])
     areas = np.asarray(surface.compute_cell_sizes(length=False, volume=False).cell_data["Area"])
     mean = areas @ normals / areas.sum()
@@ -191,7 +199,7 @@ def _axis(surface: Any) -> Array | None:
 
 
 def _seam(angle: Array) -> tuple[float, bool]:
-    """Return the angle at which a surface begins, and whether it is closed."""
+    """Return the angle at which the unrolled surface begins, and whether the surface is closed."""
     ordered = np.sort(np.mod(angle, 2.0 * math.pi))
     gaps = np.diff(np.append(ordered, ordered[0] + 2.0 * math.pi))
     widest = int(np.argmax(gaps))
