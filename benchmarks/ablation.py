@@ -1,14 +1,18 @@
-"""What each part of the default method is for: products and failures without it.
+"""What each part of the default method is for: products, time and failures without it.
 
-    tools/fenicsx python3 benchmarks/ablation.py --here --json benchmarks/data/ablation.json
+    OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/ablation.py --here \
+        --json benchmarks/data/ablation.json
 
 Each row is a fixed set of small scenes, solved with one part of `optimise/` or `dual/` switched
 off, or with one constant doubled or halved (of parts that are nearly 1 the distance from 1). A
 failure is a solve that does not converge; "status" counts solves that end with another status than
 by default. Products are those of all scenes over those by default; "worst" is the scene in which
-they change most. Of the constants that name rounding errors there are those that several files
-share; constants of scenes that are not here, such as several pairs, change nothing. `--here` does
-all in one process, which saves the start of one for each row.
+they change most. Time is processor seconds of all scenes, with set-up and refinement. Many changes
+of constants leave all numbers as they are by default: the median time of these rows and of the
+default, which runs first and last, is 1, and their range shows how far time varies by chance. Of
+the constants that name rounding errors there are those that several files share; constants of
+scenes that are not here, such as several pairs, change nothing. `--here` does all in one process,
+which saves the start of one for each row.
 """
 
 from __future__ import annotations
@@ -17,19 +21,32 @@ import argparse
 import importlib
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from functools import cache
+from functools import cache, partial
+from statistics import median
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
 from mpi4py import MPI
 
 import numpy as np
+from adaptive import ACCURACY, STUDIES
 from changed_stiffness import IN_A_ROW, form
 from harness import DASH, Benchmark, Column, Comm, Row, Table
+from harness.timing import timed
 
-from dolfinx_tresca import ContactError, ContactSolution, ContactStatus, Coulomb, Tresca
+from dolfinx_tresca import (
+    ContactError,
+    ContactProblem,
+    ContactSolution,
+    ContactStatus,
+    Coulomb,
+    TaggedMesh,
+    Tresca,
+    solve_adaptively,
+)
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.products import compliance, seed_products
 from dolfinx_tresca.dual.products.diagonal import rademacher_vector
@@ -48,9 +65,15 @@ from scenes.two_bricks import floating as two_bricks_floating
 
 PACKAGE = "dolfinx_tresca"
 DEFAULT = "default"
+#: `change` of its rows.
+FIRST, LAST = "first", "last"
 
-#: Loads of the steps of a process, over the first one.
+#: Loads of the steps of a process, over the first one; the long process has four cycles.
 LOADS = (1.0, 1.1, 0.95)
+CYCLES = 1.0 + 0.5 * np.sin(0.25 * np.arange(100))
+
+#: No mesh of an adaptive solve has more unknowns, about.
+MAX_DOFS = 2500
 CHANGES = 2
 RTOL = 1e-6
 
@@ -111,19 +134,58 @@ def cold(solves: Solves, stiffness: str = "cholesky", N: int = 6) -> None:
                 solves.add(lambda p=problem: p.solve(rtol=RTOL), products_of)
 
 
-def steps(solves: Solves, stiffness: str = "cholesky", N: int = 8) -> None:
+def steps(
+    solves: Solves,
+    stiffness: str = "cholesky",
+    N: int = 8,
+    laws: Iterable[str] = FRICTION,
+    loads: Iterable[float] = LOADS,
+) -> None:
     """Solve a process of load steps with history, each from the one before."""
-    for friction in FRICTION.values():
-        scene = bricks(N, "free_end_1").but(friction=friction)
+    for law in laws:
+        scene = bricks(N, "free_end_1").but(friction=FRICTION[law])
         load = scene.data.load
         first = load.value.copy()
         with scene.problem(stiffness=stiffness) as problem:
-            for factor in LOADS:
+            for factor in loads:
                 load.value[:] = factor * first
                 solves.add(problem.solve, products_of)
                 if solves.statuses[-1] in ContactStatus.__members__:
                     problem.accept(unconverged=True)
         load.value[:] = first
+
+
+@cache
+def coarse(name: str) -> TaggedMesh:
+    """Return the first mesh of an adaptive solve. Collective."""
+    return STUDIES[name].coarse(MPI.COMM_WORLD, STUDIES[name].size).tagged_mesh
+
+
+def refined(solves: Solves) -> None:
+    """Solve adaptively: Hertz's problem without friction, and the two bricks with both laws."""
+    for name, law, stiffness in (
+        ("hertz_line", None, "cholesky"),
+        ("two_bricks", "Tresca", "multigrid"),
+        ("two_bricks", "Coulomb", "cholesky"),
+    ):
+        solves.add(partial(adaptive_solve, name, law, stiffness), lambda found: found.products)
+
+
+def adaptive_solve(name: str, law: str | None, stiffness: str) -> SimpleNamespace:
+    """Return the outcome of an adaptive solve, over all meshes. Collective."""
+    study = STUDIES[name]
+
+    def build(tagged: TaggedMesh) -> ContactProblem:
+        scene = study.build(tagged)
+        scene = scene if law is None else scene.but(friction=FRICTION[law])
+        return scene.problem(stiffness=stiffness)
+
+    result = solve_adaptively(build, coarse(name), ACCURACY, snap=study.snap, max_dofs=MAX_DOFS)
+    return SimpleNamespace(
+        status=result.solution.status,
+        products=sum(level.products for level in result.levels),
+        krylov_iterations=sum(level.solution.krylov_iterations for level in result.levels),
+    )
 
 
 def changes(solves: Solves) -> None:
@@ -184,9 +246,11 @@ def dense_problems(solves: Solves) -> None:
 SCENES: dict[str, Callable[[Solves], None]] = {
     "cold": cold,
     "steps": steps,
+    "100 steps": partial(steps, N=6, laws=["Coulomb"], loads=CYCLES),
     "cold, multigrid": lambda solves: cold(solves, "multigrid", 5),
     "steps, multigrid": lambda solves: steps(solves, "multigrid", 5),
     "changes of K": changes,
+    "adaptive": refined,
     "floating": floating,
     "blocks": blocks,
     "dense": dense_problems,
@@ -356,30 +420,40 @@ def patches(part: str, change: str) -> Patches:
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield the default, then each part and constant."""
-    rows = [(DEFAULT, "")]
+    """Yield the default, then each part and constant, and the default again."""
+    rows = [(DEFAULT, FIRST)]
     rows += [(part, "off") for part in PARTS]
     names = [f"{path}.{name}" for path, all_ in CONSTANTS.items() for name in all_.split()]
     rows += [(name, change) for name in [*names, CAPACITY] for change in FACTORS]
+    rows += [(DEFAULT, LAST)]
     for part, change in rows:
         if arguments.parts is None or part == DEFAULT or part in arguments.parts:
             yield {"part": part, "change": change, "scenes": arguments.scenes}
 
 
+@cache
+def warm_up(names: tuple[str, ...]) -> None:
+    """Solve all scenes once: make meshes, compile forms and load libraries. Collective."""
+    for name in names:
+        SCENES[name](Solves())
+
+
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield the outcome of all scenes. Collective."""
-    found = {}
+    warm_up(tuple(case["scenes"]))
+    found, seconds = {}, {}
     with ExitStack() as stack:
         for owner, name, value in patches(case["part"], case["change"]):
             stack.enter_context(patch.object(owner, name, value))
         for name in case["scenes"]:
             solves = found[name] = Solves()
-            SCENES[name](solves)
+            seconds[name], _ = timed(comm, partial(SCENES[name], solves))
     yield {
         "total": sum(solves.products for solves in found.values()),
         "products": {name: solves.products for name, solves in found.items()},
         "krylov": {name: solves.krylov for name, solves in found.items()},
         "failed": {name: solves.failed for name, solves in found.items()},
+        "seconds": seconds,
     }
 
 
@@ -394,11 +468,26 @@ def with_ratios(rows: list[Row]) -> list[Row]:
     reference = next((row for row in found if row["part"] == DEFAULT), None)
     if reference is None:
         return []
-    return [{**row, **ratios(row, reference)} for row in found]
+    found = [{**row, **ratios(row, reference)} for row in found]
+    same = [row["total_seconds"] for row in found if does_same_work(row)]
+    return [
+        {
+            **row,
+            "seconds_ratio": row["total_seconds"] / median(same),
+            "beyond_chance": row["total_seconds"]
+            / float(np.clip(row["total_seconds"], min(same), max(same))),
+        }
+        for row in found
+    ]
+
+
+def does_same_work(row: Row) -> bool:
+    """Whether a row is the default, or a constant that changes no number of it."""
+    return row["same_numbers"] and (row["part"] == DEFAULT or row["change"] in FACTORS)
 
 
 def ratios(row: Row, reference: Row) -> Row:
-    """Return what a row is over the default."""
+    """Return what a row is over the default, but for the time."""
     ours, its = row["products"], reference["products"]
     worst = max(its, key=lambda name: abs(ours[name] - its[name]) / its[name])
     krylov = sum(reference["krylov"].values())
@@ -406,6 +495,9 @@ def ratios(row: Row, reference: Row) -> Row:
         "failures": failures(row),
         "products_ratio": sum(ours.values()) / sum(its.values()),
         "krylov_ratio": sum(row["krylov"].values()) / krylov if krylov else 1.0,
+        "total_seconds": sum(row["seconds"].values()),
+        "scene_ratios": {name: ours[name] / its[name] for name in its},
+        "same_numbers": all(row[of] == reference[of] for of in ("products", "krylov", "failed")),
         "worst_ratio": ours[worst] / its[worst],
         "worst": f"{ours[worst] / its[worst]:.2f} ({worst})",
         "moved": sum(
@@ -415,13 +507,14 @@ def ratios(row: Row, reference: Row) -> Row:
     }
 
 
-#: Change of products, or of Krylov iterations, that is worth a part; and in one scene.
+#: Change of products, Krylov iterations, or of time beyond its range by chance, that is worth a
+#: part; and change of products in one scene.
 WORTH, WORTH_IN_A_SCENE = 0.05, 0.1
 
 
 def matters(row: Row) -> bool:
-    """Whether a row has another status, or a number of products that is worth telling."""
-    ratios = (row["products_ratio"], row["krylov_ratio"])
+    """Whether a row has another status, or products, iterations or a time worth telling."""
+    ratios = (row["products_ratio"], row["krylov_ratio"], row["beyond_chance"])
     return (
         row["moved"] > 0
         or any(abs(ratio - 1.0) >= WORTH for ratio in ratios)
@@ -432,6 +525,17 @@ def matters(row: Row) -> bool:
 def switched_off(rows: list[Row]) -> list[Row]:
     """Return the rows of parts."""
     return [row for row in with_ratios(rows) if row["change"] == "off"]
+
+
+def noise(rows: list[Row]) -> list[Row]:
+    """Return a row with the times of rows that do the same work."""
+    found = [row for row in with_ratios(rows) if does_same_work(row)]
+    if not found:
+        return []
+    times = sorted(row["seconds_ratio"] for row in found)
+    first, last = (row["seconds_ratio"] for row in (found[0], found[-1]))
+    row = {"number": len(times), "least": times[0], "most": times[-1], "first": first, "last": last}
+    return [{**row, "run": found[0]["run"]}]
 
 
 def constants(rows: list[Row]) -> list[Row]:
@@ -479,7 +583,10 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 RATIOS = [
     Column("products", "{products_ratio:.2f}"),
+    Column("100 steps", "{scene_ratios[100 steps]:.2f}"),
+    Column("adaptive", "{scene_ratios[adaptive]:.2f}"),
     Column("Krylov iterations", "{krylov_ratio:.2f}"),
+    Column("time", "{seconds_ratio:.2f}"),
     Column("worst scene", "{worst}"),
     Column("not converged", "{failures}"),
     Column("other status", "{moved}"),
@@ -496,6 +603,7 @@ BENCHMARK = Benchmark(
         Column("part", "{part}", width=42),
         Column("change", "{change}", width=8),
         Column("products", "{total}", width=8),
+        Column("seconds", lambda rows: f"{sum(rows[0].get('seconds', {}).values()):.1f}"),
         Column("failed", lambda rows: str(failures(rows[0])) if "failed" in rows[0] else DASH),
     ],
     tables=[
@@ -504,6 +612,17 @@ BENCHMARK = Benchmark(
             "ablation_constants",
             [Column("constant", "`{part}`"), Column("change", "{change}"), *RATIOS],
             derived=constants,
+        ),
+        Table(
+            "ablation_noise",
+            [
+                Column("rows with the numbers of the default", "{number}"),
+                Column("shortest time", "{least:.2f}"),
+                Column("longest", "{most:.2f}"),
+                Column("default, first", "{first:.2f}"),
+                Column("default, last", "{last:.2f}"),
+            ],
+            derived=noise,
         ),
         Table(
             "ablation_idle",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 #: An iteration makes progress if its residual is below this multiple of the least earlier residual.
-#: If the distance of the number from 1 is doubled or halved, no number of products of
-#: benchmarks/ablation.py changes.
+#: If the distance of the number from 1 is doubled or halved, numbers of products of
+#: benchmarks/ablation.py change by two at most.
 PROGRESS = 0.9
 
 #: Number of consecutive steps without progress after which an inner iteration, which needs no
-#: products, ends. If it is doubled, failing inner iterations take twice as long, and no number of
-#: products changes. With the value 2, a strip of 150 nodes that is pulled to and fro ends with
-#: STAGNATED.
+#: products, ends. If it is doubled, failing inner iterations take twice as long, and numbers of
+#: products of benchmarks/ablation.py change by one at most. With the value 2, a strip of 150 nodes
+#: that is pulled to and fro ends with STAGNATED.
 IDLE_STEPS = 8
 
 #: Number of iterations without progress after which a contact problem counts as stalled, and after
