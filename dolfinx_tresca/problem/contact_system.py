@@ -20,7 +20,6 @@ from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ContactError, MechanismError
-from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
@@ -44,7 +43,7 @@ class LastSolve:
 
     Attributes:
         dual: the dual problem.
-        multipliers: (size,) its solution.
+        multipliers: (size,) solution of the dual problem.
         fields: the fields of the solution.
         inputs: load, slip bounds and added gaps.
         options: options of the contact algorithm.
@@ -101,10 +100,9 @@ class ContactSystem(PetscOwner):
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
             cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
-            self._bodies = Bodies.of(linear.V, cell_tags[0] if cell_tags else None)
             self._stiffness = Factorisation(
                 linear,
-                self._bodies,
+                cell_tags[0] if cell_tags else None,
                 stiffness,
                 expected_solves,
                 {} if petsc_options is None else petsc_options,
@@ -114,7 +112,7 @@ class ContactSystem(PetscOwner):
         except ContactError:
             linear.destroy()
             raise
-        hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self._bodies)
+        hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self._stiffness.bodies)
 
     @property
     def comm(self) -> Any:
@@ -254,7 +252,7 @@ class ContactSystem(PetscOwner):
             u: displacement of a solution [length].
         """
         if not self._has_hinted_at_displacement:
-            self._has_hinted_at_displacement = hint_at_displacement(u, self._bodies)
+            self._has_hinted_at_displacement = hint_at_displacement(u, self._stiffness.bodies)
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again. Collective.
@@ -287,7 +285,7 @@ class ContactSystem(PetscOwner):
             MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
-        surfaces, steps = self.surfaces, self.surfaces.steps
+        surfaces, steps, bodies = self.surfaces, self.surfaces.steps, self._stiffness.bodies
         self._stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
         timings, surfaces.timings = surfaces.timings, {}
@@ -311,7 +309,7 @@ class ContactSystem(PetscOwner):
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
         found, evaluation, history = solve_to_bound(
-            dual, steps.multipliers, surfaces.secondary, self._bodies, options, observe, timings
+            dual, steps.multipliers, surfaces.secondary, bodies, options, observe, timings
         )
         steps.multipliers = found.multipliers
         status = found.status

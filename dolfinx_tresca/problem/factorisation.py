@@ -13,8 +13,15 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, check_choice, choose, solver_for
+from dolfinx_tresca.stiffness.choice import (
+    ChosenMethod,
+    StiffnessMethod,
+    check_choice,
+    choose,
+    solver_for,
+)
 from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -23,7 +30,10 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class Factorisation:
     """Assembles K, fixes the bodies that K holds weakly by springs, and factors the sum.
 
+    The first call of `compliance` finds the bodies, and chooses the solver for K that suits them.
+
     Attributes:
+        bodies: the bodies of the mesh.
         method: name of the chosen solver for K.
         reason: reason of the choice.
     """
@@ -31,17 +41,17 @@ class Factorisation:
     def __init__(
         self,
         linear: LinearSystem,
-        bodies: Bodies,
+        cell_tags: NamedTags | None,
         stiffness: StiffnessMethod,
         expected_solves: int,
         petsc_options: Mapping[str, Any],
         petsc_options_prefix: str | None,
     ) -> None:
-        """Choose the solver for K, which suits these bodies. Not collective.
+        """Check the arguments. Not collective.
 
         Args:
             linear: the system of K.
-            bodies: bodies of the mesh.
+            cell_tags: tags of cells with the names of bodies; None: bodies have numbers only.
             stiffness: see `ContactSystem`.
             expected_solves: see `ContactSystem`.
             petsc_options: see `ContactSystem`.
@@ -50,29 +60,18 @@ class Factorisation:
         Raises:
             InputError: an argument is wrong.
         """
-        V, is_mixed = linear.V, linear.component is not None
         check_options(petsc_options, petsc_options_prefix)
-        check_choice(stiffness, expected_solves, saddle=is_mixed)
+        check_choice(stiffness, expected_solves, saddle=linear.component is not None)
         if linear.comm.rank == 0:
             warn_of_slow_blas()
-        self._linear, self._bodies = linear, bodies
+        self._linear, self._cell_tags = linear, cell_tags
+        self._requested = stiffness, int(expected_solves)
         self._options = petsc_options, petsc_options_prefix
-        dim = V.dofmap.index_map_bs
-        self.method, self.reason = choose(
-            stiffness,
-            dim * bodies.mean_nodes,
-            dim,
-            V.element.basix_element.degree,
-            int(expected_solves),
-            linear.comm,
-            saddle=is_mixed,
-            refined=is_nested(V),
-        )
 
     @property
     def bodies_found(self) -> str:
         """The number of bodies and of the rigid motions that K resists weakly, as text."""
-        return f"{self._bodies.number}{self._modes.summary}"
+        return f"{self.bodies.number}{self._modes.summary}"
 
     def compliance(
         self, jump: JumpOperator, timings: dict[str, float], before: ContactCompliance | None = None
@@ -88,12 +87,15 @@ class Factorisation:
             StiffnessError: K is not symmetric, or is indefinite.
         """
         linear = self._linear
+        if before is None:
+            self.bodies = Bodies.of(linear.V, self._cell_tags)
+            self.method, self.reason = self._chosen()
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if before is None or linear.component is None:
                 # in later steps pressures make the block of the displacements indefinite even for
                 # a stable body; then the signs of pivots tell whether bodies are held
-                self._modes = weakly_resisted_modes(linear, self._bodies)
+                self._modes = weakly_resisted_modes(linear, self.bodies)
         springs = fixing_springs(self._modes, linear)
         K = springs.added_to(linear.K) if springs else linear.K
         try:
@@ -104,6 +106,22 @@ class Factorisation:
                 K.destroy()  # the solver has a reference of its own
         with timed(self.method, timings):  # for a saddle point this factors another matrix
             return ContactCompliance(jump, solver, springs, before)
+
+    def _chosen(self) -> tuple[ChosenMethod, str]:
+        """Return the solver for K that suits these bodies, and the reason. Not collective."""
+        method, expected_solves = self._requested
+        V = self._linear.V
+        dim = V.dofmap.index_map_bs
+        return choose(
+            method,
+            dim * self.bodies.mean_nodes,
+            dim,
+            V.element.basix_element.degree,
+            expected_solves,
+            self._linear.comm,
+            saddle=self._linear.component is not None,
+            refined=is_nested(V),
+        )
 
     def check_suits(self, options: SolverOptions) -> None:
         """Check that options suit the bodies and the form. Not collective.
