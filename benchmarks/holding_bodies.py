@@ -211,7 +211,8 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     scene.data.push.value = case["push"] * scene.data.weights.sum() / courses[1] / HEIGHT
     with scene.problem() as problem:
         problem.solve(rtol=RTOL)
-        program, x, _ = problem._contact.solved
+        solved = problem._contact.solved
+        program, x = solved.dual, solved.multipliers
         forces = program.jump.contact_force
         expected = forces(x).array.copy()
         if case["law"] == "given":

@@ -125,9 +125,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     ):
         for _ in range(2):
             problem.solve().raise_if_failed()
-        jump = problem._contact.jump
+        jump = problem._contact.surfaces.jump
         yield {
-            "dofs": problem._contact.summary.dofs,
+            "dofs": problem._contact.surfaces.summary.dofs,
             "multipliers": len(jump.stress_scale),
             "entries": int(jump.matrix.getInfo()["nz_used"]),
             "factored": factored.count,

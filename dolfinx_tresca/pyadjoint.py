@@ -105,9 +105,9 @@ class ContactProblem(_ContactProblem):
             for output in (u, self.solved):
                 block.add_output(output.block_variable)
             pyadjoint.get_working_tape().add_block(block)
-        assert self._contact.solved is not None
-        dual, multipliers, found = self._contact.solved
-        self._contact.solved = dual, multipliers, dataclasses.replace(found, u=u)
+        solved = self._contact.solved
+        assert solved is not None
+        solved.fields = dataclasses.replace(solved.fields, u=u)
         return dataclasses.replace(solution, u=u, w=u)
 
     def accept(self, *, unconverged: bool = False) -> None:
@@ -156,17 +156,17 @@ class ContactProblem(_ContactProblem):
         contact.check_not_destroyed()
         if contact.linear.outdated:
             self.update_stiffness()
-        contact.begin_solve()
-        contact.align_tangents(contact.slip_bounds())
-        return contact.steps.start
+        surfaces = contact.surfaces
+        surfaces.begin_solve()
+        surfaces.align_tangents(surfaces.slip_bounds())
+        return surfaces.steps.start
 
     def content_of_solve(self) -> _Content:
         """Return the last solution, and the state after it if it is accepted. Collective."""
-        contact = self._contact
-        assert contact.solved is not None
-        dual, multipliers, found = contact.solved
-        step = SolvedStep(dual, multipliers, found.u, contact.slip_bounds())
-        return _Content(step, contact.steps.end)
+        surfaces, solved = self._contact.surfaces, self._contact.solved
+        assert solved is not None
+        step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, surfaces.slip_bounds())
+        return _Content(step, surfaces.steps.end)
 
     def solve_again(self, start: StepStart, options: dict[str, Any]) -> _Content:
         """Solve from a given state with the present values of all inputs. Collective.
@@ -175,11 +175,11 @@ class ContactProblem(_ContactProblem):
             ContactError: the pairing of the surfaces has changed.
             ConvergenceError: the solve failed.
         """
-        contact = self._contact
-        jump = contact.jump
-        contact.steps.return_to(start)
+        surfaces = self._contact.surfaces
+        jump = surfaces.jump
+        surfaces.steps.return_to(start)
         self.start_of_solve()
-        if contact.jump is not jump:
+        if surfaces.jump is not jump:
             raise ContactError(
                 "the pairing of the surfaces, or the direction of friction, has changed since the "
                 "solve on the tape: move obstacles and turn friction between tapes only."
@@ -200,8 +200,9 @@ class ContactProblem(_ContactProblem):
         """
         key = tuple(map(id, controls))
         if key not in self._differentiations:
+            values = self._contact.surfaces.nodal_values
             self._differentiations[key] = Differentiation(
-                self.pairs, self._forms_at(self._u), self._u, self._contact.nodal_values, controls
+                self.pairs, self._forms_at(self._u), self._u, values, controls
             )
         return self._differentiations[key].backwards(
             content.step, cotangent.goals, cotangent.on_origin, on_u
@@ -209,8 +210,8 @@ class ContactProblem(_ContactProblem):
 
     def has_present_stiffness(self, content: _Content) -> bool:
         """Return whether a recorded solve used the K of the present inputs. Collective."""
-        contact = self._contact
-        return content.step.dual.compliance is contact.compliance and not contact.linear.outdated
+        compliance = self._contact.surfaces.compliance
+        return content.step.dual.compliance is compliance and not self._contact.linear.outdated
 
 
 @dataclass(frozen=True)

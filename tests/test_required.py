@@ -18,12 +18,12 @@ from scenes.two_bricks import bricks_problem, two_bricks
 
 def multipliers(comm, problem) -> int:
     """How many there are on all ranks."""
-    return comm.allreduce(len(problem._contact.jump.stress_scale), op=MPI.SUM)
+    return comm.allreduce(len(problem._contact.surfaces.jump.stress_scale), op=MPI.SUM)
 
 
 def entries(problem) -> int:
     """Of N and T together."""
-    return int(problem._contact.jump.matrix.getInfo(2)["nz_used"])  # 2: of all ranks
+    return int(problem._contact.surfaces.jump.matrix.getInfo(2)["nz_used"])  # 2: of all ranks
 
 
 def test_a_mixed_scene_has_the_sum(comm):

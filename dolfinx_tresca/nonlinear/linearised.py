@@ -46,6 +46,7 @@ class TangentProblem:
             taken.
         tangent: the linear system of a step.
         contact: the contact problem whose K is the tangent.
+        surfaces: the contact surfaces of this problem.
     """
 
     def __init__(
@@ -94,9 +95,10 @@ class TangentProblem:
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
-        self.contact.steps.u = u
+        self.surfaces = self.contact.surfaces
+        self.surfaces.steps.u = u
         # motions of the obstacles at the start and at the end of a solve
-        self._places = (self.contact.obstacles.motions,) * 2
+        self._places = (self.surfaces.obstacles.motions,) * 2
         self._moves_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
@@ -147,7 +149,7 @@ class TangentProblem:
         Raises:
             Exception: an error of the user's functions, on all ranks.
         """
-        last = self.contact.steps.last
+        last = self.surfaces.steps.last
         if self._has_history and last is not None:
             with self._at(last[2].x.array):
                 self._solved_forces = self.tangent.internal_forces()
@@ -173,19 +175,6 @@ class TangentProblem:
     def comm(self) -> Any:
         """The communicator of the mesh."""
         return self.contact.comm
-
-    def update_geometry(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u. Collective.
-
-        Args:
-            u: displacement [length].
-
-        Raises:
-            InputError: u is no displacement of the problem.
-            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
-            StiffnessError: a solve with the tangent failed.
-        """
-        self.contact.update_geometry(u)
 
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
@@ -226,7 +215,7 @@ class TangentProblem:
         Args:
             factor: stiffness C of each spring, relative to the stiffness of the row's node.
         """
-        B = self.contact.jump.matrix.copy()
+        B = self.surfaces.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
         rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
         columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
@@ -238,7 +227,7 @@ class TangentProblem:
 
     def _nodal_stiffness(self) -> Array:
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
-        jump = self.contact.jump
+        jump = self.surfaces.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with self._at(self._reference):
                 self.tangent.assemble_stiffness()
@@ -251,10 +240,10 @@ class TangentProblem:
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
         are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
         """
-        jump, multipliers = self.contact.jump, self.contact.steps.multipliers
+        jump, multipliers = self.surfaces.jump, self.surfaces.steps.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
             return self._touching()
-        lam = jump.bounded(self.contact.slip_bounds()).section(multipliers)
+        lam = jump.bounded(self.surfaces.slip_bounds()).section(multipliers)
         sticks = lam.norms(multipliers) < STICKING * lam.radius
         held: Mask = np.ones(len(multipliers), dtype=np.bool_)
         held[lam.normal] = multipliers[lam.normal] > 0.0
@@ -263,7 +252,7 @@ class TangentProblem:
 
     def _touching(self) -> Mask:
         """Return which rows (size,) of B belong to nodes whose gap is closed at u_k. Collective."""
-        jump = self.contact.jump
+        jump = self.surfaces.jump
         closed = jump.of(self.u.x.petsc_vec)
         largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)
         held: Mask = np.ones(len(closed), dtype=np.bool_)
@@ -296,15 +285,15 @@ class TangentProblem:
 
         Not collective.
         """
-        steps, configuration = self.contact.steps, self.contact.sliding.origin.copy()
+        steps, configuration = self.surfaces.steps, self.surfaces.sliding.origin.copy()
         return self.u.x.array.copy(), configuration, steps.multipliers, steps.last
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
         self.u.x.array[:], configuration, multipliers, last = state
-        if not self.contact.sliding.began_at(configuration):
-            self.contact.update_configuration(configuration)
-        self.contact.steps.multipliers, self.contact.steps.last = multipliers, last
+        if not self.surfaces.sliding.began_at(configuration):
+            self.surfaces.update_configuration(configuration)
+        self.surfaces.steps.multipliers, self.surfaces.steps.last = multipliers, last
 
     def begin(self) -> None:
         """Prepare a solve: check u, return to the accepted state, align the rows of B. Collective.
@@ -322,24 +311,24 @@ class TangentProblem:
                 raise InputError(
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
-        steps, before = self.contact.steps, self.contact.steps.motions
-        self.contact.begin_solve()
+        steps, before = self.surfaces.steps, self.surfaces.steps.motions
+        self.surfaces.begin_solve()
         accepted = steps.accepted_u
         same = accepted is not None and np.array_equal(accepted.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = steps.accepted_motions  # a trial may have left obstacles elsewhere
-        self._places = before, self.contact.obstacles.motions
+        self._places = before, self.surfaces.obstacles.motions
         self.tangent.forget_material()  # the caller may have changed its history
         self.tangent.check_functions()
         self._solved_forces = None
         if self._has_history:
             self._reference = self.u.x.array.copy()
-        self.contact.align_tangents(self.contact.slip_bounds())
+        self.surfaces.align_tangents(self.surfaces.slip_bounds())
 
     def begin_load(self) -> None:
         """Begin the change of load at the present u and contact forces. Collective."""
         self._moves_in_parts = False
-        self.tangent.begin(self.contact.contact_forces())
+        self.tangent.begin(self.surfaces.contact_forces())
 
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
@@ -361,13 +350,13 @@ class TangentProblem:
 
     def _place_obstacles(self, fraction: float) -> None:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
-        obstacles = self.contact.obstacles
+        obstacles = self.surfaces.obstacles
         obstacles.motions = obstacles.between(*self._places, fraction)
-        self.contact.pair_where_changed(self.contact.sliding.origin.copy())
+        self.surfaces.pair_where_changed(self.surfaces.sliding.origin.copy())
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
-        self.contact.obstacles.motions = self._places[1]
+        self.surfaces.obstacles.motions = self._places[1]
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
@@ -377,21 +366,21 @@ class TangentProblem:
         simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
         In a mixed space `MixedNorm` takes the place of the energy norm.
         """
-        return self._norm_of_correction(self.tangent.residual(self.contact.contact_forces()))
+        return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
 
         The result is NaN if F is not finite. In a mixed space it is the `MixedNorm` of K^-1 F.
         """
-        force = self.contact.jump.matrix.createVecRight()
+        force = self.surfaces.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):
             force.destroy()
             return float("nan")
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
-        solver = self.contact.compliance.operator.solver
+        solver = self.surfaces.compliance.operator.solver
         solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
         square = float(force.dot(motion))
         force.destroy()

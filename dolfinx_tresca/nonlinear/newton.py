@@ -151,8 +151,8 @@ class Newton:
         number, slow = 0, False
         errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
-        if problem.contact.slides_far:
-            self._sliding = FiniteSliding(problem.contact)
+        if problem.surfaces.slides_far:
+            self._sliding = FiniteSliding(problem.surfaces)
             self.level = 0  # springs hold the partners of another configuration
             try:
                 with suppress(StiffnessError):  # the steps will add stiffness

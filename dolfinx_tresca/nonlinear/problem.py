@@ -10,9 +10,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
-from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
@@ -20,9 +18,9 @@ from dolfinx_tresca.nonlinear.newton import Newton
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.problem.contact_system import LastSolve
 from dolfinx_tresca.problem.process import ContactProcess, check_units
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
@@ -232,12 +230,9 @@ class NonlinearContactProblem(ContactProcess):
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with the tangent failed.
         """
-        self._update_geometry(self._linearised.displacement if u is None else u)
+        self._contact.update_geometry(self._linearised.displacement if u is None else u)
 
-    def _update_geometry(self, u: fem.Function) -> None:
-        self._linearised.update_geometry(u)
-
-    def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
+    def _solved_for(self, purpose: str) -> LastSolve:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
         Derivatives need this tangent, but the last assembled tangent belongs to the previous
@@ -256,7 +251,7 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the form F of the displacement alone, and not that of a mixed "
                 "space: compare two solutions."
             )
-        if contact.solved is None or contact.steps.last is None:
+        if contact.solved is None or contact.surfaces.steps.last is None:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
             )
@@ -275,8 +270,8 @@ class NonlinearContactProblem(ContactProcess):
                     f"it is not at this solution: {error} Compare two solutions."
                 ) from error
             contact.solve(self.options, self.units, lambda _: False)
-            dual, multipliers, found = contact.solved
-            change = problem.energy_norm(found.u.x.array - self.u.x.array)
+            solved = contact.solved
+            change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size = problem.energy_norm(self.u.x.array)
         finally:
             problem.state = state
@@ -285,7 +280,8 @@ class NonlinearContactProblem(ContactProcess):
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."
             )
-        return dual, multipliers, dataclasses.replace(found, u=contact.steps.last[2])
+        fields = dataclasses.replace(solved.fields, u=contact.surfaces.steps.last[2])
+        return dataclasses.replace(solved, fields=fields)
 
     def _forms_at(self, u: fem.Function) -> Forms:
         """Return F, as a function of its test function, and J, with their conditions.
@@ -344,7 +340,7 @@ class NonlinearContactProblem(ContactProcess):
         self._solves += 1
         run = Newton(self._linearised, newton, options, self.units, observer, self._level)
         run.run()
-        self._contact.steps.end_solve()
+        self._contact.surfaces.steps.end_solve()
         self._linearised.note_forces()
         if run.found is None:
             raise StiffnessError(
@@ -352,12 +348,12 @@ class NonlinearContactProblem(ContactProcess):
                 "at another one, such as zero."
             )
         self._level, found = run.level, run.found
-        if self._contact.slides_far:
+        if self._contact.surfaces.slides_far:
             self._contact.check_displacement(found.u)
         status, message = found.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
-            self._contact.steps.set_last_status(status)
+            self._contact.surfaces.steps.set_last_status(status)
             message = (
                 f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
                 f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "

@@ -1,9 +1,10 @@
-"""The discretised contact problem: K, the contact operators, and accepted load steps."""
+"""The discretised contact problem: one solve, and the record of the last solve."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -13,61 +14,52 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._base.owner import PetscOwner, free_unused
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
-from dolfinx_tresca.dual.history.load_steps import LoadSteps
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
-from dolfinx_tresca.dual.initial_guess import InitialGuess
-from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import moved_jump
-from dolfinx_tresca.dual.nodal_values import NodalValues
-from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
-from dolfinx_tresca.errors import ContactError, InputError, MechanismError
-from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.floating.fixing import fixing_springs
-from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
+from dolfinx_tresca.dual.slip_bounds import NodalBounds
+from dolfinx_tresca.errors import ContactError, MechanismError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row
-from dolfinx_tresca.pairing.choice import pair_surfaces
-from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.friction_checks import (
-    check_curves,
-    check_curves_of_floating_bodies,
-    depends_on_pressure,
-)
-from dolfinx_tresca.problem.obstacles import Obstacles
+from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
+from dolfinx_tresca.problem.factorisation import Factorisation
+from dolfinx_tresca.problem.friction_checks import check_curves, check_curves_of_floating_bodies
 from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.hints import (
-    hint_at_displacement,
-    hint_at_scene,
-)
-from dolfinx_tresca.solution.sliding import Sliding
+from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import (
-    ChosenMethod,
-    StiffnessMethod,
-    check_choice,
-    choose,
-    solver_for,
-)
-from dolfinx_tresca.stiffness.nested import is_nested
-from dolfinx_tresca.stiffness.solver import check_options
+from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
 
 
+@dataclass
+class LastSolve:
+    """The record of the last solve.
+
+    Attributes:
+        dual: the dual problem.
+        multipliers: (size,) solution of the dual problem.
+        fields: the fields of the solution.
+        inputs: load, slip bounds and added gaps.
+        options: options of the contact algorithm.
+        moved: (pairs,) whether the pair's obstacle moves in this load step.
+    """
+
+    dual: DualProgram
+    multipliers: Array
+    fields: Evaluation
+    inputs: list[Array]
+    options: SolverOptions
+    moved: Mask
+
+
 class ContactSystem(PetscOwner):
-    """A discretised contact problem: K, B, the laws of friction, and the accepted load steps.
+    """A discretised contact problem: K, the contact surfaces, and the last solve.
 
     A linear problem uses one such system for all solves. Newton's method for nonlinear bodies also
     uses one; its K is the present tangent.
@@ -75,22 +67,7 @@ class ContactSystem(PetscOwner):
     Attributes:
         linear: the system K u = f with its Dirichlet conditions.
         pairs: the surfaces that may touch.
-        jump: the operator B, which maps displacements to jumps across the contact surfaces.
-        compliance: A = B K^-1 B', with K factored.
-        steps: the multipliers at which the next solve starts, and the accepted load steps.
-        surfaces: the secondary side of each pair.
-        sliding: the displacement at which surfaces were last paired, and a check of the slip since
-            this pairing.
-        geometry: displacement at which pairs without finite sliding were paired.
-        obstacles: the rigid obstacles and their positions.
-        summary: the sizes of the problem.
-        slides_far: whether a pair has finite sliding.
-        stiffness: the chosen solver for K.
-        solved: the last solve's dual problem, its multipliers and its fields; None if there was no
-            solve since the last change.
-        options_of_solve: options of the last solve.
-        moved_in_solve: (pairs,) whether the pair's obstacle moves in the load step of the last
-            solve.
+        surfaces: these surfaces as they are paired now, with B, A and the load steps.
     """
 
     def __init__(
@@ -118,108 +95,52 @@ class ContactSystem(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs = linear, pairs
-        self._finite_sliding = np.array(
-            [pair.sliding == "finite" for pair in pairs], dtype=np.bool_
-        )
-        self.slides_far = bool(self._finite_sliding.any())
-        self._accepted_configuration: fem.Function | None = None
-        self.obstacles = Obstacles(linear.V, pairs)
-        self._petsc_options = {} if petsc_options is None else petsc_options
-        self._petsc_options_prefix = petsc_options_prefix
-        self._setup_timings: dict[str, float] = {}
+        self._last_solve: LastSolve | None = None
         self._destroyed = self._has_hinted_at_displacement = False
-        self._operators: tuple[ContactOperators, ...] | None = None
-        self.solved: tuple[DualProgram, Array, Evaluation] | None = None
-        self._inputs_of_solve: list[Array] = []
-        self.options_of_solve = SolverOptions()
-        self.moved_in_solve = np.zeros(len(pairs), dtype=np.bool_)
         try:
-            check_options(self._petsc_options, petsc_options_prefix)
-            check_choice(stiffness, expected_solves, saddle=linear.component is not None)
-            self._requested_stiffness = stiffness, int(expected_solves)
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
-            if self.comm.rank == 0:
-                warn_of_slow_blas()
-            self._set_up()
+            cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
+            self._stiffness = Factorisation(
+                linear,
+                cell_tags[0] if cell_tags else None,
+                stiffness,
+                expected_solves,
+                {} if petsc_options is None else petsc_options,
+                petsc_options_prefix,
+            )
+            self.surfaces = ContactSurfaces(linear, pairs, self._stiffness)
         except ContactError:
             linear.destroy()
             raise
-
-    def _set_up(self) -> None:
-        """Pair the surfaces, and assemble and factor K. Collective."""
-        V, pairs = self.linear.V, self.pairs
-        with timed("pairing", self._setup_timings):
-            prescribed = self.linear.prescribed_displacements
-            operators = [
-                pair_surfaces(V, prescribed, pair, axisymmetric=self.linear.axisymmetric)
-                for pair in pairs
-            ]
-            self.surfaces = [Surface.of(V, pair) for pair in pairs]
-            self._slip_bounds = SlipBounds(V)
-            for pair, on_nodes in zip(pairs, operators, strict=True):
-                self._slip_bounds.check(pair.friction, on_nodes.nodes)
-        self.jump = JumpOperator(self.linear, operators)
-        with destroyed_on_error(self.jump):
-            self._update_gaps()
-        operators = self.jump.pairs
-        cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
-        self._bodies = Bodies.of(V, cell_tags[0] if cell_tags else None)
-        self.summary = ProblemSummary.of(self.linear, pairs, operators)
-        self._guess = InitialGuess(self.jump)
-        self.sliding = Sliding(V)
-        self.geometry = fem.Function(V)
-        self.obstacles.note_pairing(self.jump)
-        self.steps = LoadSteps(
-            self.jump,
-            self.obstacles.motions,
-            depends_on_start=any(map(depends_on_pressure, pairs)),
-        )
-        with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
-            self.compliance = self._factored()
-            with destroyed_on_error(self.compliance):
-                rounding = self.compliance.stress_rounding
-                for pair, on_nodes in zip(pairs, operators, strict=True):
-                    self._slip_bounds.check_numbers(pair.friction, on_nodes.nodes, rounding)
-        hint_at_scene(V, pairs, operators, self._bodies)
+        hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self._stiffness.bodies)
 
     @property
     def comm(self) -> Any:
         """The communicator of the mesh."""
         return self.linear.comm
 
+    @property
+    def solved(self) -> LastSolve | None:
+        """The last solve; None if there was none since K or the pairing changed."""
+        last = self._last_solve
+        known = last is not None and last.dual.compliance is self.surfaces.compliance
+        return last if known else None
+
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
-            ("bodies", f"{self._bodies.number}{self._modes.summary}"),
-            *self.summary.rows(units),
-            ("solver for K", str(self.compliance.operator.solver)),
-            ("chosen", self._stiffness_reason),
+            ("bodies", self._stiffness.bodies_found),
+            *self.surfaces.summary.rows(units),
+            ("solver for K", str(self.surfaces.compliance.operator.solver)),
+            ("chosen", self._stiffness.reason),
         ]
 
     def __repr__(self) -> str:
+        summary = self.surfaces.summary
         return (
-            f"{self.summary.dofs} displacements, {self.summary.contact_nodes} contact nodes in "
-            f"{len(self.pairs)} pair(s), {self.stiffness}"
+            f"{summary.dofs} displacements, {summary.contact_nodes} contact nodes in "
+            f"{len(self.pairs)} pair(s), {self._stiffness.method}"
         )
-
-    @property
-    def operators(self) -> tuple[ContactOperators, ...]:
-        """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective.
-
-        Raises:
-            ContactError: the problem was destroyed.
-            InputError: a gap has values that are NaN or infinite.
-        """
-        self.check_not_destroyed()
-        self._update_gaps()
-        if self._operators is None:
-            component = self.linear.component
-            columns = () if component is None else (component.columns,)
-            self._operators = tuple(
-                ContactOperators(self.linear.V, operators, pair, *columns)
-                for operators, pair in zip(self.jump.pairs, self.pairs, strict=True)
-            )
-        return self._operators
 
     def check_not_destroyed(self) -> None:
         """Check that the PETSc objects exist. Not collective.
@@ -233,38 +154,14 @@ class ContactSystem(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._destroyed = True
-        self._drop_operators()
-        for owner in (self.nodal_values, self.compliance, self._guess, self.jump, self.linear):
-            owner.destroy()
-
-    def _drop_operators(self) -> None:
-        """Free the operators that users have received. Collective."""
-        for owner in self._operators or ():
-            owner.destroy()
-        self._operators = None
+        self.surfaces.destroy()
+        self.linear.destroy()
 
     def forget(self) -> None:
         """Drop multipliers and products: the next solve starts from zero. Not collective."""
-        self.steps.forget()
-        self.solved = None
-        self.compliance.forget()
-
-    def slip_bounds(self) -> list[NodalBounds]:
-        """Return the present slip bounds at each pair's nodes. Collective.
-
-        Raises:
-            InputError: a bound is wrong.
-        """
-        rounding = self.compliance.stress_rounding
-        return [
-            self._slip_bounds.at(pair.friction, operators.nodes, rounding)
-            for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
-        ]
-
-    @property
-    def nodal_values(self) -> NodalValues:
-        """The object that evaluates users' fields at the nodes of the displacement."""
-        return self._slip_bounds.values
+        self._last_solve = None
+        self.surfaces.steps.forget()
+        self.surfaces.compliance.forget()
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
         """Return load, slip bounds and added gaps, to compare two solves. Not collective."""
@@ -273,7 +170,7 @@ class ContactSystem(PetscOwner):
             result += [one.constant, one.coefficient, one.limit]
             if one.ellipses is not None:
                 result += [one.ellipses.shape, one.ellipses.direction]
-        return result + [on_nodes.added_gap for on_nodes in self.jump.pairs]
+        return result + [on_nodes.added_gap for on_nodes in self.surfaces.jump.pairs]
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
@@ -288,62 +185,23 @@ class ContactSystem(PetscOwner):
             InputError: a gap, a slip bound or a coefficient of friction has a value that is not
                 allowed.
         """
-        status = ContactStatus.CONVERGED if self.steps.last is None else self.steps.last[0]
+        surfaces, solved, last = self.surfaces, self.solved, self.surfaces.steps.last
+        assert solved is not None
+        status = ContactStatus.CONVERGED if last is None else last[0]
         if status is not ContactStatus.CONVERGED:
             raise ContactError(
                 f"{purpose} needs a solution, and the last solve ended with {status.name}."
             )
         self.linear.assemble_load()
-        self._update_gaps()
-        now = self._inputs(self.slip_bounds())
-        same = all(map(np.array_equal, now, self._inputs_of_solve))
-        same &= not self.obstacles.changed(self.jump).any()
+        surfaces.update_gaps()
+        now = self._inputs(surfaces.slip_bounds())
+        same = all(map(np.array_equal, now, solved.inputs))
+        same &= not surfaces.obstacles.changed(surfaces.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise ContactError(
                 "loads, prescribed values, slip bounds or gaps have changed since the solution "
                 f"that {purpose} is for: call solve()."
             )
-
-    def _update_gaps(self) -> None:
-        """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
-
-        Raises:
-            InputError: a gap is on another mesh, or is NaN or infinite.
-        """
-        gaps = [
-            np.zeros(len(on.nodes))
-            if pair.gap is None
-            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
-            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
-        ]
-        changed = [
-            not np.array_equal(gap, on.added_gap)
-            for gap, on in zip(gaps, self.jump.pairs, strict=True)
-        ]
-        with errors_on_all_ranks(self.comm):
-            for pair, gap in zip(self.pairs, gaps, strict=True):
-                if not np.isfinite(gap).all():
-                    raise InputError(
-                        f"the gap of contact pair {pair} has values that are NaN or infinite. For "
-                        "surfaces that cannot touch give no pair."
-                    )
-        if self.comm.allreduce(any(changed), op=MPI.LOR):
-            self.jump.add_gaps(gaps)
-            self._drop_operators()
-
-    def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
-        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
-
-        If the axes differ from the axes of the last solve, A becomes another matrix, and only the
-        far field of the known products is kept.
-
-        Raises:
-            InputError: the direction of orthotropic friction is normal to the surface.
-        """
-        jump = self.jump.along_axes(bounds)
-        if jump is not self.jump:
-            self.steps.rotate_tangents(jump)
-            self._replace_jump(jump)
 
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
@@ -359,13 +217,10 @@ class ContactSystem(PetscOwner):
         """
         self.check_not_destroyed()
         self.linear.check_displacement("the displacement u of the surfaces", u)
-        self.note_obstacles()
-        jump = moved_jump(self.jump, self.pairs, u)
-        self.steps.move(jump, u, continues=self._ended_at(u))
-        self._replace_jump(jump)
-        self.geometry = u.copy()
-        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
-        self.sliding.begin(u)
+        solved = self.solved
+        same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
+        continues = self.comm.allreduce(same, op=MPI.LAND)
+        self.surfaces.update_geometry(u, continues=continues)
 
     @contextmanager
     def restored(self) -> Iterator[None]:
@@ -374,125 +229,16 @@ class ContactSystem(PetscOwner):
         Inside the block, solves may start from other steps and with other inputs, but the pairing
         must not change. If K changes inside the block, the last solve is dropped.
         """
-        steps, compliance = self.steps, self.compliance
+        steps, last_solve = self.surfaces.steps, self._last_solve
         start, multipliers, last = steps.start, steps.multipliers, steps.last
-        solve = self.solved, self._inputs_of_solve, self.options_of_solve, self.moved_in_solve
         try:
             yield
         finally:
             steps.return_to(start)
             steps.multipliers, steps.last = multipliers, last
-            self.solved, self._inputs_of_solve, self.options_of_solve, self.moved_in_solve = solve
-            if self.compliance is not compliance:
-                self.solved = None
+            self._last_solve = last_solve
             self.linear.assemble_load()
-            self._update_gaps()
-
-    def accept(self, unconverged: bool) -> None:
-        """Make the last solution a load step. Not collective.
-
-        See `LoadSteps.accept`.
-        """
-        self.steps.accept(unconverged)
-        if self.slides_far:
-            self._accepted_configuration = self.sliding.origin.copy()
-
-    def begin_solve(self) -> None:
-        """Let the next solve start at the last accepted step if its result may depend on the start.
-
-        Pairs whose obstacle has moved since they were paired are paired anew. Collective.
-
-        Raises:
-            InputError: the signed distance of an obstacle is wrong.
-            PairingError: the surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
-        """
-        accepted = self._accepted_configuration
-        self.pair_where_changed(self.sliding.origin.copy() if accepted is None else accepted)
-        self.steps.begin_solve()
-
-    def pair_where_changed(self, u: fem.Function) -> None:
-        """Pair surfaces anew where the geometry has changed. Collective.
-
-        These are pairs whose obstacle has moved, and pairs with finite sliding not yet paired at u.
-
-        Args:
-            u: displacement [length] at which pairs with finite sliding are paired.
-
-        Raises:
-            InputError: the signed distance of an obstacle is wrong.
-            PairingError: the surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
-        """
-        moved = self.note_obstacles()
-        elsewhere = self._finite_sliding & (not self.sliding.began_at(u))
-        self._pair_anew(self.geometry, moved & ~self._finite_sliding)
-        self._pair_anew(u, (moved & self._finite_sliding) | elsewhere)
-        if elsewhere.any():
-            self.sliding.begin(u)
-
-    def note_obstacles(self) -> Mask:
-        """Record the present positions of the obstacles. Collective.
-
-        Returns:
-            (pairs,) whether the distance from the obstacle has changed since the pairing.
-        """
-        changed = self.obstacles.changed(self.jump)
-        before, self.steps.motions = self.steps.motions, self.obstacles.motions
-        same_place = (before == self.steps.motions).all(axis=(1, 2))
-        self.obstacles.warn_of_unknown_motions(changed, same_place)
-        return changed
-
-    def update_configuration(self, u: fem.Function) -> None:
-        """Pair surfaces with finite sliding in the configuration displaced by u. Collective.
-
-        Args:
-            u: displacement [length] in the problem's space.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
-        """
-        self._pair_anew(u, self._finite_sliding)
-        self.sliding.begin(u)
-
-    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
-        """Pair some surfaces in the configuration displaced by u. Collective.
-
-        With finite sliding the slip counts from the last accepted step. It is the displacement of a
-        node since this step, relative to the node's present partner and projected onto the node's
-        tangent plane in the configuration.
-
-        Args:
-            u: displacement [length] in the problem's space.
-            anew: (pairs,) True for pairs that are paired anew.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
-        """
-        if not anew.any():
-            return
-        with timed("pairing", self._setup_timings):
-            jump = moved_jump(self.jump, self.pairs, u, anew)
-            self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
-            self._replace_jump(jump)
-
-    def _history_of_solve(self) -> SlipHistory:
-        """Return the slip history whose origin moves with the obstacles in this step. Collective.
-
-        The slip on an obstacle then counts relative to the obstacle.
-        """
-        steps, jump = self.steps, self.jump
-        displacement = np.zeros(len(jump.gap))
-        for before, now, slides_far, (_, t) in zip(
-            steps.accepted_motions, steps.motions, self._finite_sliding, jump.slices, strict=True
-        ):
-            if not np.array_equal(before, now):
-                u = self.sliding.origin if slides_far else self.geometry
-                moved = self.obstacles.displacement(before, now, u)
-                displacement[t] = jump.of_displacement(moved)[t]
-        return steps.history.with_moved_obstacles(displacement)
+            self.surfaces.update_gaps()
 
     def check_displacement(self, u: fem.Function) -> None:
         """Log a warning, once, if a body is deformed by more than the extent of all bodies.
@@ -506,38 +252,7 @@ class ContactSystem(PetscOwner):
             u: displacement of a solution [length].
         """
         if not self._has_hinted_at_displacement:
-            self._has_hinted_at_displacement = hint_at_displacement(u, self._bodies)
-
-    def gaps_at_nodes(self, u: fem.Function) -> Array:
-        """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
-
-        They are NaN at nodes without a normal multiplier.
-        """
-        jump, V = self.jump, self.linear.V
-        gaps = (jump.gap - jump.of_displacement(u)) * jump.length_scale
-        result = np.full((len(self.pairs), V.dofmap.index_map.size_local), np.nan)
-        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
-            at_nodes[pair.nodes[pair.normal_node]] = gaps[n]
-        return result
-
-    def contact_forces(self) -> Array:
-        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self.jump.contact_force(self.steps.multipliers).array)
-
-    def _ended_at(self, u: fem.Function) -> bool:
-        """Return whether u is the displacement of the last solve. Collective."""
-        same = self.solved is not None and np.array_equal(self.solved[2].u.x.array, u.x.array)
-        return bool(self.comm.allreduce(same, op=MPI.LAND))
-
-    def _replace_jump(self, jump: JumpOperator) -> None:
-        """Replace B after a new pairing, and drop what depends on the old B. Collective."""
-        before, self.jump = self.jump, jump
-        self._guess.forget()
-        self.compliance = self.compliance.on(jump)
-        self._drop_operators()
-        self.obstacles.note_pairing(jump)
-        self.solved = None
-        before.destroy()
+            self._has_hinted_at_displacement = hint_at_displacement(u, self._stiffness.bodies)
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again. Collective.
@@ -547,89 +262,8 @@ class ContactSystem(PetscOwner):
             ContactError: the problem was destroyed.
         """
         self.check_not_destroyed()
-        self.solved = None
-        self.compliance.destroy()
-        self.compliance = self._factored(self.compliance)
-
-    def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
-        """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
-
-        Args:
-            before: A with the former K, whose far field the new A keeps; None: there is none.
-        """
-        linear, timings = self.linear, self._setup_timings
-        with timed("stiffness", timings):
-            linear.assemble_stiffness()
-            if before is None or linear.component is None:
-                # in later steps pressures make the block of the displacements indefinite even for
-                # a stable body; then the signs of pivots tell whether bodies are held
-                self._modes = weakly_resisted_modes(linear, self._bodies)
-        if before is None:
-            self.stiffness, self._stiffness_reason = self._chosen_stiffness()
-        springs = fixing_springs(self._modes, linear)
-        K = springs.added_to(linear.K) if springs else linear.K
-        try:
-            with timed(self.stiffness, timings):
-                solver = solver_for(
-                    self.stiffness, K, linear, self._petsc_options, self._petsc_options_prefix
-                )
-        finally:
-            if springs:
-                K.destroy()  # the solver has a reference of its own
-        with timed(self.stiffness, timings):  # for a saddle point this factors another matrix
-            return ContactCompliance(self.jump, solver, springs, before)
-
-    def _chosen_stiffness(self) -> tuple[ChosenMethod, str]:
-        """Return the solver for K that suits these bodies, and the reason. Not collective."""
-        method, expected_solves = self._requested_stiffness
-        V = self.linear.V
-        dim = V.dofmap.index_map_bs
-        return choose(
-            method,
-            dim * self._bodies.mean_nodes,
-            dim,
-            V.element.basix_element.degree,
-            expected_solves,
-            self.comm,
-            saddle=self.linear.component is not None,
-            refined=is_nested(V),
-        )
-
-    def _check_solvable(self, options: SolverOptions) -> None:
-        """Check that K is factored, and that the options suit the bodies and the form.
-
-        Not collective.
-
-        Raises:
-            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
-            InputError: the options need a form of UFL, or bodies without rigid motions.
-        """
-        linear = self.linear
-        if options.balanced and not linear.form_of_displacement:
-            found = "a is none" if linear.form is None else "a is on a mixed space"
-            raise InputError(
-                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
-                f"is estimated with a form of UFL of the displacement, and {found}. Give "
-                "solve(accuracy=1e-3), or a rtol."
-            )
-        if options.method != "projected_newton" and self._modes:
-            raise InputError(
-                f"method={options.method!r} needs bodies that are held by supports, but found "
-                f"{self._bodies.number}{self._modes.summary}. Take method='projected_newton'."
-            )
-        self.compliance.operator.solver.check_ready()
-
-    def _largest_of_one(self, values: Array) -> fem.Function:
-        """Return a motion with given owned values, scaled to a greatest nodal length of 1.
-
-        Collective.
-        """
-        motion = fem.Function(self.linear.V, name="motion")
-        lengths = np.linalg.norm(values.reshape(-1, motion.function_space.dofmap.bs), axis=1)
-        greatest = reduce_array(self.comm, lengths.max(initial=0.0), MPI.MAX)
-        motion.x.array[: len(values)] = values / greatest
-        motion.x.scatter_forward()
-        return motion
+        self._last_solve = None
+        self.surfaces.update_stiffness()
 
     def solve(
         self,
@@ -651,44 +285,44 @@ class ContactSystem(PetscOwner):
             MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
-        self._check_solvable(options)
-        timings, self._setup_timings = self._setup_timings, {}
-        self.steps.last = self.solved = None
-        self.options_of_solve = options
+        surfaces, steps, bodies = self.surfaces, self.surfaces.steps, self._stiffness.bodies
+        self._stiffness.check_suits(options)
+        surfaces.compliance.operator.solver.check_ready()
+        timings, surfaces.timings = surfaces.timings, {}
+        steps.last = self._last_solve = None
         with timed("load", timings):
             self.linear.assemble_load()
-            bounds = self.slip_bounds()
-            self.align_tangents(bounds)
-            self._update_gaps()
-            self._inputs_of_solve = self._inputs(bounds)
-            operator = self.compliance.operator
+            bounds = surfaces.slip_bounds()
+            surfaces.align_tangents(bounds)
+            surfaces.update_gaps()
+            inputs = self._inputs(bounds)
+            operator = surfaces.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
-            history = self._history_of_solve()
-            places = self.steps.accepted_motions, self.steps.motions
-            self.moved_in_solve = (places[0] != places[1]).any(axis=(1, 2))
+            history = surfaces.history_of_solve()
+            moved = (steps.accepted_motions != steps.motions).any(axis=(1, 2))
             try:
-                dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+                dual = DualProgram.of(surfaces.compliance, surfaces.guess, bounds, history)
             except MechanismError as error:
-                error.motion = self._largest_of_one(error.motion)
+                error.motion = _with_unit_maximum(error.motion, self.linear.V)
                 raise
             if dual.equilibrium is not None:
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
         found, evaluation, history = solve_to_bound(
-            dual, self.steps.multipliers, self.surfaces, self._bodies, options, observe, timings
+            dual, steps.multipliers, surfaces.secondary, bodies, options, observe, timings
         )
-        self.steps.multipliers = found.multipliers
+        steps.multipliers = found.multipliers
         status = found.status
-        check_curves(dual, found, self._slip_bounds)
+        check_curves(dual, found, surfaces.friction)
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
-        self.steps.last = status, history, evaluation.w
-        if not self.slides_far:
+        steps.last = status, history, evaluation.w
+        if not surfaces.slides_far:
             self.check_displacement(evaluation.u)
         if status is ContactStatus.CONVERGED:
-            self.sliding.warn(self.jump, self.pairs, evaluation.u, found.multipliers)
-        self.solved = dual, found.multipliers, evaluation
+            surfaces.sliding.warn(surfaces.jump, self.pairs, evaluation.u, found.multipliers)
+        self._last_solve = LastSolve(dual, found.multipliers, evaluation, inputs, options, moved)
         log(
             self.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -709,3 +343,16 @@ class ContactSystem(PetscOwner):
             sliding=sliding,
             **vars(evaluation),
         )
+
+
+def _with_unit_maximum(values: Array, V: Any) -> fem.Function:
+    """Return the motion in V with these owned values, divided by its greatest nodal length.
+
+    Collective.
+    """
+    motion = fem.Function(V, name="motion")
+    lengths = np.linalg.norm(values.reshape(-1, V.dofmap.bs), axis=1)
+    greatest = reduce_array(V.mesh.comm, lengths.max(initial=0.0), MPI.MAX)
+    motion.x.array[: len(values)] = values / greatest
+    motion.x.scatter_forward()
+    return motion

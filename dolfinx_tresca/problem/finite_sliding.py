@@ -17,6 +17,7 @@ from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
@@ -80,9 +81,9 @@ class FiniteSliding:
         configurations: number of configurations so far.
     """
 
-    def __init__(self, contact: ContactSystem) -> None:
+    def __init__(self, surfaces: ContactSurfaces) -> None:
         """Begin with the configuration in which the surfaces are paired now. Not collective."""
-        self._contact = contact
+        self._surfaces = surfaces
         self._forces: Array | None = None
         self._gaps: Array | None = None
         self._residual = math.inf  # |u - w|^2
@@ -113,26 +114,26 @@ class FiniteSliding:
             u: solution of the contact problem in the present configuration [length].
             start: relative residual that this problem started with, at the previous tractions.
         """
-        self._start = self._contact.comm.bcast(min(start, 1.0))
-        forces = np.array(self._contact.contact_forces())
+        self._start = self._surfaces.comm.bcast(min(start, 1.0))
+        forces = np.array(self._surfaces.contact_forces())
         last, self._forces = self._forces, forces
         changed = forces if last is None else forces - last
-        w = self._contact.sliding.origin.x.array.copy()
-        residual = (u.x.array - w)[: len(self._contact.linear.prescribed_displacements)]
+        w = self._surfaces.sliding.origin.x.array.copy()
+        residual = (u.x.array - w)[: len(self._surfaces.linear.prescribed_displacements)]
         square, size, distance = reduce_array(
-            self._contact.comm,
+            self._surfaces.comm,
             [float(one @ one) for one in (changed, forces, residual)],
         )
         residual_before, self._residual = self._residual, distance
         before, gaps = self.change, self._gaps
-        self._gaps = self._contact.gaps_at_nodes(u)
+        self._gaps = self._surfaces.gaps_at_nodes(u)
         if last is None or gaps is None:
             self.change = math.inf
         else:
             opened = np.nan_to_num(self._gaps - gaps)
-            step = u.x.array - self._contact.steps.accepted_values
+            step = u.x.array - self._surfaces.steps.accepted_values
             sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step, u.x.array)]
-            largest, moved, displaced = reduce_array(self._contact.comm, sizes, MPI.MAX)
+            largest, moved, displaced = reduce_array(self._surfaces.comm, sizes, MPI.MAX)
             moved = max(moved, SMALL_STEP * displaced)
             self.change = max(_ratio(square, size), _ratio(largest**2, moved**2))
         change, ratio = self.change, UNKNOWN_RATIO
@@ -144,7 +145,7 @@ class FiniteSliding:
         self._displaced.append(w)
         self._solved.append(u.x.array.copy())
         log(
-            self._contact.comm,
+            self._surfaces.comm,
             "finite sliding: configuration %d, change of forces and gaps %.1e",
             self.configurations,
             self.change,
@@ -160,12 +161,12 @@ class FiniteSliding:
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        contact, origin = self._contact, self._contact.sliding.origin
-        solver = contact.compliance.operator.solver
-        w = contact.linear.response_to_prescribed_values(solver, origin)
-        if contact.comm.allreduce(bool(w.x.array.any()), op=MPI.LOR):
+        surfaces, origin = self._surfaces, self._surfaces.sliding.origin
+        solver = surfaces.compliance.operator.solver
+        w = surfaces.linear.response_to_prescribed_values(solver, origin)
+        if surfaces.comm.allreduce(bool(w.x.array.any()), op=MPI.LOR):
             w.x.array[:] += origin.x.array
-            contact.update_configuration(w)
+            surfaces.update_configuration(w)
 
     def pair_next_configuration(self) -> None:
         """Pair the surfaces in the next configuration. Collective.
@@ -173,9 +174,9 @@ class FiniteSliding:
         Raises:
             PairingError: the displaced surfaces cannot be paired.
         """
-        w = fem.Function(self._contact.linear.V)
+        w = fem.Function(self._surfaces.linear.V)
         w.x.array[:] = self._next()
-        self._contact.update_configuration(w)
+        self._surfaces.update_configuration(w)
         self.configurations += 1
 
     def _next(self) -> Array:
@@ -184,13 +185,13 @@ class FiniteSliding:
         depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first u(w) is no approximation
         if depth < 1:
             return u
-        owned = len(self._contact.linear.prescribed_displacements)
+        owned = len(self._surfaces.linear.prescribed_displacements)
         residuals = [a - b for a, b in zip(self._solved, self._displaced, strict=True)]
         rows = [residuals[-1 - i] - residuals[-2 - i] for i in range(depth)]
         moves = [self._solved[-1 - i] - self._solved[-2 - i] for i in range(depth)]
         differences = np.array(rows)[:, :owned]
         gram, right = differences @ differences.T, differences @ (u - w)[:owned]
-        summed = reduce_array(self._contact.comm, np.append(gram.ravel(), right))
+        summed = reduce_array(self._surfaces.comm, np.append(gram.ravel(), right))
         matrix, vector = summed[: depth**2].reshape(depth, depth), summed[depth**2 :]
         lengths = np.sqrt(np.diag(matrix))
         lengths[lengths == 0.0] = 1.0
@@ -213,7 +214,7 @@ def solve_with_finite_sliding(
     Raises:
         PairingError: the surfaces of a configuration cannot be paired.
     """
-    sliding = FiniteSliding(contact)
+    sliding = FiniteSliding(contact.surfaces)
     sliding.pair_first_configuration()
     solutions: list[ContactSolution] = []
     failure = ""
@@ -241,7 +242,7 @@ def solve_with_finite_sliding(
                 observe(replace(last, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
-            contact.steps.set_last_status(ContactStatus.MAX_ITERATIONS)
+            contact.surfaces.steps.set_last_status(ContactStatus.MAX_ITERATIONS)
             solutions[-1] = replace(solution, options=options, status=ContactStatus.MAX_ITERATIONS)
             failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break

@@ -14,15 +14,13 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
-from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
-from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
 from dolfinx_tresca.problem.stall_watch import StallWatch
@@ -30,7 +28,6 @@ from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.goal_error import GoalError, goal_error
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
@@ -226,7 +223,7 @@ class ContactProblem(ContactProcess):
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
         """
-        self._update_geometry(u)
+        self._contact.update_geometry(u)
 
     @collective(comm_of_self, extra_values=_values_to_agree)
     def update_stiffness(self) -> None:
@@ -299,8 +296,9 @@ class ContactProblem(ContactProcess):
         )
         agreed = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         observe = StallWatch(self.comm, agreed)
-        self._contact.begin_solve()
-        solve = solve_with_finite_sliding if self._contact.slides_far else ContactSystem.solve
+        surfaces = self._contact.surfaces
+        surfaces.begin_solve()
+        solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
         solution = solve(self._contact, options, self.units, observe)
         self._warn_of_changed_form()
         return solution
@@ -335,11 +333,12 @@ class ContactProblem(ContactProcess):
             InputError: the goal is wrong, or `a` is no form of UFL, or is on a mixed space.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
-        contact = self._contact
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
-        dual, multipliers, found = self._solved_for("the error of a goal")
-        energy_error = found.energy_error_bound * dual.norm_of(found.u)
-        return goal_error(goal, dual, contact.surfaces, multipliers, found.u, energy_error)
+        solved = self._solved_for("the error of a goal")
+        dual, u = solved.dual, solved.fields.u
+        energy_error = solved.fields.energy_error_bound * dual.norm_of(u)
+        secondary = self._contact.surfaces.secondary
+        return goal_error(goal, dual, secondary, solved.multipliers, u, energy_error)
 
     @contextmanager
     def record(
@@ -379,8 +378,8 @@ class ContactProblem(ContactProcess):
         finally:
             self._tape = None
 
-    def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
-        """Return the dual problem, multipliers and fields of the last solve. Not collective.
+    def _solved_for(self, purpose: str) -> LastSolve:
+        """Return the record of the last solve. Not collective.
 
         Derivatives and error estimates need them.
 
@@ -403,9 +402,10 @@ class ContactProblem(ContactProcess):
                 f"coefficients of a have changed since the solution that {purpose} is for: call "
                 "update_stiffness() and solve()."
             )
-        if contact.solved is None:
+        solved = contact.solved
+        if solved is None:
             raise ContactError(f"there is no solution for {purpose}: call solve() first.")
-        return contact.solved
+        return solved
 
     def _forms_at(self, u: fem.Function) -> Forms:
         a, L = self._contact.linear.ufl_forms

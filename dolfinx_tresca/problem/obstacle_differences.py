@@ -47,15 +47,15 @@ def obstacle_differences(
         InputError: an obstacle moves in the load step of the last solve, or a node faces an
             obstacle at one of the two displaced positions only.
     """
-    obstacles = contact.obstacles
+    surfaces, obstacles = contact.surfaces, contact.surfaces.obstacles
     moves = obstacles.depending_on(constant)
     if not moves.any():
         return None
-    jump, origin = contact.jump, None
+    jump, origin = surfaces.jump, None
     if not in_all_steps:
-        assert contact.solved is not None
-        origin = contact.solved[0].history.origin
-        moves_in_step = moves & contact.moved_in_solve
+        solved = contact.solved
+        assert solved is not None
+        origin, moves_in_step = solved.dual.history.origin, moves & solved.moved
         for pair, moved, (_, t) in zip(contact.pairs, moves_in_step, jump.slices, strict=True):
             if moved and contact.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
                 raise InputError(
@@ -66,10 +66,10 @@ def obstacle_differences(
     if direction.any():
         size = obstacles.step_of_unit_change(constant, direction, jump)
     step = DIFFERENCE_STEP * obstacles.extent * (size if np.isfinite(size) else 0.0)
-    bounds, found = contact.slip_bounds(), []
+    bounds, found = surfaces.slip_bounds(), []
     for factor in (step, -step):
         with along(constant, direction, factor):
-            one = moved_jump(jump, contact.pairs, contact.geometry, moves)
+            one = moved_jump(jump, contact.pairs, surfaces.geometry, moves)
         turned = one.along_axes(bounds)
         if turned is not one:
             one.destroy()

@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.adjoint import EdgeState
@@ -21,19 +21,17 @@ from dolfinx_tresca.dual.history.saved_displacement import read_displacements, r
 from dolfinx_tresca.dual.history.saved_file import MATERIAL
 from dolfinx_tresca.dual.history.saved_state import read_motions
 from dolfinx_tresca.dual.history.slip_history import SlipHistory
-from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.control_vector import checked_controls
-from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.goal_error import value_of
 from dolfinx_tresca.solution.gradient import (
     Differentiation,
@@ -86,7 +84,7 @@ class ContactProcess(PetscOwner, Tabulated):
     @property
     def solves_exactly(self) -> bool:
         """Whether solves with K are exact to rounding, since K is factored. Not collective."""
-        return self._contact.compliance.operator.exact
+        return self._contact.surfaces.compliance.operator.exact
 
     @property
     def mesh(self) -> Any:
@@ -99,12 +97,12 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Prescribed degrees of freedom are not counted.
         """
-        return self._contact.summary.free_dofs
+        return self._contact.surfaces.summary.free_dofs
 
     @property
     def contact_nodes(self) -> int:
         """m, the number of nodes with multipliers, of all pairs and ranks. Not collective."""
-        return self._contact.summary.contact_nodes
+        return self._contact.surfaces.summary.contact_nodes
 
     @property
     def prescribed(self) -> Mask:
@@ -121,7 +119,8 @@ class ContactProcess(PetscOwner, Tabulated):
         N and T act on the whole displacement, prescribed degrees of freedom included. Tangents are
         those of the last solve: orthotropic friction may turn them.
         """
-        return self._contact.operators
+        self._contact.check_not_destroyed()
+        return self._contact.surfaces.operators
 
     def _rows(self) -> list[Row]:
         target = ("method", f"{self.options.method}, {self.options.target}")
@@ -164,8 +163,8 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: the last solve failed.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
-            self._advance_material(self._contact.steps.acceptable(unconverged)[1])
-            self._contact.accept(unconverged)
+            self._advance_material(self._contact.surfaces.steps.acceptable(unconverged)[1])
+            self._contact.surfaces.accept(unconverged)
 
     def _advance_material(self, u: fem.Function) -> None:
         """Advance the history of the material, if it has one, to the state at u. Collective.
@@ -192,12 +191,8 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_not_destroyed()
         if u is not None:
             self._contact.linear.check_displacement("the slip origin", u, " or None,")
-        self._contact.note_obstacles()
-        self._contact.steps.begin_at(u)
-
-    def _update_geometry(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u. Collective."""
-        self._contact.update_geometry(u)
+        self._contact.surfaces.note_obstacles()
+        self._contact.surfaces.steps.begin_at(u)
 
     @collective(comm_of_self)
     def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
@@ -228,7 +223,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 f"start_from needs a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
             )
-        contact = self._contact
+        surfaces = self._contact.surfaces
         if accepted:
             if any(pair.sliding == "finite" for pair in self.pairs):
                 raise InputError(
@@ -236,13 +231,13 @@ class ContactProcess(PetscOwner, Tabulated):
                     "slip from the displacement of that step. Take accepted=False."
                 )
             solution.raise_if_failed()
-            contact.note_obstacles()
-            slips = slip_from(solution.surfaces, contact.jump)
-            contact.steps.begin_with(
-                SlipHistory.from_slip(contact.jump, slips, solution.total_dissipation)
+            surfaces.note_obstacles()
+            slips = slip_from(solution.surfaces, surfaces.jump)
+            surfaces.steps.begin_with(
+                SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
             )
-        contact.steps.start_at(stress_from(solution.surfaces, contact.jump))
-        contact.compliance.expect_start()
+        surfaces.steps.start_at(stress_from(solution.surfaces, surfaces.jump))
+        surfaces.compliance.expect_start()
 
     @collective(comm_of_self, ignored=("path",))
     def save_state(
@@ -269,7 +264,8 @@ class ContactProcess(PetscOwner, Tabulated):
         if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
-        self._contact.steps.save(path, number, self._contact.sliding.moved_by, material)
+        surfaces = self._contact.surfaces
+        surfaces.steps.save(path, number, surfaces.sliding.moved_by, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
@@ -292,23 +288,23 @@ class ContactProcess(PetscOwner, Tabulated):
                 laws of another kind (with friction, without friction, bonded), or to another
                 number of Functions of the material; then nothing has changed.
         """
-        contact = self._contact
+        surfaces, V = self._contact.surfaces, self._contact.linear.V
         path = Path(self.comm.bcast(str(path)))
         self._check_material(material)
         remembered = read_functions(path, material, self.comm, MATERIAL)
-        found = read_displacements(path, contact.linear.V, ("u", "moved_by", "accepted_u"))
-        before = contact.sliding.origin.copy()
-        moved_by = found.get("moved_by", fem.Function(contact.linear.V))
-        places = contact.obstacles.motions
-        contact.obstacles.motions = read_motions(path, self.comm, len(self.pairs))
+        found = read_displacements(path, V, ("u", "moved_by", "accepted_u"))
+        before = surfaces.sliding.origin.copy()
+        moved_by = found.get("moved_by", fem.Function(V))
+        places = surfaces.obstacles.motions
+        surfaces.obstacles.motions = read_motions(path, self.comm, len(self.pairs))
         self._pair_at(moved_by)
         try:
-            step = contact.steps.load(path, found.get("u"), found.get("accepted_u"))
+            step = surfaces.steps.load(path, found.get("u"), found.get("accepted_u"))
         except InputError:
-            contact.obstacles.motions = places
+            surfaces.obstacles.motions = places
             self._pair_at(before)
             raise
-        contact.compliance.expect_start()
+        surfaces.compliance.expect_start()
         for function, values in zip(material, remembered, strict=True):
             function.x.array[:] = values
         return step
@@ -330,10 +326,10 @@ class ContactProcess(PetscOwner, Tabulated):
 
     def _pair_at(self, u: fem.Function) -> None:
         """Pair surfaces in the configuration displaced by u, if they are not yet. Collective."""
-        if self._contact.sliding.began_at(u):
-            self._contact.pair_where_changed(u)
+        if self._contact.surfaces.sliding.began_at(u):
+            self._contact.surfaces.pair_where_changed(u)
         else:
-            self._update_geometry(u)
+            self._contact.update_geometry(u)
 
     @collective(comm_of_self)
     def goal_value(self, goal: Goal) -> float:
@@ -348,10 +344,10 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         self._contact.check_not_destroyed()
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
-        if self._contact.solved is None:
+        solved = self._contact.solved
+        if solved is None:
             raise ContactError("there is no solution for the value of a goal: call solve() first.")
-        dual, multipliers, found = self._contact.solved
-        return value_of(goal, dual, multipliers, found.u)
+        return value_of(goal, solved.dual, solved.multipliers, solved.fields.u)
 
     @collective(comm_of_self)
     def gradient(
@@ -401,7 +397,7 @@ class ContactProcess(PetscOwner, Tabulated):
         controls = checked_controls(controls)
         step, forms = self._step_to_differentiate(controls, at_edge)
         goal = self._goal_at(goal, step.u)
-        values = self._contact.nodal_values
+        values = self._contact.surfaces.nodal_values
         find_differences = partial(obstacle_differences, self._contact)
         derivatives = Differentiation(self.pairs, forms, step.u, values, controls, find_differences)
         return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
@@ -443,9 +439,9 @@ class ContactProcess(PetscOwner, Tabulated):
         return tangent_of(
             step,
             self.pairs,
-            self._contact.surfaces,
+            self._contact.surfaces.secondary,
             forms,
-            self._contact.nodal_values,
+            self._contact.surfaces.nodal_values,
             controls,
             directions,
             partial(obstacle_differences, self._contact),
@@ -458,7 +454,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
         """Return a goal in which u replaces the `u` of a nonlinear problem. Not collective."""
-        present = self._contact.steps.u
+        present = self._contact.surfaces.steps.u
         if isinstance(goal, ufl.Form) and present is not None:
             return ufl.replace(goal, {present: u})
         return goal
@@ -479,12 +475,12 @@ class ContactProcess(PetscOwner, Tabulated):
         for control in controls:
             check_control(control, self.pairs)
         self._check_pairing_fixed()
-        dual, multipliers, found = self._solved_for("a derivative")
+        solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
-        bounds = self._contact.slip_bounds()
-        step = SolvedStep(dual, multipliers, found.u, bounds, at_edge)
+        bounds = self._contact.surfaces.slip_bounds()
+        step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, bounds, at_edge)
         step.log_edge()
-        return step, self._forms_at(found.u)
+        return step, self._forms_at(step.u)
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.
@@ -492,14 +488,14 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             InputError: a pair has finite sliding.
         """
-        if self._contact.slides_far:
+        if self._contact.surfaces.slides_far:
             raise InputError(
                 'a derivative is not known for pairs with sliding="finite": the pairing of their '
                 "surfaces depends on the solution."
             )
 
     @abstractmethod
-    def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
+    def _solved_for(self, purpose: str) -> LastSolve:
         """Return the last solve, with K at its displacement. Collective.
 
         Args:

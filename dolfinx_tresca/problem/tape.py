@@ -25,16 +25,14 @@ from dolfinx_tresca.dual.history.load_steps import StepStart
 from dolfinx_tresca.dual.history.saved_state import SavedState
 from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.nodal_values import inputs_of
-from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.control_vector import checked_controls
-from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.gradient import (
     Control,
     Differentiation,
@@ -106,7 +104,7 @@ class ProcessTape:
     def __init__(
         self,
         contact: ContactSystem,
-        solved_for: Callable[[str], tuple[DualProgram, Array, Evaluation]],
+        solved_for: Callable[[str], LastSolve],
         forms_at: Callable[[fem.Function], Forms],
         checkpoint_every: int | None = None,
         folder: str | Path | None = None,
@@ -137,13 +135,14 @@ class ProcessTape:
             raise InputError("files in a folder hold checkpoints: give checkpoint_every, too.")
         self._every, self._folder = every, None if folder is None else Path(folder)
         self._checkpoints: dict[int, StepStart] = {}
-        self._motions = contact.steps.motions
         self._contact, self._solved_for, self._forms_at = contact, solved_for, forms_at
+        self._surfaces = contact.surfaces
+        self._motions = self._surfaces.steps.motions
         self._inputs = inputs_of_problem(
             contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
         )
         self._steps: list[_Recorded] = []
-        self._history: SlipHistory = contact.steps.history  # after the last recorded step
+        self._history: SlipHistory = self._surfaces.steps.history  # after the last recorded step
         self._compliance: Any = None
         #: Whether no obstacle has moved, and recording began without slip: only then are
         #: derivatives with respect to the positions of obstacles known.
@@ -170,20 +169,20 @@ class ProcessTape:
             InputError: the file of a checkpoint cannot be written.
         """
         contact = self._contact
-        _, multipliers, found = self._solved_for("a recorded load step")
+        last = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
-        if self._steps and contact.steps.history is not self._history:
+        if self._steps and self._surfaces.steps.history is not self._history:
             raise ContactError(
                 "the slip history has changed since the last recorded load step, by "
                 "set_slip_origin(), load_state(), start_from(), surfaces that were paired anew, or "
                 "another direction or ratio of the bounds of orthotropic friction. Leave the block "
                 "of record(), and begin another one."
             )
-        began_at_zero = bool(self._steps) or not contact.steps.history.origin.any()
-        stayed = np.array_equal(contact.steps.motions, self._motions)
+        began_at_zero = bool(self._steps) or not self._surfaces.steps.history.origin.any()
+        stayed = np.array_equal(self._surfaces.steps.motions, self._motions)
         self._has_places &= began_at_zero and stayed
-        same = not self._steps or self._compliance is contact.compliance
-        self._compliance = contact.compliance if same else None
+        same = not self._steps or self._compliance is self._surfaces.compliance
+        self._compliance = self._surfaces.compliance if same else None
         solved = None if self._every else self._solved_step()
         if self._every:
             if not stayed:
@@ -192,24 +191,23 @@ class ProcessTape:
                     "has no place for that: record without checkpoint_every."
                 )
             if len(self) % self._every == 0:
-                self._add_checkpoint(multipliers)
+                self._add_checkpoint(last.multipliers)
         yield
-        self._history = contact.steps.history
+        self._history = self._surfaces.steps.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
             one if one is not None and np.array_equal(one, now) else now.copy()
             for one, now in zip(before, map(values_of, self._inputs), strict=True)
         ]
-        self._steps.append(_Recorded(solved, ref(found.u), values, contact.options_of_solve))
+        self._steps.append(_Recorded(solved, ref(last.fields.u), values, last.options))
 
     def _solved_step(self) -> SolvedStep:
         """Return the last solution with its problem. Collective."""
-        contact = self._contact
-        assert contact.solved is not None
-        dual, multipliers, found = contact.solved
+        last = self._contact.solved
+        assert last is not None
         # without the sum of slips at all nodes, which is as large as u
-        dual = replace(dual, history=replace(dual.history, slipped=()))
-        return SolvedStep(dual, multipliers, found.u, contact.slip_bounds())
+        dual = replace(last.dual, history=replace(last.dual.history, slipped=()))
+        return SolvedStep(dual, last.multipliers, last.fields.u, self._surfaces.slip_bounds())
 
     def _add_checkpoint(self, multipliers: Array) -> None:
         """Keep what is needed to solve again for the step that is being added. Collective.
@@ -221,8 +219,8 @@ class ProcessTape:
         Raises:
             InputError: the file cannot be written.
         """
-        jump, number = self._contact.jump, len(self)
-        history = replace(self._contact.steps.history, slipped=())
+        jump, number = self._surfaces.jump, len(self)
+        history = replace(self._surfaces.steps.history, slipped=())
         if self._folder is None:
             self._checkpoints[number] = StepStart(history, multipliers, None, self._motions)
             return
@@ -246,7 +244,7 @@ class ProcessTape:
         Raises:
             InputError: its file cannot be read.
         """
-        jump, unknown = self._contact.jump, SlipHistory.none(self._contact.jump)
+        jump, unknown = self._surfaces.jump, SlipHistory.none(self._surfaces.jump)
         if self._folder is None:
             found = self._checkpoints[number]
         else:
@@ -267,13 +265,13 @@ class ProcessTape:
             return [one.solved for one in steps if one.solved is not None]
         result = []
         with contact.restored():
-            contact.steps.return_to(self._checkpoint(numbers.start))
+            self._surfaces.steps.return_to(self._checkpoint(numbers.start))
             for step in steps:
                 with replaced(self._inputs, step.values):
-                    contact.begin_solve()
+                    self._surfaces.begin_solve()
                     contact.solve(step.options, None, lambda _: False)
                     result.append(self._solved_step())
-                    contact.accept(False)
+                    self._surfaces.accept(False)
         return result
 
     @collective(comm_of_self)
@@ -352,7 +350,7 @@ class ProcessTape:
         goals_of_step = self._checked_goals(goals)
         for control in controls:
             check_control(control, contact.pairs)
-        if self._steps and self._compliance is not contact.compliance:
+        if self._steps and self._compliance is not self._surfaces.compliance:
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
@@ -362,7 +360,12 @@ class ProcessTape:
         u = fem.Function(contact.linear.V)
         find_differences = partial(obstacle_differences, contact, in_all_steps=True)
         differentiation = Differentiation(
-            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls, find_differences
+            contact.pairs,
+            self._forms_at(u),
+            u,
+            self._surfaces.nodal_values,
+            controls,
+            find_differences,
         )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
@@ -393,14 +396,14 @@ class ProcessTape:
                 there was slip at the start of the process.
         """
         contact = self._contact
-        if contact.obstacles.changed(contact.jump).any():
+        if self._surfaces.obstacles.changed(self._surfaces.jump).any():
             raise ContactError(
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
                 "before they are moved, or move them back."
             )
         known = contact.comm.allreduce(self._has_places, op=MPI.LAND)
         for control in controls:
-            if not known and contact.obstacles.depending_on(control).any():
+            if not known and self._surfaces.obstacles.depending_on(control).any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "

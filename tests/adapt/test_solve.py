@@ -298,7 +298,8 @@ def test_a_start_on_the_same_mesh_is_the_solution(comm, degree):
     with cantilever(tagged, degree) as problem:
         problem.start_from(solution)
         assert np.allclose(
-            problem._contact.steps.multipliers * problem._contact.jump.stress_scale,
+            problem._contact.surfaces.steps.multipliers
+            * problem._contact.surfaces.jump.stress_scale,
             solution.multipliers,
             rtol=1e-12,
             atol=1e-12,

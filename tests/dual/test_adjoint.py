@@ -15,7 +15,8 @@ def test_an_adjoint_that_is_not_found_is_an_error(comm, monkeypatch, unit):
     """In whatever unit the number is."""
     with two_bricks(comm, 3).problem() as problem:
         solution = problem.solve()
-        dual, x, *_ = problem._contact.solved
+        solved = problem._contact.solved
+        dual, x = solved.dual, solved.multipliers
         r = dual.response.gradient_of(solution.u.x.petsc_vec)
         state = LinearisedContact.of(dual, x, r)
         on_jump, on_x = unit * np.random.default_rng(1).standard_normal((2, len(x)))

@@ -124,7 +124,7 @@ def test_surfaces_are_extracted_from_the_mesh_once(comm, monkeypatch):
     with scene.problem() as problem:
         monkeypatch.delattr(undeformed, "tagged_facets")
         problem.update_geometry(u)
-        (one,) = problem._contact.jump.pairs
+        (one,) = problem._contact.surfaces.jump.pairs
         assert one.distance == pytest.approx(GAP, rel=1e-9)  # that of the undeformed bodies
 
 
@@ -135,7 +135,7 @@ def test_values_are_carried_over_column_by_column(comm):
     x = scene.V.tabulate_dof_coordinates()
     u.x.array.reshape(-1, 3)[:, 2] = SLOPE * x[:, 0]  # a rotation, to first order
     with scene.problem() as problem:
-        before = problem._contact.jump
+        before = problem._contact.surfaces.jump
         values = np.random.default_rng(1).standard_normal((len(before.gap), 3))
         same = Carry(before, before).physical(values)
         assert np.allclose(same, values, rtol=0.0, atol=1e-14)

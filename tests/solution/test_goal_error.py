@@ -176,7 +176,8 @@ def test_state_changes_by_hand(comm):
     with pressed_blocks(comm, 8).but(friction=Frictionless()).problem() as problem:
         solution = problem.solve(accuracy=1e-8)
         found = problem.goal_error(NormalForce())
-        dual, x, _ = problem._contact.solved
+        solved = problem._contact.solved
+        dual, x = solved.dual, solved.multipliers
         jump = dual.jump
         state = LinearisedContact.of(dual, x, dual.response.gradient_of(solution.u.x.petsc_vec))
         on_x = np.sqrt(jump.pairs[0].weights)
@@ -273,7 +274,7 @@ def test_a_body_that_nothing_holds_has_no_adjoint(comm):
     """Where all nodes are open how far it slips depends on nothing."""
     with floating(comm, "upper", 2).problem() as problem:
         problem.solve()
-        dual, *_ = problem._contact.solved
+        dual = problem._contact.solved.dual
         lam = replace(dual.feasible_set, radius=np.zeros_like(dual.feasible_set.radius))
         nothing = -np.ones(lam.size)
         state = LinearisedContact(lam.face(nothing), np.zeros(lam.size), *2 * [lambda v: v])

@@ -116,11 +116,11 @@ def test_recorded_errors_bound_those_of_products(comm):
     """Of all pairs that a solve keeps, the seed's among them, in the norm sqrt(e'A^-1 e)."""
     scene = two_bricks(comm, 3)
     with scene.problem(stiffness="cholesky") as direct:
-        operator = direct._contact.compliance.operator
-        A = operator.apply_to_all(np.eye(len(direct._contact.jump.gap)))
+        operator = direct._contact.surfaces.compliance.operator
+        A = operator.apply_to_all(np.eye(len(direct._contact.surfaces.jump.gap)))
     with scene.problem(stiffness="multigrid") as problem:
         problem.solve(rtol=1e-8).raise_if_failed()
-        store = problem._contact.compliance.known_products()
+        store = problem._contact.surfaces.compliance.known_products()
         wrong = store.Y - A @ store.W
     true = np.sqrt(np.einsum("ij,ij->j", wrong, np.linalg.solve(A, wrong)))
     assert len(true) > 1

@@ -510,16 +510,16 @@ def test_a_change_that_is_small_by_chance(residual, small):
     def function(values):
         return SimpleNamespace(x=SimpleNamespace(array=np.array(values)))
 
-    contact = SimpleNamespace(
+    surfaces = SimpleNamespace(
         comm=MPI.COMM_SELF,
         gaps_at_nodes=lambda u: np.zeros((1, 1)),
         linear=SimpleNamespace(prescribed_displacements=np.zeros(1, dtype=np.bool_)),
         sliding=SimpleNamespace(origin=function([0.0])),
         steps=SimpleNamespace(accepted_values=0.0),
     )
-    sliding = finite_sliding.FiniteSliding(contact)
+    sliding = finite_sliding.FiniteSliding(surfaces)
     for force, distance in ((2.0, 1.0), (1.1, 1e-1), (1.0, 1e-2), (1.0 + 1e-5, residual)):
-        contact.contact_forces = lambda force=force: np.array([force])
+        surfaces.contact_forces = lambda force=force: np.array([force])
         sliding.observe(function([distance]), 1.0)
     assert sliding.change == pytest.approx(1e-5, rel=1e-3)
     assert (sliding.error < GEOMETRY) is small

@@ -114,7 +114,7 @@ def test_contact_balances_the_loads(comm, stiffness):
     scene = pressed(comm, load)
     with scene.problem(stiffness=stiffness) as problem:
         solution = problem.solve(accuracy=1e-2)  # whatever the accuracy
-        jump = problem._contact.jump
+        jump = problem._contact.surfaces.jump
         force = jump.contact_force(solution.multipliers / jump.stress_scale)
         total = force.array.reshape(-1, 3)
         points = scene.V.tabulate_dof_coordinates()[: len(total)]
@@ -138,7 +138,7 @@ def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
     with scene.problem(a=a, stiffness=stiffness) as problem:
         assert "held softly" in str(problem)
         solution = problem.solve(accuracy=accuracy)
-        system, jump = problem._contact.linear, problem._contact.jump
+        system, jump = problem._contact.linear, problem._contact.surfaces.jump
         net = jump.net_force(solution.multipliers / jump.stress_scale).copy()
         elastic = net.duplicate()
         system.K.mult(solution.u.x.petsc_vec, elastic)

@@ -129,7 +129,7 @@ def test_bending_counts_once(comm):
     scene = cylinder_on_plane(comm, 0.5, degree=2)
     with scene.problem() as problem:
         before = problem.operators[0].gap.copy()
-        first = problem._contact.jump.pairs[0]
+        first = problem._contact.surfaces.jump.pairs[0]
         raised = comm.allreduce(first.secondary_sagitta.max(initial=0.0), op=MPI.MAX)
         u = fem.Function(scene.V)
         u.interpolate(lambda x: np.stack([0.0 * x[0], 0.05 * x[0] ** 2]))

@@ -1,0 +1,359 @@
+"""The contact surfaces as they are paired now, with their operators and their load steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.timing import timed
+from dolfinx_tresca.dual.history.load_steps import LoadSteps
+from dolfinx_tresca.dual.history.slip_history import SlipHistory
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.moved import moved_jump
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.output.summary import ProblemSummary
+from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.problem.factorisation import Factorisation
+from dolfinx_tresca.problem.friction_checks import depends_on_pressure
+from dolfinx_tresca.problem.obstacles import Obstacles
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.sliding import Sliding
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+class ContactSurfaces(PetscOwner):
+    """The contact surfaces as they are paired now, B and A on them, and their load steps.
+
+    Where surfaces are paired anew, B and A are replaced, and tractions and slip are carried over.
+
+    Attributes:
+        linear: the system K u = f.
+        pairs: the surfaces that may touch.
+        secondary: the secondary side of each pair.
+        slides_far: whether a pair has finite sliding.
+        friction: evaluates the slip bounds at the nodes of the displacement.
+        nodal_values: evaluates users' fields at these nodes.
+        jump: the operator B, which maps displacements to jumps across the contact surfaces.
+        compliance: A = B K^-1 B', with K factored.
+        guess: displacements of earlier solves with the present B.
+        steps: the multipliers at which the next solve starts, and the accepted load steps.
+        sliding: the displacement at which surfaces were last paired, and a check of the slip since
+            this pairing.
+        geometry: displacement at which pairs without finite sliding were paired.
+        obstacles: the rigid obstacles and their positions.
+        summary: the sizes of the problem.
+        timings: phase -> seconds of pairing and factoring since the last solve.
+    """
+
+    def __init__(
+        self, linear: LinearSystem, pairs: list[ContactPair], stiffness: Factorisation
+    ) -> None:
+        """Pair the surfaces, and assemble and factor K. Collective.
+
+        Args:
+            linear: the system K u = f.
+            pairs: the surfaces that may touch.
+            stiffness: factors K.
+
+        Raises:
+            InputError: a gap or a law of friction is wrong.
+            PairingError: the surfaces of a pair cannot be paired.
+            StiffnessError: K is not symmetric, or is indefinite.
+        """
+        self.linear, self.pairs, self._stiffness = linear, pairs, stiffness
+        self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
+        self.slides_far = bool(self._finite_sliding.any())
+        self._accepted_configuration: fem.Function | None = None
+        self._operators: tuple[ContactOperators, ...] | None = None
+        self.obstacles = Obstacles(linear.V, pairs)
+        self.timings: dict[str, float] = {}
+        V, prescribed = linear.V, linear.prescribed_displacements
+        with timed("pairing", self.timings):
+            operators = [
+                pair_surfaces(V, prescribed, pair, axisymmetric=linear.axisymmetric)
+                for pair in pairs
+            ]
+            self.secondary = [Surface.of(V, pair) for pair in pairs]
+            self.friction = SlipBounds(V)
+            self.nodal_values = self.friction.values
+            for pair, on_nodes in zip(pairs, operators, strict=True):
+                self.friction.check(pair.friction, on_nodes.nodes)
+        self.jump = JumpOperator(linear, operators)
+        with destroyed_on_error(self.jump):
+            self.update_gaps()
+        operators = self.jump.pairs
+        self.summary = ProblemSummary.of(linear, pairs, operators)
+        self.guess = InitialGuess(self.jump)
+        self.sliding = Sliding(V)
+        self.geometry = fem.Function(V)
+        self.obstacles.note_pairing(self.jump)
+        self.steps = LoadSteps(
+            self.jump,
+            self.obstacles.motions,
+            depends_on_start=any(map(depends_on_pressure, pairs)),
+        )
+        with destroyed_on_error(self.guess), destroyed_on_error(self.jump):
+            self.compliance = stiffness.compliance(self.jump, self.timings)
+            with destroyed_on_error(self.compliance):
+                rounding = self.compliance.stress_rounding
+                for pair, on_nodes in zip(pairs, operators, strict=True):
+                    self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.linear.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._drop_operators()
+        for owner in (self.nodal_values, self.compliance, self.guess, self.jump):
+            owner.destroy()
+
+    @property
+    def operators(self) -> tuple[ContactOperators, ...]:
+        """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective.
+
+        Raises:
+            InputError: a gap has values that are NaN or infinite.
+        """
+        self.update_gaps()
+        if self._operators is None:
+            component = self.linear.component
+            columns = () if component is None else (component.columns,)
+            self._operators = tuple(
+                ContactOperators(self.linear.V, operators, pair, *columns)
+                for operators, pair in zip(self.jump.pairs, self.pairs, strict=True)
+            )
+        return self._operators
+
+    def _drop_operators(self) -> None:
+        """Free the operators that users have received. Collective."""
+        for owner in self._operators or ():
+            owner.destroy()
+        self._operators = None
+
+    def slip_bounds(self) -> list[NodalBounds]:
+        """Return the present slip bounds at each pair's nodes. Collective.
+
+        Raises:
+            InputError: a bound is wrong.
+        """
+        rounding = self.compliance.stress_rounding
+        return [
+            self.friction.at(pair.friction, operators.nodes, rounding)
+            for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+
+    def update_gaps(self) -> None:
+        """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
+
+        Raises:
+            InputError: a gap is on another mesh, or is NaN or infinite.
+        """
+        gaps = [
+            np.zeros(len(on.nodes))
+            if pair.gap is None
+            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
+            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+        changed = [
+            not np.array_equal(gap, on.added_gap)
+            for gap, on in zip(gaps, self.jump.pairs, strict=True)
+        ]
+        with errors_on_all_ranks(self.comm):
+            for pair, gap in zip(self.pairs, gaps, strict=True):
+                if not np.isfinite(gap).all():
+                    raise InputError(
+                        f"the gap of contact pair {pair} has values that are NaN or infinite. For "
+                        "surfaces that cannot touch give no pair."
+                    )
+        if self.comm.allreduce(any(changed), op=MPI.LOR):
+            self.jump.add_gaps(gaps)
+            self._drop_operators()
+
+    def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
+        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
+
+        If the axes differ from the axes of the last solve, A becomes another matrix, and only the
+        far field of the known products is kept.
+
+        Raises:
+            InputError: the direction of orthotropic friction is normal to the surface.
+        """
+        jump = self.jump.along_axes(bounds)
+        if jump is not self.jump:
+            self.steps.rotate_tangents(jump)
+            self._replace_jump(jump)
+
+    def update_geometry(self, u: fem.Function, *, continues: bool) -> None:
+        """Pair all surfaces in the configuration displaced by u. Collective.
+
+        Args:
+            u: displacement [length] in the problem's space.
+            continues: whether u is the displacement of the last solve; see `LoadSteps.move`.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with K failed.
+        """
+        self.note_obstacles()
+        jump = moved_jump(self.jump, self.pairs, u)
+        self.steps.move(jump, u, continues=continues)
+        self._replace_jump(jump)
+        self.geometry = u.copy()
+        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
+        self.sliding.begin(u)
+
+    def accept(self, unconverged: bool) -> None:
+        """Make the last solution a load step. Not collective.
+
+        See `LoadSteps.accept`.
+        """
+        self.steps.accept(unconverged)
+        if self.slides_far:
+            self._accepted_configuration = self.sliding.origin.copy()
+
+    def begin_solve(self) -> None:
+        """Let the next solve start at the last accepted step if its result may depend on the start.
+
+        Pairs whose obstacle has moved since they were paired are paired anew. Collective.
+
+        Raises:
+            InputError: the signed distance of an obstacle is wrong.
+            PairingError: the surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        accepted = self._accepted_configuration
+        self.pair_where_changed(self.sliding.origin.copy() if accepted is None else accepted)
+        self.steps.begin_solve()
+
+    def pair_where_changed(self, u: fem.Function) -> None:
+        """Pair surfaces anew where the geometry has changed. Collective.
+
+        These are pairs whose obstacle has moved, and pairs with finite sliding not yet paired at u.
+
+        Args:
+            u: displacement [length] at which pairs with finite sliding are paired.
+
+        Raises:
+            InputError: the signed distance of an obstacle is wrong.
+            PairingError: the surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        moved = self.note_obstacles()
+        elsewhere = self._finite_sliding & (not self.sliding.began_at(u))
+        self._pair_anew(self.geometry, moved & ~self._finite_sliding)
+        self._pair_anew(u, (moved & self._finite_sliding) | elsewhere)
+        if elsewhere.any():
+            self.sliding.begin(u)
+
+    def note_obstacles(self) -> Mask:
+        """Record the present positions of the obstacles. Collective.
+
+        Returns:
+            (pairs,) whether the distance from the obstacle has changed since the pairing.
+        """
+        changed = self.obstacles.changed(self.jump)
+        before, self.steps.motions = self.steps.motions, self.obstacles.motions
+        same_place = (before == self.steps.motions).all(axis=(1, 2))
+        self.obstacles.warn_of_unknown_motions(changed, same_place)
+        return changed
+
+    def update_configuration(self, u: fem.Function) -> None:
+        """Pair surfaces with finite sliding in the configuration displaced by u. Collective.
+
+        Args:
+            u: displacement [length] in the problem's space.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        self._pair_anew(u, self._finite_sliding)
+        self.sliding.begin(u)
+
+    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
+        """Pair some surfaces in the configuration displaced by u. Collective.
+
+        With finite sliding the slip counts from the last accepted step. It is the displacement of a
+        node since this step, relative to the node's present partner and projected onto the node's
+        tangent plane in the configuration.
+
+        Args:
+            u: displacement [length] in the problem's space.
+            anew: (pairs,) True for pairs that are paired anew.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        if not anew.any():
+            return
+        with timed("pairing", self.timings):
+            jump = moved_jump(self.jump, self.pairs, u, anew)
+            self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
+            self._replace_jump(jump)
+
+    def _replace_jump(self, jump: JumpOperator) -> None:
+        """Replace B after a new pairing, and drop what depends on the old B. Collective."""
+        before, self.jump = self.jump, jump
+        self.guess.forget()
+        self.compliance = self.compliance.on(jump)
+        self._drop_operators()
+        self.obstacles.note_pairing(jump)
+        before.destroy()
+
+    def history_of_solve(self) -> SlipHistory:
+        """Return the slip history whose origin moves with the obstacles in this step. Collective.
+
+        The slip on an obstacle then counts relative to the obstacle.
+        """
+        steps, jump = self.steps, self.jump
+        displacement = np.zeros(len(jump.gap))
+        for before, now, slides_far, (_, t) in zip(
+            steps.accepted_motions, steps.motions, self._finite_sliding, jump.slices, strict=True
+        ):
+            if not np.array_equal(before, now):
+                u = self.sliding.origin if slides_far else self.geometry
+                moved = self.obstacles.displacement(before, now, u)
+                displacement[t] = jump.of_displacement(moved)[t]
+        return steps.history.with_moved_obstacles(displacement)
+
+    def gaps_at_nodes(self, u: fem.Function) -> Array:
+        """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
+
+        They are NaN at nodes without a normal multiplier.
+        """
+        jump, V = self.jump, self.linear.V
+        gaps = (jump.gap - jump.of_displacement(u)) * jump.length_scale
+        result = np.full((len(self.pairs), V.dofmap.index_map.size_local), np.nan)
+        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
+            at_nodes[pair.nodes[pair.normal_node]] = gaps[n]
+        return result
+
+    def contact_forces(self) -> Array:
+        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
+        return np.array(self.jump.contact_force(self.steps.multipliers).array)
+
+    def update_stiffness(self) -> None:
+        """Assemble and factor K again. Collective.
+
+        Raises:
+            StiffnessError: K is not symmetric, or is indefinite.
+        """
+        self.compliance.destroy()
+        self.compliance = self._stiffness.compliance(self.jump, self.timings, self.compliance)
