@@ -322,7 +322,7 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
 
     @contextmanager
     def _at_inputs(self) -> Iterator[None]:
-        """Give all inputs the values that they had in this solve, inside the block. Collective."""
+        """In a `with` block, give all inputs their values of this solve. Collective."""
         values = dict(zip(map(id, self._problem.inputs), self._values, strict=True))
         for dependency in self.get_dependencies():
             control = _control(dependency.output)

@@ -170,7 +170,7 @@ def _cut(
 
     Returns:
         the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of the new
-        cells, by their numbers at the creation of the new mesh.
+        cells, with the numbers that were passed to `create_mesh`.
     """
     mesh = tagged_mesh.mesh
     comm, dim = mesh.comm, mesh.topology.dim
@@ -213,7 +213,8 @@ def _sent_to_owners(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> A
 
     Args:
         mesh: the mesh.
-        cells: (n, nodes) nodes of cells on any rank, by their numbers at the creation of the mesh.
+        cells: (n, nodes) nodes of cells on any rank, with the numbers that were passed to
+            `create_mesh`.
         values: (n,) values of the cells, zero or positive.
 
     Returns:
@@ -373,8 +374,8 @@ def _distributed(
     Args:
         mesh: the mesh.
         old: tags of the old mesh, of entities of the same dimension.
-        entities: (n, nodes) nodes of entities on any rank, by their numbers at the creation of the
-            mesh.
+        entities: (n, nodes) nodes of entities on any rank, with the numbers that were passed to
+            `create_mesh`.
         values: (n,) tags of the entities.
     """
     tags = _meshtags(mesh, old.dim, entities, values)

@@ -137,8 +137,9 @@ def _components(
 
     Args:
         pairs: the pairs of B.
-        nodes: for each pair (n,) the numbers of its nodes, 0, ..., count - 1.
-        counts: for each pair the number of nodes; each node has 1 + d columns.
+        nodes: for each pair and each of its nodes (n,) the number of the node whose columns of the
+            matrix it uses, from 0 to count - 1.
+        counts: for each pair the number of nodes that have columns, 1 + d columns each.
     """
     values, columns, lengths, first = [], [], [], 0
     for pair, node, count in zip(pairs, nodes, counts, strict=True):

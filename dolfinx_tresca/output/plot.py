@@ -70,8 +70,9 @@ def plot(
     the others, the range of colours ends below these, and the colour bar has an arrow and the
     largest value.
 
-    The first rank needs pyvista and matplotlib, but no display. In `.svg` and `.pdf` text, bars and
-    charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
+    The first rank needs pyvista and matplotlib, but no display. In `.svg` and `.pdf` files the
+    text, the bars and the charts are vectors, and the views of bodies and surfaces are images of
+    200 dots per inch.
 
     Collective.
 

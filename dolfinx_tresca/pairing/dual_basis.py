@@ -47,7 +47,7 @@ class FacetIntegrals:
 
 
 def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
-    """Return the integrals over whole facets. Not collective."""
+    """Return the integrals as if every facet were covered completely. Not collective."""
     x, w = quadrature(facets.cell, 4 * facets.degree + 2)
     area = facets.area_elements(x) * w
     hats, basis = facets.hats(x), facets.basis(x)

@@ -78,6 +78,8 @@ class Factorisation:
     ) -> ContactCompliance:
         """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
 
+        With a mixed space the modes are found in the first call only.
+
         Args:
             jump: B.
             timings: phase -> seconds, to which the phases of this call are added.

@@ -82,14 +82,15 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
-    """Return values at the nodes of a coarse space from values at the nodes of a finer space.
+    """Return a mask at the nodes of a coarse space from a mask at the nodes of a finer space.
 
-    The nodes of the coarse space are nodes of the finer space, too. Collective.
+    The nodes of the coarse space are nodes of the finer space, too. The result is rounded, since P
+    is not exact. Collective.
 
     Args:
         P: interpolation from the coarse space to the finer one, with ones in the rows of the common
             nodes and smaller entries elsewhere.
-        values: values at the nodes of the finer space.
+        values: 0 or 1 at the nodes of the finer space.
     """
     ones = P.copy()
     ones.chop(0.99)

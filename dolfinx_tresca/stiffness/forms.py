@@ -104,8 +104,8 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         a: a UFL form, a compiled form, or a matrix.
         L: a UFL form, a compiled form, or None.
         bcs: Dirichlet conditions.
-        V: if no form is a UFL form, the space of the forms; otherwise, if the forms have a mixed
-            space in which several sub-spaces suit displacements, the sub-space of the displacement.
+        V: the space of the forms if none of them is a UFL form. With UFL forms it is needed only if
+            several sub-spaces of a mixed space suit displacements: it is the one that has them.
 
     Raises:
         InputError: forms and conditions do not fit together, or do not suit contact.

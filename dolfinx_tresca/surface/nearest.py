@@ -66,6 +66,8 @@ def nearest_layer_weights(
 def _candidate_pairs(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, Indices]:
     """Find all pairs of a point and a simplex of the same owner that may contain the point.
 
+    The caller drops points that lie in a nearer simplex, where primary facets overlap.
+
     Each owner has a grid with about as many cells as simplices. The work is proportional to the
     number of simplices, unless many large simplices cover each other.
 

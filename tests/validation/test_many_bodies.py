@@ -256,7 +256,7 @@ def test_a_push_of_a_thousand_bricks_needs_few_newton_steps(monkeypatch):
     """In the second iteration Newton's method starts from a point that is accurate enough.
 
     From the projection of a less accurate point it makes no progress; the search along the load
-    that follows solves 443 Newton systems in place of 75.
+    that follows solves 443 Newton systems in place of 71.
     """
     solved = []
     solve_between = SparseModel.solve_between

@@ -138,7 +138,7 @@ class _CentralPath:
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
     def on_path(self) -> tuple[Array, Array]:
-        """Return the duals of x on the central path: mu times the inverse of x (Jordan product)."""
+        """Return the duals of x at the barrier mu: mu times the inverse of x (Jordan product)."""
         n, t = self.set.normal, self.set.tangential
         dual = np.zeros_like(self.x)
         dual[n] = self.barrier / self.x[n]
@@ -149,7 +149,7 @@ class _CentralPath:
     def is_inside(self) -> bool:
         """Return whether x and its dual are strictly inside their cones. Collective.
 
-        The result is False also if the barrier has become too small to divide by.
+        The result is False also if the barrier mu has fallen to its lower limit.
         """
         n = self.set.normal
         least = min(
