@@ -227,39 +227,6 @@ def test_a_projection_that_is_repeated_is_computed_once(monkeypatch):
         assert len(computed) == 2 + k
 
 
-def test_a_search_does_not_begin_at_multipliers_of_one_that_failed(monkeypatch):
-    """They are huge. From there a scene of two bodies on springs found no projection at all."""
-    problem = random_balanced_problem(0, 8, 3, 0.0, 0.0)
-    lam, rng = problem.feasible_set, np.random.default_rng(0)
-    columns = rng.standard_normal(problem.constraints.columns.shape)
-    columns[lam.normal] = 0.0  # friction alone satisfies the equations
-    columns /= np.linalg.norm(columns, axis=0)
-    values = columns.T @ (0.5 * lam.project(100.0 * rng.standard_normal(lam.size)))
-    matrix = dataclasses.replace(problem.constraints.matrix, columns=columns)
-    constraints = dataclasses.replace(
-        problem.constraints, matrix=matrix, values=values, sizes=np.abs(values)
-    )
-    begins = []
-    search = module.constrained_projection
-
-    def recorded(*arguments, guess, **options):
-        begins.append(guess)
-        return search(*arguments, guess=guess, **options)
-
-    monkeypatch.setattr(module, "constrained_projection", recorded)
-    narrow = dataclasses.replace(lam, radius=1e-6 * lam.radius)
-    huge, c, again = (
-        constraints.gradient_step(one, np.zeros(lam.size), r, 1.0)[1]
-        for one, r in [
-            (narrow, values[0] * columns[:, 0]),
-            (lam, columns[:, 1]),
-            (lam, columns[:, 2]),
-        ]
-    )
-    assert np.abs(huge).max() > 1e3 * np.abs(again).max()
-    assert begins[0] is None and begins[1] is None and np.array_equal(begins[2], c)
-
-
 def energy_of(problem: DenseProblem, x: np.ndarray) -> float:
     """Return q, and the energy (e - G'x)'S^-1 (e - G'x) / 2 of soft equations."""
     constraints = problem.constraints

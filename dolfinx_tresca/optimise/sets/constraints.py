@@ -125,23 +125,12 @@ class EqualityConstraints:
             rho: step length.
             guess: (k,) first guess of dc; None: zero.
         """
-        return self._projection(feasible_set, y, c, rho, guess)[0]
-
-    def _projection(
-        self,
-        feasible_set: FeasibleSet | FrictionCones,
-        y: Array,
-        c: Array,
-        rho: float,
-        guess: Array | None,
-    ) -> tuple[tuple[Array, Array], bool]:
-        """Return the result of `project`, and whether it satisfies the equations. Collective."""
         if len(self) == 0:
-            return (feasible_set.project(y), np.empty(0)), True
+            return feasible_set.project(y), np.empty(0)
         if self._is_last(feasible_set, y, c, rho, guess is not None):
-            known: tuple[tuple[Array, Array], bool] = self._last[-1]
+            known: tuple[Array, Array] = self._last[-1]
             return known
-        found = constrained_projection(
+        shift = constrained_projection(
             feasible_set,
             self.matrix,
             1.0 / rho * self.softness,
@@ -149,10 +138,9 @@ class EqualityConstraints:
             self.values - self.softness @ c,
             self.sizes + abs(self.softness) @ np.abs(c),
             guess=None if guess is None else rho * guess,
-        )
-        point = feasible_set.project(y + self.columns @ found.shift)
-        result = (point, 1.0 / rho * found.shift), found.satisfied
-        for part in result[0]:
+        ).shift
+        result = feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
+        for part in result:
             part.flags.writeable = False  # it may be returned again
         self._last[:] = feasible_set, y, c, rho, guess is not None, result
         return result
@@ -214,9 +202,8 @@ class EqualityConstraints:
     ) -> tuple[Array, Array]:
         """Return P_Lambda(x - rho (r - G c)), which satisfies the equations, and this c (k,).
 
-        The search for c begins at the c of the last call, unless the bounds of that call allowed no
-        solution: its c is then far away from all solutions. For the equations of a body that
-        nothing presses, c is not unique and depends on this start, unlike the c of `multipliers`.
+        The search for c begins at the c of the last call. For the equations of a body that nothing
+        presses, c is not unique and depends on this start, unlike the c of `multipliers`.
 
         Args:
             feasible_set: Lambda.
@@ -225,9 +212,8 @@ class EqualityConstraints:
             rho: step length.
         """
         guess = self._guess[0] if self._guess else None
-        y, none = x - rho * r, np.zeros(len(self))
-        result, satisfied = self._projection(feasible_set, y, none, rho, guess)
-        self._guess[:] = result[1:] if satisfied else ()
+        result = self.project(feasible_set, x - rho * r, np.zeros(len(self)), rho, guess)
+        self._guess[:] = result[1:]
         return result
 
     def multipliers(
