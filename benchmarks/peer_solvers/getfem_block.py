@@ -17,13 +17,13 @@ from pushed_block import (
     ABOVE,
     BESIDE,
     COEFFICIENT,
-    GETFEM,
     HEIGHT,
     POISSON,
     SHEAR,
     WIDTH,
     YOUNG,
     graded,
+    quantities,
 )
 
 from scenes.elasticity import lame_constants
@@ -85,24 +85,14 @@ def values(n: int) -> tuple[dict[str, float], dict[float, float]]:
     order = np.argsort(x)
     x, p, q = x[order], model.variable("p")[order], -model.variable("q")[order]
 
-    def at(*place: float) -> np.ndarray:
-        """Return the displacement of a node."""
-        return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
-
-    below = np.flatnonzero(places[:, 1] == 0.0)
-    below = below[np.argsort(places[below, 0])]
     half = x <= 0.5 * WIDTH * (1.0 + 1e-9)
-    found = (
-        at(0.0, HEIGHT)[0],
-        -at(WIDTH, HEIGHT)[1],
-        *at(0.0, 0.0),
-        np.interp(0.25 * WIDTH, places[below, 0], u[below, 0]),
-        np.interp(0.5 * WIDTH, x, p),
-        np.interp(0.5 * WIDTH, x, q),
+    on_left = (
         np.trapezoid(p[half], x[half]) / np.trapezoid(p, x),
         np.trapezoid(q[half], x[half]) / np.trapezoid(q, x),
     )
-    return dict(zip(GETFEM, found, strict=True)), {place: np.interp(place, x, q) for place in SHEAR}
+    return quantities(places, u, x, p, q, on_left), {
+        place: np.interp(place, x, q) for place in SHEAR
+    }
 
 
 if __name__ == "__main__":

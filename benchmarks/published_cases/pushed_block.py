@@ -67,6 +67,43 @@ def graded(x: np.ndarray) -> np.ndarray:
     return np.stack([across, HEIGHT * x[:, 1] ** 2], axis=1)
 
 
+def quantities(
+    places: np.ndarray,
+    u: np.ndarray,
+    x: np.ndarray,
+    p: np.ndarray,
+    q: np.ndarray,
+    on_left: tuple[float, float],
+) -> dict[str, float]:
+    """Return the values of `GETFEM` of a solution.
+
+    Args:
+        places: (n, 2) nodes.
+        u: (n, 2) displacements of the nodes.
+        x: (m,) places of the contact nodes from the left end, ascending.
+        p: (m,) pressures.
+        q: (m,) shear stresses.
+        on_left: parts of the normal force and of the friction force on the left half.
+    """
+
+    def at(*place: float) -> np.ndarray:
+        """Return the displacement of a node."""
+        return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
+
+    below = np.flatnonzero(places[:, 1] < 1e-9)
+    below = below[np.argsort(places[below, 0])]
+    found = (
+        at(0.0, HEIGHT)[0],
+        -at(WIDTH, HEIGHT)[1],
+        *at(0.0, 0.0),
+        np.interp(0.25 * WIDTH, places[below, 0], u[below, 0]),
+        np.interp(0.5 * WIDTH, x, p),
+        np.interp(0.5 * WIDTH, x, q),
+        *on_left,
+    )
+    return dict(zip(GETFEM, map(float, found), strict=True))
+
+
 def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n cells along the block and half as many above each other. Collective."""
     body = Body((int(n), int(n) // 2), [(0.0, 1.0), (0.0, 1.0)], move=graded)
@@ -90,27 +127,13 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         u = nodal(solution.u)
         places, u = gathered(comm, V.tabulate_dof_coordinates()[: len(u), :2], u)
 
-    def at(*place: float) -> np.ndarray:
-        """Return the displacement of a node."""
-        return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
-
     order = np.argsort(x)
     x, p, q, weights = x[order], p[order], np.abs(q[order]), weights[order]
-    below = np.flatnonzero(places[:, 1] < 1e-9)
-    below = below[np.argsort(places[below, 0])]
     left = weights * np.where(np.isclose(x, 0.5 * WIDTH), 0.5, x < 0.5 * WIDTH)
-    found = (
-        at(0.0, HEIGHT)[0],
-        -at(WIDTH, HEIGHT)[1],
-        *at(0.0, 0.0),
-        np.interp(0.25 * WIDTH, places[below, 0], u[below, 0]),
-        np.interp(0.5 * WIDTH, x, p),
-        np.interp(0.5 * WIDTH, x, q),
-        left @ p / (weights @ p),
-        left @ q / (weights @ q),
-    )
+    on_left = left @ p / (weights @ p), left @ q / (weights @ q)
+    found = quantities(places, u, x, p, q, on_left)
     shown = x < SHOWN
-    return Result(dict(zip(GETFEM, map(float, found), strict=True)), V, x[shown], q[shown])
+    return Result(found, V, x[shown], q[shown])
 
 
 CASE = Case(

@@ -64,7 +64,11 @@ class SparseModel(Model):
         identity = csr_array(eye_array(size))
         self.diagonal: Array = rows[:, self._mine].diagonal()
         self._unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
-        self._same_node, self._place = _groups(nodes)
+        self._same_node, place = _groups(nodes)
+        self._units = np.zeros((size, int(place.max(initial=0)) + 1))
+        self._units[np.arange(size), place] = 1.0
+        row = np.repeat(np.arange(size), np.diff(self._same_node.indptr))
+        self._values_at = row, place[self._same_node.indices]
         self._shifted = csr_array(rows + SHIFT * self._unit * self._in_own_columns(identity))
 
     @property
@@ -95,7 +99,7 @@ class SparseModel(Model):
     @cached_property
     def largest_eigenvalue(self) -> float:
         """The largest eigenvalue of A. The first call is collective."""
-        matrix = self._everywhere(self._rows)
+        matrix = self._reductions.stacked(self._rows)
         if matrix.shape[0] <= 2:
             values = np.linalg.eigvalsh(matrix.toarray())[-1:]
         else:
@@ -114,12 +118,12 @@ class SparseModel(Model):
         )
         trial, G = self._in_own_columns(trial), csr_array(G)
         A = (1.0 / unit) * (self._shifted + self._in_own_columns(stiffness))
-        rows = test @ (A @ self._everywhere(trial)) + self._in_own_columns(fixed)
+        rows = test @ (A @ self._reductions.stacked(trial)) + self._in_own_columns(fixed)
         equations = self._reductions.sparse_inner(G, trial)
         soft = csr_array(unit * softness) + LEAST_SOFTNESS * eye_array(k)
-        matrix = self._everywhere(rows)
+        matrix = self._reductions.stacked(rows)
         if k:
-            columns = self._everywhere(test @ G)
+            columns = self._reductions.stacked(test @ G)
             matrix = csr_array(block_array([[matrix, -columns], [equations, soft]]))
         wanted = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         found = self._reductions.from_first_rank(self._solve(matrix, wanted))
@@ -131,10 +135,6 @@ class SparseModel(Model):
         result[self._mine] = x
         return self._reductions.total(result)
 
-    def _everywhere(self, rows: csr_array) -> csr_array:
-        """Return the rows of all ranks, (n, columns). Collective."""
-        return self._reductions.stacked(rows)
-
     def _in_own_columns(self, matrix: csr_array) -> csr_array:
         """Return a matrix (size, size) in the columns of this rank's multipliers, (size, n)."""
         indices = matrix.indices + self._mine.start
@@ -142,11 +142,7 @@ class SparseModel(Model):
 
     def _matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
         """Return the matrix (size, size) of a map that couples only multipliers of one node."""
-        pattern, place = self._same_node, self._place
-        units = np.zeros((len(place), int(place.max(initial=0)) + 1))
-        units[np.arange(len(place)), place] = 1.0
-        row = np.repeat(np.arange(len(place)), np.diff(pattern.indptr))
-        values = nodal(units)[row, place[pattern.indices]]
+        pattern, values = self._same_node, nodal(self._units)[self._values_at]
         return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
 
 
