@@ -147,10 +147,14 @@ class ProjectedNewton:
         return self.residual.at(start, r) <= self.residual.scale
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
-        """Return the projection of multipliers onto Lambda and the constraints."""
+        """Return the projection of multipliers onto Lambda and the constraints.
+
+        The search begins at c = 0. The c with which the multipliers satisfy soft constraints would
+        be huge where springs are soft and the multipliers do not balance the loads.
+        """
         constraints = self.problem.constraints
-        c = constraints.soft_multipliers(multipliers)
-        return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
+        zero = np.zeros(len(constraints))
+        return constraints.project(self.problem.admissible, multipliers, zero, rho)[0]
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
