@@ -149,12 +149,15 @@ class ProjectedNewton:
     def feasible(self, multipliers: Array, rho: float) -> Array:
         """Return the projection of multipliers onto Lambda and the constraints.
 
-        The search begins at c = 0. The c with which the multipliers satisfy soft constraints would
-        be huge where springs are soft and the multipliers do not balance the loads.
+        If all constraints are soft, they hold with some c at all points of Lambda. Otherwise c is
+        changed from zero: from the c with which the multipliers satisfy the soft constraints, a
+        projection that satisfies the exact constraints may be far away if springs are soft.
         """
         constraints = self.problem.constraints
-        zero = np.zeros(len(constraints))
-        return constraints.project(self.problem.admissible, multipliers, zero, rho)[0]
+        c = np.zeros(len(constraints))
+        if constraints.are_all_soft:
+            c = constraints.soft_multipliers(multipliers)
+        return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""

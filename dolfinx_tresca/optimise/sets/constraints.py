@@ -98,6 +98,11 @@ class EqualityConstraints:
         """Whether any of the equations is soft. Not collective."""
         return bool(self.softness.nonzero()[0].size)
 
+    @property
+    def are_all_soft(self) -> bool:
+        """Whether none of the equations is exact. Not collective after the first access."""
+        return len(self._range[0]) == len(self)
+
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
         result: Array = self.values - self.matrix.along(x) - self.softness @ c
