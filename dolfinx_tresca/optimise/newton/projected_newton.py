@@ -154,7 +154,7 @@ class ProjectedNewton:
         projection that satisfies the exact constraints may be far away if springs are soft.
         """
         constraints = self.problem.constraints
-        c = np.zeros(len(constraints))
+        c: Array = np.zeros(len(constraints))
         if constraints.are_all_soft:
             c = constraints.soft_multipliers(multipliers)
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
