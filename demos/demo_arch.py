@@ -4,7 +4,7 @@
 # A semicircular arch of 25 stones (voussoirs), without mortar, stands under its own weight. Contact
 # and friction alone hold the stones. How thin may the arch be? This is Couplet's problem of 1730.
 # Milankovitch found in 1907 that the thickness must be at least 0.1075 times the radius $R$ of the
-# centre line, if stones are rigid and do not slide and radial joints are everywhere
+# centre line, if stones are rigid and do not slide, and if there is a radial joint at each angle
 # ([Makris and Alexakis 2013](https://doi.org/10.1007/s00419-013-0763-4)). An arch of this thickness
 # has hinges at its outer side at the crown and the springings, and at its inner side 54.5 degrees
 # from the crown.
@@ -23,7 +23,7 @@
 # open, and forces between stones are results. Below the least thickness no forces balance the
 # weights, and `solve` says so.
 #
-# A number after the name of this script is another number of cells across the arch. With 4 cells it
+# A number after the name of this script sets the number of cells across the arch. With 4 cells it
 # takes about 10 seconds.
 
 # %%
@@ -73,9 +73,9 @@ joints = np.linspace(-np.pi / 2, np.pi / 2, stones + 1)  # angles from the crown
 # $$\rho(\varphi) = \frac{H h + m (1 - \cos \varphi)}{H \cos \varphi + w \varphi \sin \varphi}.$$
 #
 # $H$ and $h$ follow from hinges at the outer side of the springings and of the joints next to the
-# crown. The thickness is the least one if elsewhere the line of thrust touches the inner side. Many
-# stones give 0.1075. An odd number of stones has no joint at the crown, and a finite number none at
-# 54.5 degrees: 25 stones need a little less.
+# crown. The thickness is the least possible one if the line of thrust touches the inner side
+# somewhere between these hinges. Many stones give 0.1075. With 25 stones there is no joint at the
+# crown, and none at exactly 54.5 degrees, so they need a little less.
 
 
 # %%

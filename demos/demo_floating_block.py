@@ -22,8 +22,8 @@
 #
 # How much of the foot slips while a tractor pulls at it? How far out may the load hang? And what
 # does the package say where no equilibrium exists? With 16 cells along the foot it takes 10,509
-# nodes, 10 seconds and 600 MB; a number after the name of this script, a multiple of 8, is another
-# size.
+# nodes, 10 seconds and 600 MB; a number after the name of this script, a multiple of 8, sets
+# another mesh size.
 #
 # **Strong form.** In each body $-\operatorname{div} \sigma(u) = f$. In the contact, with the
 # outward normal $n$ of the foot and $[u] = u_{foot} - u_{clay}$,

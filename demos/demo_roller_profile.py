@@ -39,7 +39,7 @@
 # Lundberg's, and without its infinite end.
 #
 # With 5 cells over the half width of the contact it takes 9,600 nodes and 40 seconds; a number
-# after the name of this script is another number of cells.
+# after the name of this script sets another number of cells.
 
 # %%
 import math
@@ -267,8 +267,9 @@ if comm.rank == 0:
 # ## Check
 # The pressure is even, as far as $L^8$ distinguishes an even pressure from a peak: five percent
 # more on a tenth of the area are half a percent of the norm. The peak is below the peak of
-# Lundberg's profile, and the profile a little above Lundberg's, up to a half width before the end.
-# The straight roller has a sharp edge: its peak grows without limit as cells become smaller.
+# Lundberg's profile, and the profile is a little above Lundberg's, except within a half width of
+# the end. The straight roller has a sharp edge: its peak grows without limit as cells become
+# smaller.
 
 # %%
 even = pressures["optimal"] / pressures["optimal"][:-1].mean()
