@@ -1,5 +1,4 @@
-"""How far a solution is from the laws of contact and friction, from its displacement and stresses.
-"""
+"""Errors of a solution in the laws of contact and friction, from displacement and stresses."""
 
 from __future__ import annotations
 
