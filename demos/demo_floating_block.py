@@ -276,7 +276,7 @@ for what, values, named in (  # load, place, pull, slip bound
     if comm.rank == 0:
         print(f"\n{what}\n{textwrap.indent(textwrap.fill(message, 96), '    ')}")
     assert named in message
-assert statics()[3] > side / 2  # as statics says of the last one
+assert statics()[3] > side / 2  # as statics says of the last scene
 
 # %% [markdown]
 # ## Draw

@@ -146,7 +146,7 @@ def products_of_forms(body, density):
 
 
 def step_forms(mass, stiffness, u, v, tau, theta):
-    """Return a, and L without loads, of a step from displacement u and velocity v."""
+    """Return a, and L without loads, of a step that begins at displacement u, velocity v."""
     trial, test = ufl.TrialFunction(u.function_space), ufl.TestFunction(u.function_space)
     inertia = 1 / (theta * tau**2)
     a = inertia * mass(trial, test) + theta * stiffness(trial, test)

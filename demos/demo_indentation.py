@@ -182,7 +182,7 @@ mises_expression = fem.Expression(mises, points)
 
 
 def indent(friction, writer=None):
-    """Press the ball down step by step, and lift it; return both lists and the last solution."""
+    """Press the ball down in steps, lift it; return both lists and the solution at the bottom."""
     for function in (u, *history):
         function.x.array[:] = 0.0
     ball = RigidSphere(center=(0.0, radius), radius=radius)

@@ -90,7 +90,7 @@ unit = line_load / (math.pi * common_modulus)  # mm, of Lundberg's profile
 
 # %%
 def growing(places, end, growth=1.5):
-    """Return the coordinates, followed by further ones up to the end, at growing distances."""
+    """Return coordinates, continued up to an end by further ones at growing distances."""
     places = list(places)
     while places[-1] < end:
         places.append(places[-1] + growth * (places[-1] - places[-2]))
@@ -194,7 +194,7 @@ def slope(goal, values):
 
 # %%
 def loaded(profile):
-    """Return the heights of a profile (stations,) [mm] after the approach for the load."""
+    """Return the heights of a profile (stations,) [mm], less the approach that gives the load."""
     values = profile - half_width**2 / (2 * radius)
     while abs(excess := 4 * value(force, values) - load) > 1e-6 * load:
         values = values - excess / (4 * slope(force, values).sum())
@@ -202,7 +202,7 @@ def loaded(profile):
 
 
 def along():
-    """Return the pressure over the middle of the contact at each station, and the line load."""
+    """Return for each station the pressure in the middle of the contact, and the line load."""
     space = solution.pressure.function_space
     owned = space.dofmap.index_map.size_local
     places = np.round(space.tabulate_dof_coordinates()[:owned, :2] / tiny) * tiny

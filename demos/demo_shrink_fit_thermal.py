@@ -237,7 +237,7 @@ def profile(r, heat, at_bore):
 
 
 def growth(body, r, temperature):
-    """Return how far R moves [mm] by temperatures of a body at r, the points of Gauss's rule."""
+    """Return how far R moves [mm] if a body has temperatures at r, the points of Gauss's rule."""
     mean = gauss @ (r * (temperature - T0)) / (gauss @ r)
     return (1 + body["nu"]) * body["alpha"] * radius * mean
 
