@@ -207,7 +207,7 @@ def half_ring(
     *,
     exchanged: bool = False,
 ) -> Process:
-    """Return a half ring of two layers that is pressed on a block, held at its ends. Collective.
+    """Return a half ring of two layers whose ends are moved to press it on a block. Collective.
 
     Code_Aster, manual of validation V6.03.165; K. Poulios and Y. Renard, Comput. Struct. 153, 2015.
     Plane strain, degree 2.
