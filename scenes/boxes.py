@@ -61,7 +61,7 @@ class Boxes:
     middles: np.ndarray
 
     def tags(self, *marks: tuple[int, Sequence[int], Where | None]) -> Any:
-        """Return facet tags for marks: a tag, bodies, and a selection by midpoints or None."""
+        """Return facet tags. A mark is a tag, bodies, and a selection by midpoints (None: all)."""
         values = np.zeros(len(self.facets), dtype=np.int32)
         for tag, bodies, where in marks:
             some = np.isin(self.body, bodies)

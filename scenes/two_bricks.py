@@ -20,7 +20,7 @@ YOUNG = 50_000.0  # MPa, both bricks
 POISSON = {"upper": 0.277, "lower": 0.35}
 SLIP_BOUND = 0.09  # MPa
 
-#: The paper's text allows two readings of where the second load acts; different nodes stick.
+#: The two readings of the paper's text on where the second load acts; the sticking nodes differ.
 ENDS = {"free_end_1": "upper_free_end", "free_end_2": "lower_free_end"}
 
 

@@ -21,8 +21,8 @@ RTOL = 1e-8
 #: area.
 LAWS = 100 * RTOL
 
-#: Largest unbalanced force at a degree of freedom, divided by the forces that are added there: if K
-#: is factored, and if it is solved with by iteration.
+#: Largest unbalanced force at a degree of freedom, divided by the forces that are added there: with
+#: K factored, and with iterative solves or soft bodies.
 ROUNDING, ITERATED = 1e3 * EPS, LAWS
 
 
