@@ -33,10 +33,10 @@
 #
 # There is no friction, so no tangential traction.
 #
-# **Theory.** With $1/R = 1/R_{upper} + 1/R_{lower}$ (a plane has no curvature), the modulus $1/E =
-# \sum (1 - \nu^2)/E_{young}$ of both bodies (a rigid one adds nothing), and the force $F$, the
-# pressure is $p = p_0 \sqrt{1 - r^2/a^2}$, with the following values for balls (left) and for
-# cylinders (right):
+# **Theory.** The bodies count as one with the radius $R$ and the modulus $E$, where $1/R =
+# 1/R_{upper} + 1/R_{lower}$ (a plane has no curvature) and $1/E = \sum (1 - \nu^2)/E_{young}$ (a
+# rigid body adds nothing). Under the force $F$ the pressure is $p = p_0 \sqrt{1 - r^2/a^2}$, with
+# the following values for balls (left) and for cylinders (right):
 #
 # $$a^3 = \frac{3 F R}{4 E}, \quad p_0 = \frac{3 F}{2 \pi a^2}, \qquad\qquad
 # a^2 = \frac{4 F R}{\pi E}, \quad p_0 = \frac{2 F}{\pi a}.$$
