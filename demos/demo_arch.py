@@ -68,7 +68,7 @@ joints = np.linspace(-np.pi / 2, np.pi / 2, stones + 1)  # angles from the crown
 # Let $w \varphi$ be the weight of the arch between the crown and a joint at the angle $\varphi$,
 # and $m (1 - \cos \varphi)$ its moment about the axis of symmetry. The horizontal thrust $H$ is the
 # same in all joints, and passes at the height $h$ through the axis of symmetry. The resultant in
-# the joint passes through it at the radius
+# the joint passes through the joint at the radius
 #
 # $$\rho(\varphi) = \frac{H h + m (1 - \cos \varphi)}{H \cos \varphi + w \varphi \sin \varphi}.$$
 #
@@ -164,8 +164,8 @@ assert 0.98 * 0.1075 < falls < stands < 1.02 * 0.1075
 # ## Line of thrust and hinges
 # `solution.resultants_between(i, j)` is the force and the moment on body i by body j; bodies are
 # counted from the left to the right here. The resultant passes through a joint at the distance
-# moment / normal force from the centre line. Where this is half of the thickness, to a hundredth,
-# the joint touches at its edge only: a hinge.
+# moment / normal force from the centre line. Where this distance is half of the thickness, to a
+# hundredth, the joint touches at its edge only: a hinge.
 
 # %%
 thickness = 0.1072 * R

@@ -49,11 +49,11 @@
 #
 # **Discrete form.** The crane's part of the stiffness matrix K is singular: six rigid motions. The
 # multipliers, which are pressures and tractions, balance the loads for each of these motions
-# exactly, to whatever accuracy the problem is solved, and the motions are found with the
-# multipliers. The foot has 16 cells along its side of 2 m, the clay 36 along 4 m: the meshes do not
-# match. The multipliers live on the foot, which is 300 times stiffer. So the clay has the smaller
-# cells: if the stiff surface had more nodes than the soft one below it, many different pressures
-# would have the same effect on the clay, and the iteration would be slow to choose among them.
+# exactly, whatever the accuracy of the solution, and the motions are found with the multipliers.
+# The foot has 16 cells along its side of 2 m, the clay 36 along 4 m: the meshes do not match. The
+# multipliers live on the foot, which is 300 times stiffer. So the clay has the smaller cells: if
+# the stiff surface had more nodes than the soft one below it, many different pressures would have
+# the same effect on the clay, and the iteration would be slow to choose among them.
 
 # %%
 import sys

@@ -144,8 +144,9 @@ assert (traction <= bound.x.array * (1 + 1e-9) + 1e-12).all()
 # %% [markdown]
 # ## Check the balance of forces
 # The force of the ball on the block, by pressure and friction, and the force of the clamp at the
-# top must balance. The former is an integral over the contact, in which the traction is the one
-# that acts on the ball. The latter is the work of the stresses on a unit displacement of the top.
+# top must balance. The force of the ball is an integral over the contact; `traction` acts on the
+# ball, so it is subtracted. The force of the clamp is the work of the stresses on a unit
+# displacement of the top.
 
 # %%
 vectors = fem.functionspace(solution.surface.mesh, ("Lagrange", 1, (3,)))

@@ -16,9 +16,9 @@
 #         |<------------- L ------------->|        -L/2                L/2
 #
 # **Model.** As in the theory of bearings both bodies are taken for one half-space with their common
-# modulus $1/E^* = \sum (1 - \nu^2)/E$, and the shape of the roller is the gap between its plane
-# surface and a rigid plane: $x^2/2R + z(y)$, with the unknown profile $z$. The half-space is a
-# block, a quarter of it by symmetry, which is held far away.
+# modulus $1/E^* = \sum (1 - \nu^2)/E$, and the shape of the roller is the gap between the plane
+# surface of the half-space and a rigid plane: $x^2/2R + z(y)$, with the unknown profile $z$. The
+# half-space is a block, a quarter of it by symmetry, which is held far away.
 #
 # **The optimum.** The peak is not a smooth function of the profile: its derivative jumps when the
 # peak moves from one point to another. The norm of the pressure in $L^8$ is smooth, and is
@@ -36,7 +36,7 @@
 # E^*}$ and the peak $p_0 = 2Q/\pi L a$. *An even line load is not an even pressure*: at its ends
 # the half-space beyond helps to carry, the strip of contact becomes narrower, and an even pressure
 # has a smaller line load there. So the profile that is found must be a little higher than
-# Lundberg's, and without its infinite end.
+# Lundberg's, but finite at the end.
 #
 # With 5 cells over the half width of the contact it takes 9,600 nodes and 40 seconds; a number
 # after the name of this script sets another number of cells.

@@ -83,7 +83,7 @@ comm = MPI.COMM_WORLD
 # %% [markdown]
 # ## Data
 # Lengths in mm, stresses in MPa, temperatures in degrees Celsius, heat in mW (N mm/s). So
-# conductivities have the numbers of W/(m K), and 1 mW/(mm^2 K) is 1000 W/(m^2 K).
+# conductivities have the same numbers as in W/(m K), and 1 mW/(mm^2 K) is 1000 W/(m^2 K).
 
 # %%
 N = int(sys.argv[-1]) if sys.argv[-1].isdigit() else 32  # cells round a quarter of the ring
