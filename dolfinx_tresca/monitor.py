@@ -48,8 +48,8 @@ class Iteration:
         newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
         configuration: number of the configuration in which the surfaces of linear bodies are
             paired with finite sliding, from 1 on; None with small sliding.
-        ended: True in a further call at the end of a solve with finite sliding, when the
-            configurations have converged; False in all other calls.
+        ended: True in an additional call of the observer at the end of a solve with finite sliding,
+            when the configurations have converged; False in all other calls.
         stalled: how long the solve has made no progress, in words; empty while it makes progress.
     """
 

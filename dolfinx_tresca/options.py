@@ -30,10 +30,10 @@ class SolverOptions:
             (`ContactSolution.discretisation_error`) and `local_accuracy` is met.
         mesh_part: ratio of the iteration's error to the error of the mesh if `accuracy` is
             "balanced", in (0, 1). Two orthogonal errors of 1 and 0.1 have the sum 1.005.
-        local_accuracy: largest change of a node's multiplier in one projected gradient step of that
-            node alone, relative to the largest traction, if `accuracy` is "balanced"; in (0, 1).
-            With the default, peak pressure, greatest slip and forces are within 1 % of the discrete
-            solution (benchmarks/README.md); the number of nodes in a state may differ by
+        local_accuracy: largest accepted `ContactSolution.local_error`, which is approximately the
+            relative error of nodal pressures, if `accuracy` is "balanced"; in (0, 1). With the
+            default, peak pressure, greatest slip and forces are within 1 % of the discrete solution
+            (benchmarks/README.md); the number of nodes in a state may differ by
             `ContactSolution.counts.undecided`.
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
             surface and relative to its value at lambda = 0; in (0, 1). If a value is given, the
@@ -48,9 +48,10 @@ class SolverOptions:
             paper), in (0, 1).
         c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1 of the paper), in
             (0, 1); projected Newton does not use it.
-        geometry_accuracy: with finite sliding, the largest error that may result from pairing the
-            surfaces in another configuration than the solution's: the relative error of contact
-            forces, and the error of gaps relative to the displacement of the load step; in (0, 1).
+        geometry_accuracy: with finite sliding, the largest accepted error that results from pairing
+            the surfaces in a configuration that differs from the solution. This is the relative
+            error of contact forces, or the error of gaps relative to the displacement of the load
+            step, whichever is larger; in (0, 1).
 
     Example:
         `ContactProblem(..., options=options)` sets the options of all solves; the arguments of

@@ -2,7 +2,8 @@
 
 `ContactProblem` takes the place of `dolfinx_tresca.ContactProblem`, as the `LinearProblem` of
 dolfinx-adjoint takes the place of DOLFINx's. `pyadjoint.ReducedFunctional`, `pyadjoint.minimize`
-and `pyadjoint.taylor_test` then work through contact. This module needs dolfinx-adjoint 0.4.
+and `pyadjoint.taylor_test` can then differentiate contact solves. This module needs dolfinx-adjoint
+0.4.
 """
 
 from __future__ import annotations
@@ -266,7 +267,7 @@ class _Solved(pyadjoint.OverloadedType):  # type: ignore[misc]
 
 
 class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
-    """The value of a goal."""
+    """The step on the tape that computes the value of a goal from a contact state."""
 
     def __init__(self, goal: Goal, solved: _Solved) -> None:
         super().__init__()
@@ -287,7 +288,7 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
 
 
 class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
-    """A solve: from its inputs and the accepted step to the displacement and the contact state."""
+    """A solve on the tape: it computes displacement and contact state from inputs and last step."""
 
     def __init__(
         self,

@@ -9,7 +9,8 @@ from dolfinx_tresca.errors import InputError, shown
 
 Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 
-#: Names of common units, to detect exchanged arguments.
+#: Names of common units of length and of stress. If one is given for the other quantity, the two
+#: arguments were exchanged.
 LENGTHS = ("m", "km", "cm", "mm", "um", "µm", "μm", "nm", "in", "inch", "ft")
 STRESSES = ("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi", "N/m²", "N/m^2", "N/mm²", "N/mm^2")
 

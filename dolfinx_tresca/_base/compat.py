@@ -82,9 +82,9 @@ EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return the submesh of `entities`, the numbers of its geometry nodes in `mesh`, and the maps.
+    """Return the submesh of `entities`, its geometry nodes' numbers in `mesh`, and entity maps.
 
-    Forms on the parent mesh that hold Functions on the submesh need these entity maps.
+    Forms on the parent mesh that contain Functions on the submesh need these entity maps.
     """
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     if not isinstance(cells, np.ndarray):

@@ -140,8 +140,8 @@ class SlipBounds:
         Args:
             friction: the law.
             nodes: contact nodes of this rank.
-            stress_rounding: largest size of negative values that count as zero [stress], in
-                addition to `BOUND_ROUNDING`, which is relative to values at other nodes.
+            stress_rounding: negative values of at most this size [stress] also count as zero, even
+                if they exceed the limit of `BOUND_ROUNDING`.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is

@@ -37,7 +37,7 @@ UNCHANGED = 1e-3
 
 
 class TangentProblem:
-    """The contact problem of a Newton step for the whole displacement.
+    """The contact problem of a Newton step; its unknown is the whole displacement, not a change.
 
     The `contact` system owns the PETSc objects.
 
@@ -179,7 +179,8 @@ class TangentProblem:
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
-        Nothing is done if the tangent at this u_k is factored already, without added stiffness.
+        Nothing is done if no stiffness is to be added, and the tangent at this u_k is factored
+        already.
 
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
@@ -281,7 +282,7 @@ class TangentProblem:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """The displacement and the multipliers to return to if a part of the load fails.
+        """The displacement, configuration and multipliers to return to if a part of the load fails.
 
         Not collective.
         """
@@ -318,7 +319,7 @@ class TangentProblem:
         if self.comm.allreduce(same, op=MPI.LAND):
             before = steps.accepted_motions  # a trial may have left obstacles elsewhere
         self._places = before, self.surfaces.obstacles.motions
-        self.tangent.forget_material()  # the caller may have changed its history
+        self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
         self._solved_forces = None
         if self._has_history:

@@ -322,7 +322,7 @@ class NonlinearContactProblem(ContactProcess):
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`. The problem's `u`
-            holds its displacement as well. If the status is NO_EQUILIBRIUM, the result is the
+            holds the same displacement. If the status is NO_EQUILIBRIUM, the result is the
             solution for a part of the change of load; if no part could be solved, it is the
             solution of the last Newton step, and the problem's `u` is unchanged.
 

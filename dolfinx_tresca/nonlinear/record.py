@@ -18,9 +18,9 @@ class NewtonOptions:
             relative to the larger of |u|_K and |u - u_0|_K, where u_0 is the displacement at the
             start of the solve. The residual of the contact conditions has an accuracy of its own,
             in `SolverOptions`.
-        max_iterations: largest number of Newton steps for a part of the load. Up to four times as
-            many are taken while the error (with finite sliding also the error of the
-            configuration) falls fast enough to reach the requested error within so many steps.
+        max_iterations: largest number of Newton steps for a part of the load. Up to four times this
+            number are taken while the error (with finite sliding also the error of the
+            configuration) falls fast enough to reach the requested error within these steps.
         max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 

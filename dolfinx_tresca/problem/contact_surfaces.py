@@ -37,13 +37,13 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class ContactSurfaces(PetscOwner):
     """The contact surfaces as they are paired now, B and A on them, and their load steps.
 
-    Where surfaces are paired anew, B and A are replaced, and tractions and slip are carried over.
+    When surfaces are paired anew, B and A are replaced, and tractions and slip are carried over.
 
     Attributes:
         linear: the system K u = f.
         pairs: the surfaces that may touch.
         secondary: the secondary side of each pair.
-        slides_far: whether a pair has finite sliding.
+        slides_far: whether at least one pair has finite sliding.
         friction: evaluates the slip bounds at the nodes of the displacement.
         nodal_values: evaluates users' fields at these nodes.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
@@ -228,7 +228,7 @@ class ContactSurfaces(PetscOwner):
             self._accepted_configuration = self.sliding.origin.copy()
 
     def begin_solve(self) -> None:
-        """Let the next solve start at the last accepted step if its result may depend on the start.
+        """Let the next solve start at the last accepted step, if the start may affect the result.
 
         Pairs whose obstacle has moved since they were paired are paired anew. Collective.
 

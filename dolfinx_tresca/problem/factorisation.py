@@ -28,7 +28,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class Factorisation:
-    """Assembles K, fixes the bodies that K holds weakly by springs, and factors the sum.
+    """Assembles K, adds springs that fix the bodies that K holds only weakly, and factors the sum.
 
     The first call of `compliance` finds the bodies, and chooses the solver for K that suits them.
 

@@ -36,7 +36,7 @@ from dolfinx_tresca.units import Units
 
 
 def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
-    """Return by name what must be equal on all ranks for a solve, besides its arguments.
+    """Return by name the values, besides the arguments of `solve`, that all ranks must share.
 
     Not collective.
     """
@@ -359,7 +359,7 @@ class ContactProblem(ContactProcess):
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
-            `tape.gradient({9: ContactForce((1.0, 0.0))}, [coefficient])` for the tenth one.
+            `tape.gradient({9: ContactForce((1.0, 0.0))}, [coefficient])` for the tenth step.
 
         Raises:
             ContactError: the problem records already.
@@ -381,7 +381,7 @@ class ContactProblem(ContactProcess):
     def _solved_for(self, purpose: str) -> LastSolve:
         """Return the record of the last solve. Not collective.
 
-        Derivatives and error estimates need them.
+        Derivatives and error estimates need this record.
 
         Raises:
             ContactError: the problem was destroyed, nothing was solved, or coefficients of `a`

@@ -376,8 +376,8 @@ class ContactProcess(PetscOwner, Tabulated):
                 `NodeCounts.undecided` give their number). None: their state in the solution;
                 "held": they are pressed and stick; "released": they open or slip. For a single such
                 node "held" and "released" give the derivatives on the two sides. If a control
-                presses some of several such nodes and opens others, a derivative on one side may
-                equal neither.
+                presses some of several such nodes and opens others, both results may differ from
+                the derivatives on the two sides.
 
         Returns:
             for each control the derivatives with respect to its values: for a Constant an array of

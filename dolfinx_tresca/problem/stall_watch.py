@@ -43,7 +43,7 @@ class StallWatch:
         self._warned = False
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Call the observer with an iteration and its attribute `stalled`; return its answer.
+        """Call the observer with an iteration whose `stalled` is set; return the observer's answer.
 
         The first stall is logged as a warning. Collective if the observer is.
         """

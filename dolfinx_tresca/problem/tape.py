@@ -205,7 +205,7 @@ class ProcessTape:
         """Return the last solution with its problem. Collective."""
         last = self._contact.solved
         assert last is not None
-        # without the sum of slips at all nodes, which is as large as u
+        # without the sum of slips at all nodes, which takes as much memory as u
         dual = replace(last.dual, history=replace(last.dual.history, slipped=()))
         return SolvedStep(dual, last.multipliers, last.fields.u, self._surfaces.slip_bounds())
 

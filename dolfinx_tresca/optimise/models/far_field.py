@@ -10,10 +10,10 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: A vector x of the far field of A, which is A - D for an approximation D of A, is kept if the
-#: ratio of x'(A - D) x to x'A x exceeds this number. Smaller ratios may be due to errors of inexact
-#: products, or of the model of the near field. With twice or half the value the number of products
-#: is the same (benchmarks/ablation.py).
+#: The far field represents A - D, where D is an approximation of A, by vectors x. A vector is kept
+#: if the ratio of x'(A - D) x to x'A x exceeds this number. Smaller ratios may be due to errors of
+#: inexact products, or of the model of the near field. With twice or half the value the number of
+#: products is the same (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
 

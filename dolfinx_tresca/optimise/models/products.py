@@ -16,12 +16,12 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
 #: vectors with known products, has more than this fraction of the energy x'A x. When the new part
-#: is normalised, its rounding errors are divided by the root of this ratio.
+#: is normalised, its rounding errors are divided by the root of its fraction.
 NEW_ENERGY = 1e-10
 
 #: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as
-#: rounding up to this multiple of the largest quotient so far. Such quotients occur: A is singular
-#: if rows of B are linearly dependent.
+#: rounding up to this multiple of the largest quotient so far. Quotients of this size occur if rows
+#: of B are linearly dependent, since A is then singular.
 NULL_ENERGY = 1e-12
 
 #: A product is kept if its new part, which known products do not give, has an energy norm above
@@ -189,9 +189,9 @@ class ProductStore(KnownProducts):
         """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
-        errors of the first. Pairs with errors are not orthonormal and need more passes. After two
-        passes, parts along known pairs would remain and be added as new pairs, until there are more
-        pairs than unknowns.
+        errors of the first. Pairs with errors are not orthonormal and need more passes. If the
+        process always ended after two passes, parts along known pairs would remain and be added as
+        new pairs, until there are more pairs than unknowns.
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
@@ -254,7 +254,7 @@ class ProductStore(KnownProducts):
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,) for the model M of `updated_model`, where D is a function. Collective.
+        """Return M x (size,), with M as in `updated_model` and D given as a function. Collective.
 
         Args:
             x: (size,) vector.

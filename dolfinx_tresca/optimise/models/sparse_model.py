@@ -150,8 +150,9 @@ def _groups(nodes: Indices) -> tuple[csr_array, Indices]:
     """Return which multipliers belong to the same node, and each multiplier's number in its node.
 
     Returns:
-        a matrix (size, size) with an entry for each two multipliers of the same node; and for each
-        multiplier (size,) its number 0, 1, ... among the multipliers of its node.
+        a matrix (size, size) with an entry in row i and column j if the multipliers i and j belong
+        to the same node; and for each multiplier (size,) its number 0, 1, ... among the multipliers
+        of its node.
     """
     size = len(nodes)
     _, index = np.unique(nodes, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Friction with bounds that depend on the pressure: the fixed point of Tresca's problem."""
+"""Friction with bounds that depend on the pressure, as a fixed point of Tresca problems."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def fixed_point_of_model(
     rho: float,
     tolerance: float,
 ) -> tuple[Array, Point | None]:
-    """Return an approximate fixed point of the model's Tresca problems, in the cones.
+    """Return multipliers in the cones that are approximately a fixed point of the model.
 
     Newton's method is started from the following initial guesses in turn until it converges:
 
@@ -215,9 +215,9 @@ def fixed_point_of_model(
       springs as soft as the bodies;
     * the solution with all nodes sticking;
     * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. Sweeps
-      approach the fixed point if friction is too weak to reverse pressures. Bounds of a sweep may
-      be too small to support a floating body; springs then support the body at its position in the
-      previous sweep, as in the method of multipliers.
+      approach the fixed point if friction is too weak to reverse pressures. The slip bounds of a
+      sweep may be too small to support a floating body; springs then support the body at its
+      position in the previous sweep, as in the method of multipliers.
 
     If no fixed point is found, the solution of the last sweep is returned: its product with A may
     improve the model.
@@ -287,7 +287,7 @@ def fixed_point_of_model(
 
 
 def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: float) -> Point:
-    """Return the point of Newton's method at multipliers (size,) with a gradient. Collective."""
+    """Return the `Point` for multipliers (size,) and the gradient there. Collective."""
     _, c = cones_at(problem, multipliers, gradient, rho)
     return Point(multipliers, c, gradient - problem.constraints.columns @ c, float("inf"))
 

@@ -38,7 +38,7 @@ class Iterate(ABC):
         multipliers: (size,) the point.
         r: (size,) gradient at the point.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
-        finest: least error that is requested of a gradient. This error is reduced if errors are as
+        finest: least error that is requested of a gradient. This limit is lowered if errors are as
             large as the change of the gradient by a step.
         resolved: whether the new part of the last product was larger than the product's error.
         learned: whether the last step may have changed the model of A.
@@ -82,8 +82,8 @@ class Iterate(ABC):
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective.
 
-        No product is needed at zero, or if known products determine the gradient, for example at
-        the multipliers of the last solve with another load.
+        No product is needed at zero, or if known products determine the gradient, for example if a
+        solve with another load has ended at these multipliers.
 
         Args:
             multipliers: (size,) the point.
@@ -140,7 +140,7 @@ class Iterate(ABC):
         return r, error
 
     def refine(self, accuracy: float) -> None:
-        """Compute the gradient again if its error exceeds an accuracy. Collective.
+        """Compute the gradient again if its error exceeds `accuracy`. Collective.
 
         If the error is near the least error that the solver for K has reached, the gradient is not
         computed again.

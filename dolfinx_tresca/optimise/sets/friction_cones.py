@@ -302,8 +302,8 @@ class FrictionCones:
     def _nearest(self, y: Array) -> _Nearest:
         """Return the nearest points of the set in each node's half-plane (pressure, radius).
 
-        The boundary of the set in this plane has three edges: the axis up to c, the slope up to
-        c + l, and a line of constant radius beyond.
+        The boundary of the set in this plane has three edges: on the axis of zero pressure up to
+        the radius c, along a slope up to the radius c + l, and from there with constant radius.
         """
         p, s = self._pressures(y), self.discs.norms(y)
         c, grows = self.constant, (self.normal_of >= 0) & np.isfinite(self.constant)
