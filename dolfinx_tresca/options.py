@@ -13,7 +13,7 @@ from dolfinx_tresca.errors import InputError, shown
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
 
-#: Method -> default of `rho_sigma`, where it is not 1: the values of benchmarks/README.md.
+#: Defaults of `rho_sigma` from benchmarks/README.md, by method. For other methods the default is 1.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
 
@@ -23,13 +23,14 @@ class SolverOptions:
 
     Attributes:
         method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
-        accuracy: largest error of the iteration, in the energy norm and relative to the
-            displacement, in (0, 1): the solve stops when `ContactSolution.energy_error_bound` is
-            at most this. The error of the mesh is not included. With "balanced" the solve stops
-            when the bound is at most `mesh_part` times the estimated error of the mesh
+        accuracy: largest accepted error of the iteration relative to the displacement, both in the
+            energy norm; in (0, 1). The solve stops when `ContactSolution.energy_error_bound` is at
+            most this number. The error of the mesh is not included. With "balanced", the solve
+            stops when the bound is at most `mesh_part` times the estimated error of the mesh
             (`ContactSolution.discretisation_error`) and `local_accuracy` is met.
         mesh_part: ratio of the iteration's error to the error of the mesh if `accuracy` is
-            "balanced", in (0, 1). Two orthogonal errors of 1 and 0.1 have the sum 1.005.
+            "balanced", in (0, 1). The two errors are orthogonal: errors of 1 and 0.1 have the sum
+            1.005.
         local_accuracy: largest accepted `ContactSolution.local_error`, which is approximately the
             relative error of nodal pressures, if `accuracy` is "balanced"; in (0, 1). With the
             default, peak pressure, greatest slip and forces are within 1 % of the discrete solution

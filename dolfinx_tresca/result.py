@@ -33,11 +33,11 @@ class ContactSolution(Evaluation, Tabulated):
 
     Attributes:
         u: displacement [length] in the user's space; for a mixed space, on the component's space.
-        w: all unknowns, in the space of the forms. In a mixed space these are u and the pressure,
-            `u, p = solution.w.split()`; in other spaces w is u.
+        w: all unknowns, in the space of the forms. In a mixed space, these are u and the pressure,
+            `u, p = solution.w.split()`; in other spaces, w is u.
         contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
-            bodies, in the space of u. At free degrees of freedom their work with v is
-            a(u, v) - L(v); at prescribed ones a(u, v) - L(v) also contains the reactions of the
+            bodies, in the space of u. At free degrees of freedom, their work with v is
+            a(u, v) - L(v); at prescribed ones, a(u, v) - L(v) also contains the reactions of the
             supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
@@ -59,10 +59,10 @@ class ContactSolution(Evaluation, Tabulated):
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. Minus the
             last value is `dual_energy` minus the dual energy of a reference state. The reference
-            state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies it is the
+            state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies, it is the
             smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
-            an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
+            an upper bound of the minimum, since u may penetrate slightly. In a process, T u stands
             for the slip since the last accepted step.
         dual_energy: lower bound of the minimum of the primal energy, from the multipliers [energy];
             proven if `bound_is_rigorous`. If both energies are equal and nothing penetrates, the
@@ -74,8 +74,9 @@ class ContactSolution(Evaluation, Tabulated):
             discrete problem: the error of the iteration in the energy norm, see
             `dual/bounds/certificate.py`. Infinite if constraints are dependent.
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
-            factored. Else it includes an estimate of the error of iterative solves, from the
-            smallest eigenvalue of the preconditioned K that conjugate gradients have found so far.
+            factored. If K is not factored, the bound includes an estimate of the error of iterative
+            solves, from the smallest eigenvalue of the preconditioned K that conjugate gradients
+            have found so far.
         local_error: largest change of the tractions of a node if this node alone took the state
             that minimises the energy while its neighbours are fixed, relative to the largest
             traction: approximately the relative error of nodal pressures.

@@ -69,7 +69,7 @@ def log(
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     """Raise on every rank an exception that the enclosed block raised on any rank.
 
-    Without this the remaining ranks would wait for ever in their next collective call. The block
+    Without this, the remaining ranks would wait for ever in their next collective call. The block
     itself must not communicate, since a rank that has raised takes no part in communication.
 
     Collective: all ranks enter and leave together.

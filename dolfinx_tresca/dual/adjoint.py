@@ -1,7 +1,7 @@
 """Tangent and adjoint of a solution at fixed contact states.
 
 With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
-along their circles, which grow with the pressure if the law says so) a solution obeys
+along their circles, which grow with the pressure if the law says so), a solution obeys
 
     K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
@@ -12,11 +12,11 @@ tangent (du, dx) obeys
 
     K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
 
-For a goal q_u'u + q_x'x the adjoint (z, y) obeys
+For a goal q_u'u + q_x'x, the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-For Q = 0 both systems have the same matrix; slip bounds that follow the pressure make it
+For Q = 0, both systems have the same matrix; slip bounds that follow the pressure make it
 unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. Its discretisation error is
 a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
 estimation in finite element methods, 2001), plus a term from nodes that change their state. This
@@ -174,7 +174,7 @@ class LinearisedContact:
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     """Return the rows and discs that are about to change their contact state. Collective.
 
-    Within the accuracy of the solution these rows and discs may have either state, so that
+    Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
 
     Args:
@@ -332,7 +332,7 @@ def _solved(
     """Return multipliers y (size,) of the adjoint or the tangent, and c (k,). Collective.
 
     They satisfy P (I + Q') ((A + C) y - G c) = right with y = P y for the adjoint (`transpose`),
-    and P ((A + C) y - G c) = right with y = (I + Q) P y for the tangent. In both cases
+    and P ((A + C) y - G c) = right with y = (I + Q) P y for the tangent. In both cases,
     G'y + S c = missing. P, Q and C are maps of the contact state; G and S are matrices of the
     equilibrium of floating bodies.
 

@@ -65,7 +65,7 @@ class InitialGuess(PetscOwner):
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
-        Of the other points only the newest is kept. Its multipliers stay the same, and the change
+        Of the other points, only the newest is kept. Its multipliers stay the same, and the change
         of the displacement without contact is added to its displacement.
 
         Args:

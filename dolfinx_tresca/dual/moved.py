@@ -138,7 +138,7 @@ def _components(
 
     Args:
         pairs: the pairs of B.
-        nodes: for each pair and each of its nodes (n,) the number of the node whose columns of the
+        nodes: for each pair and each of its nodes (n,), the number of the node whose columns of the
             matrix it uses, from 0 to count - 1.
         counts: for each pair the number of nodes that have columns, 1 + d columns each.
     """

@@ -97,7 +97,7 @@ class NodalValues:
             name: name of the field in errors.
 
         Returns:
-            for a Constant an array of its shape, the same on all ranks; for a Function the
+            for a Constant, an array of its shape, the same on all ranks; for a Function, the
             derivatives with respect to its degrees of freedom on this rank, without ghosts; None if
             the field does not depend on the control.
 

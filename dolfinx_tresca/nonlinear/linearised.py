@@ -365,14 +365,14 @@ class TangentProblem:
         This is the energy norm of the displacement that would remove the residual at unchanged
         contact forces. The tangent is the one of the previous step, so this displacement is a
         simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
-        In a mixed space `MixedNorm` takes the place of the energy norm.
+        In a mixed space, `MixedNorm` takes the place of the energy norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
 
-        The result is NaN if F is not finite. In a mixed space it is the `MixedNorm` of K^-1 F.
+        The result is NaN if F is not finite. In a mixed space, it is the `MixedNorm` of K^-1 F.
         """
         force = self.surfaces.jump.matrix.createVecRight()
         force.array = forces
@@ -410,7 +410,7 @@ class TangentProblem:
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.
 
-        In a mixed space `MixedNorm` takes the place of this norm.
+        In a mixed space, `MixedNorm` takes the place of this norm.
         """
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values

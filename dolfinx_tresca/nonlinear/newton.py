@@ -25,13 +25,13 @@ from dolfinx_tresca.units import Units
 #: diverging. The first two steps are excepted, since the residual of the first step may be small
 #: only because nothing had moved yet. Steps with the undeformed bodies' stiffness added, and the
 #: first step after them, are excepted as well. Such steps reduce the energy and lead from an
-#: unstable equilibrium to a stable one; on the way the residual grows before it falls. (A block of
+#: unstable equilibrium to a stable one; on the way, the residual grows before it falls. (A block of
 #: degree 2 with 8 x 8 cells and a coefficient of friction of 0.3 snaps at a strain of 0.4335, with
 #: the residuals 7e-4, 4e-3 with the added stiffness, 2e-2 without it, 5e-4, 7e-5, ...)
 GROWTH = 1.0
 
 #: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
-#: enough to reach the accuracy within this larger number of steps. With added stiffness Newton's
+#: enough to reach the accuracy within this larger number of steps. With added stiffness, Newton's
 #: method converges linearly, and more steps cost less than a smaller part of the load.
 MAX_ITERATIONS_FACTOR = 4
 
@@ -263,7 +263,7 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        After `max_iterations` steps it may continue only if the error falls fast enough: at its
+        After `max_iterations` steps, it may continue only if the error falls fast enough: at its
         mean rate in the second half of the steps so far, it must reach the requested error by step
         number `MAX_ITERATIONS_FACTOR` times `max_iterations`. Rates of single steps tell little,
         since Anderson's acceleration makes errors of the configuration jump up and down.
@@ -295,11 +295,11 @@ class Newton:
 
         Raises:
             StiffnessError: no entry that was tried makes the tangent definite. In a new
-                configuration of the surfaces only one entry is tried.
+                configuration of the surfaces, only one entry is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1
-        # In a new configuration springs hold other partners: a smaller part of the load is better.
+        # In a new configuration, springs hold other partners: a smaller part of the load is better.
         moved = self._sliding is not None and self._sliding.configurations > 1
         for level in range(first, first + 1 if moved else len(ADDED)):
             try:

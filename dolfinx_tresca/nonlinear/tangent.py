@@ -30,7 +30,7 @@ class TangentSystem(LinearSystem):
     start of the solve to the present ones, and h = (1 - t) r_0 contains the residual r_0 at the
     start. So t applies any change of the loads, whatever has changed in the forms.
 
-    In a mixed space u has other unknowns besides the displacement, and K is a saddle point.
+    In a mixed space, u has other unknowns besides the displacement, and K is a saddle point.
 
     Attributes:
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.

@@ -25,7 +25,7 @@ def solve(
 ) -> DualSolution:
     """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    For Coulomb friction `fixed_point` takes the place of the default method, `projected_newton`,
+    For Coulomb friction, `fixed_point` takes the place of the default method, `projected_newton`,
     and the methods of the paper solve a sequence of Tresca problems, see `sweeps`.
     """
     tresca = METHODS[options.method]

@@ -289,8 +289,8 @@ class ContactSurfaces(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
-        With finite sliding the slip counts from the last accepted step. It is the displacement of a
-        node since this step, relative to the node's present partner and projected onto the node's
+        With finite sliding, the slip counts from the last accepted step. It is the displacement of
+        a node since this step, relative to the node's present partner and projected onto the node's
         tangent plane in the configuration.
 
         Args:

@@ -78,7 +78,7 @@ class Factorisation:
     ) -> ContactCompliance:
         """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
 
-        With a mixed space the modes are found in the first call only.
+        With a mixed space, the modes are found in the first call only.
 
         Args:
             jump: B.
@@ -95,7 +95,7 @@ class Factorisation:
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if before is None or linear.component is None:
-                # in later steps pressures make the block of the displacements indefinite even for
+                # in later steps, pressures make the block of the displacements indefinite even for
                 # a stable body; then the signs of pivots tell whether bodies are held
                 self._modes = weakly_resisted_modes(linear, self.bodies)
         springs = fixing_springs(self._modes, linear)

@@ -92,7 +92,7 @@ class Obstacles:
     def _distances(self, jump: JumpOperator) -> list[Array]:
         """Return for each pair an array (n, 4): distances and normals at undeformed nodes.
 
-        For a pair of deformable bodies the array has no rows. Collective.
+        For a pair of deformable bodies, the array has no rows. Collective.
         """
         has_obstacle = any(one is not None for one in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))

@@ -38,7 +38,7 @@ def solve_to_bound(
     The fields of floating bodies are made to satisfy the equilibrium to rounding, and so differ
     from the iterate that the iteration has accepted. If the error bound of the fields is too large,
     the iteration runs again from its last multipliers with a smaller requested bound. After
-    `MAX_ATTEMPTS` runs the status is STAGNATED.
+    `MAX_ATTEMPTS` runs, the status is STAGNATED.
 
     Args:
         dual: the dual problem.

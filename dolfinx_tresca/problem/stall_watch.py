@@ -27,7 +27,7 @@ class StallWatch:
     The log gets one warning, when the solve stalls for the first time. A contact problem makes
     progress if its residual halves within `PATIENCE` iterations. Newton's method makes progress if
     its residual halves, or a further part of the load is solved, within `IDLE_NEWTON_STEPS` steps.
-    With finite sliding a solve stalls after `IDLE_CONFIGURATIONS` configurations.
+    With finite sliding, a solve stalls after `IDLE_CONFIGURATIONS` configurations.
     """
 
     def __init__(self, comm: MPI.Comm, observe: Callable[[Iteration], bool]) -> None:

@@ -12,7 +12,7 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The far field represents A - D, where D is an approximation of A, by vectors x. A vector is kept
 #: if the ratio of x'(A - D) x to x'A x exceeds this number. Smaller ratios may be due to errors of
-#: inexact products, or of the model of the near field. With twice or half the value the number of
+#: inexact products, or of the model of the near field. With twice or half the value, the number of
 #: products is the same (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
@@ -69,7 +69,7 @@ class FarField:
         """Fit the scale of F so that w'(D + F) w is near w'A w for each column w of W. Collective.
 
         The fit is by least squares. Columns w with a small w'F w are left out. With such columns
-        alone the scale would follow from rounding errors, and could be so large that no step
+        alone, the scale would follow from rounding errors, and could be so large that no step
         changes the multipliers.
 
         Args:

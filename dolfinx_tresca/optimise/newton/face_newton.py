@@ -18,12 +18,12 @@ from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
 #: model. With the value 1, each node would take the state that minimises q for fixed multipliers of
-#: the other nodes; with a smaller value nodes change their states less often.
+#: the other nodes; with a smaller value, nodes change their states less often.
 RHO_DIAGONAL = 0.2
 
 #: A point whose natural residual is at most this fraction of the tolerance is accepted even if the
-#: model of q has not decreased. With twice the value no number of products of
-#: benchmarks/ablation.py changes; with 0.1 a cube held by springs with 1e-6 of its stiffness takes
+#: model of q has not decreased. With twice the value, no number of products of
+#: benchmarks/ablation.py changes; with 0.1, a cube held by springs with 1e-6 of its stiffness takes
 #: 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
 

@@ -43,10 +43,10 @@ WORSE = 2.0
 #: Some of the steps end with NO_FIXED_POINT both with 0.5 and with 0.03.)
 REDUCTION = 0.003
 
-#: Factor on the tolerance each time the model is solved more accurately. With FORCING the push of a
-#: wall of 1,025 bricks (`tests/validation/test_many_bodies.py`) takes six times as many Newton
+#: Factor on the tolerance each time the model is solved more accurately. With FORCING, the push of
+#: a wall of 1,025 bricks (`tests/validation/test_many_bodies.py`) takes six times as many Newton
 #: systems: the next iteration starts from the projection of a less accurate point, from which
-#: Newton's method makes no progress. With FORCING**4 rounding is reached, and 2,046 bricks under
+#: Newton's method makes no progress. With FORCING**4, rounding is reached, and 2,046 bricks under
 #: their weight take 87 systems in place of 31.
 REFINEMENT = FORCING**2
 

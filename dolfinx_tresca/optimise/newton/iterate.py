@@ -234,7 +234,7 @@ class InexactIterate(Iterate):
         r, error, wanted = self._known_gradient(multipliers, part)
         if error <= wanted:
             return r, error
-        # an accuracy below the error of b is useless: for tiny multipliers the product would
+        # an accuracy below the error of b is useless: for tiny multipliers, the product would
         # consist of the error of b only
         r, error = problem.response.gradient(multipliers, max(wanted, problem.response.b_error))
         self._store.add(multipliers, r + problem.b, error + problem.response.b_error)
