@@ -93,7 +93,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @property
     def free_dofs(self) -> int:
-        """n, the number of displacement unknowns of all ranks. Not collective.
+        """The number n of displacement unknowns on all ranks. Not collective.
 
         Prescribed degrees of freedom are not counted.
         """
@@ -101,7 +101,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @property
     def contact_nodes(self) -> int:
-        """m, the number of nodes with multipliers, of all pairs and ranks. Not collective."""
+        """The number m of nodes with multipliers, of all pairs on all ranks. Not collective."""
         return self._contact.surfaces.summary.contact_nodes
 
     @property

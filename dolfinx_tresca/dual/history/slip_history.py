@@ -17,7 +17,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 class SlipHistory:
     """The slip and the dissipation of the accepted load steps.
 
-    In a quasi-static process friction resists the slip T u - s of each step, where s is the slip
+    In a quasi-static process, friction resists the slip T u - s of each step, where s is the slip
     origin, and dissipates energy (docs/theory/problem.md). This formulation is implicit in time,
     like the backward Euler method.
 

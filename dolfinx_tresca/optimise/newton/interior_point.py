@@ -134,7 +134,7 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 of each disc, positive in the cone; 1 for discs without a cone."""
+        """Return first^2 - |v|^2 for each disc, positive inside the cone; 1 if it has no cone."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
