@@ -44,7 +44,7 @@ class ContactProblem(_ContactProblem):
     was accepted before it. Other Constants and Functions count as data, with the values that they
     have in each solve.
 
-    Solves on the tape raise an error if they fail, and K is assembled again where coefficients of
+    Solves on the tape raise an error if they fail, and K is assembled again when coefficients of
     the form `a` have changed. Solve accurately, with `rtol=1e-8` or less, since derivatives are
     evaluated at the computed solutions.
 

@@ -1,4 +1,4 @@
-"""Newton's method, with the load applied in parts where it fails."""
+"""Newton's method, which applies the load in parts if it fails for the whole load."""
 
 from __future__ import annotations
 

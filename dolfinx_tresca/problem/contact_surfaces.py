@@ -66,7 +66,7 @@ class ContactSurfaces(PetscOwner):
         Args:
             linear: the system K u = f.
             pairs: the surfaces that may touch.
-            stiffness: factors K.
+            stiffness: object that assembles and factors K.
 
         Raises:
             InputError: a gap or a law of friction is wrong.

@@ -71,14 +71,15 @@ class _Recorded:
 class ProcessTape:
     """The accepted load steps of a process, and derivatives of goals through all of them.
 
-    `ContactProblem.record` makes a tape. In memory, the tape keeps for each step the displacement,
-    the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
-    and Dirichlet conditions; values that do not change from one step to the next are kept once.
+    `ContactProblem.record` makes a tape. For each step, the tape keeps the displacement, the
+    multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction and
+    Dirichlet conditions in memory; values that do not change from one step to the next are kept
+    once.
 
     With checkpoints, the tape keeps no displacements. At each k-th step, it keeps the multipliers
     and the origin of the slip, which are values on the contact surfaces, in memory or in files. For
     derivatives, it then solves again, for k steps at a time. The first of these k solves starts
-    from the kept multipliers of its own solution, and costs a product or two.
+    from the multipliers that were kept at its step, and costs a product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
@@ -113,8 +114,8 @@ class ProcessTape:
 
         Args:
             contact: the problem whose load steps are recorded.
-            solved_for: function of a purpose that returns the last solve of the problem, or raises
-                an error that names this purpose.
+            solved_for: function that returns the last solve of the problem, or raises an error; its
+                argument is the purpose that the error names.
             forms_at: function that returns the forms and conditions of the problem at a given
                 displacement.
             checkpoint_every: number of steps from one checkpoint to the next; None: the solutions

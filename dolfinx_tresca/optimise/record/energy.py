@@ -26,9 +26,9 @@ def change_of_q(
 
 
 def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, product: Array) -> float:
-    """Return the part in [0, 1] of a step that minimises q, soft constraints included.
+    """Return the part t of a step, in [0, 1], at whose end q is least. Collective.
 
-    Collective.
+    Here q includes soft constraints.
 
     Args:
         problem: the dual problem (38.4).

@@ -272,7 +272,7 @@ class EqualityConstraints:
 
     @cached_property
     def _range(self) -> tuple[Array, Matrix]:
-        """The eigenvalues of S above rounding, and their eigenvectors (k, number)."""
+        """The eigenvalues of S that exceed rounding errors, and their eigenvectors (k, number)."""
         if not self.are_soft:
             shape = (len(self), 0)
             return np.empty(0), csr_array(shape) if issparse(self.softness) else np.empty(shape)
