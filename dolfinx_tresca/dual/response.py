@@ -128,7 +128,7 @@ class ElasticResponse(ABC):
         An iterative solver for K starts from a known displacement near x and solves to the
         requested accuracy only. Such a solve counts as a product, unless the known displacement is
         already accurate enough. The error includes the rounding of r: products are differences of
-        gradients, and for steps that are small compared with the gaps these differences may be pure
+        gradients, and if steps are small compared with the gaps, these differences may be pure
         rounding.
 
         Args:

@@ -26,9 +26,9 @@ class TangentSystem(LinearSystem):
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is added
     on both sides, so the solution of a converged iteration does not depend on this stiffness.
 
-    A continuation parameter t goes from 0 to 1. The prescribed values go linearly from those at the
-    start of the solve to the present ones, and h = (1 - t) r_0 contains the residual r_0 at the
-    start. So t applies any change of the loads, whatever has changed in the forms.
+    A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
+    at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
+    at the start. So t applies any change of the loads, whatever has changed in the forms.
 
     In a mixed space, u has other unknowns besides the displacement, and K is a saddle point.
 

@@ -244,7 +244,8 @@ class ContactSurfaces(PetscOwner):
     def pair_where_changed(self, u: fem.Function) -> None:
         """Pair surfaces anew where the geometry has changed. Collective.
 
-        These are pairs whose obstacle has moved, and pairs with finite sliding not yet paired at u.
+        This concerns pairs whose obstacle has moved, and pairs with finite sliding that are not yet
+        paired at u.
 
         Args:
             u: displacement [length] at which pairs with finite sliding are paired.
@@ -289,9 +290,9 @@ class ContactSurfaces(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
-        With finite sliding, the slip counts from the last accepted step. It is the displacement of
-        a node since this step, relative to the node's present partner and projected onto the node's
-        tangent plane in the configuration.
+        With finite sliding, the slip counts from the last accepted step. The slip of a node is its
+        displacement since this step, relative to the node's present partner and projected onto the
+        node's tangent plane in the configuration.
 
         Args:
             u: displacement [length] in the problem's space.

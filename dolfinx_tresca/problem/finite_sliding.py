@@ -72,7 +72,7 @@ class FiniteSliding:
     u(w) is the solution of the contact problem whose normals, partners and areas are those of the
     surfaces displaced by w. The iteration w <- u(w) converges linearly where friction acts, because
     the directions of the forces are those of the last configuration. With Anderson's acceleration
-    (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49) the iteration converges about as fast as
+    (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49), the iteration converges about as fast as
     Newton's method for nonlinear bodies, so one Newton step in each configuration is enough.
 
     Attributes:
@@ -155,8 +155,8 @@ class FiniteSliding:
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
-        To the displacement of the present configuration is added the displacement that the change
-        of the prescribed values causes, with the present K and unchanged contact forces.
+        Its displacement is the displacement of the present configuration plus the response to the
+        change of the prescribed values, with the present K and unchanged contact forces.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.

@@ -248,7 +248,8 @@ class ContactProcess(PetscOwner, Tabulated):
         The file holds the multipliers, the slip and the dissipation of the accepted steps, the
         displacement u of nonlinear bodies, and the displacement of the last `update_geometry`. It
         holds neither loads nor products with A: the first solve after a restart costs as many
-        products as a first solve. An interrupted write leaves the previous file unchanged.
+        products as the first solve of a new problem. An interrupted write leaves the previous file
+        unchanged.
 
         Args:
             path: path of the file; the first rank's value counts.

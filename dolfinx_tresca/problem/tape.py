@@ -71,10 +71,9 @@ class _Recorded:
 class ProcessTape:
     """The accepted load steps of a process, and derivatives of goals through all of them.
 
-    `ContactProblem.record` makes a tape. For each step, the tape keeps the displacement, the
-    multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction and
-    Dirichlet conditions in memory; values that do not change from one step to the next are kept
-    once.
+    `ContactProblem.record` makes a tape. For each step, the tape keeps in memory the displacement,
+    the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
+    and Dirichlet conditions; values that do not change from one step to the next are kept once.
 
     With checkpoints, the tape keeps no displacements. At each k-th step, it keeps the multipliers
     and the origin of the slip, which are values on the contact surfaces, in memory or in files. For

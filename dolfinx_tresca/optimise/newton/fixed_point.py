@@ -108,12 +108,12 @@ class _FixedPointNewton(ProjectedNewton):
     ) -> Array:
         """Return a fixed point of the model; if none is found, record how much friction is missing.
 
-        Newton's method on the model measures errors of the equilibrium and of the tractions as two
-        independent equations. The natural residual contains a projection that satisfies the
-        equilibrium exactly. Where bodies slide as a whole, few tractions can satisfy the
-        equilibrium, and the natural residual is a hundred times larger than the errors that
-        Newton's method measures. The model is then solved more accurately, from the projected
-        point; the natural residual decides which of the points is returned.
+        Newton's method on the model treats the equilibrium, and the laws of contact and friction,
+        as two independent equations, and measures the error of each. The natural residual contains
+        a projection that satisfies the equilibrium exactly. Where bodies slide as a whole, few
+        tractions can satisfy the equilibrium, and the natural residual is a hundred times larger
+        than the errors that Newton's method measures. The model is then solved more accurately,
+        from the projected point; the natural residual decides which of the points is returned.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance

@@ -71,8 +71,8 @@ class Iterate(ABC):
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        Only the part of the direction that known products do not give is new: this part and its
-        product are added to the store.
+        Known products give A times a part of the direction. The rest of the direction is new, and
+        is added to the store with its product.
 
         Args:
             direction: (size,) change of the multipliers; zero needs no product.
@@ -168,7 +168,7 @@ class ExactIterate(Iterate):
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        Only the part of the direction that known products do not give is multiplied by A.
+        Known products give A times a part of the direction; only the rest is multiplied by A.
         """
         problem, known_pairs = self._problem, len(self._store)
         self.learned = False
@@ -214,8 +214,8 @@ class InexactIterate(Iterate):
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        The store keeps the part of the direction and of its product that known products do not
-        give.
+        Known products give A times a part of the direction. The rest of the direction is new, and
+        is added to the store with its product.
         """
         if float(self._problem.inner(direction, direction)) == 0.0:
             return self.zero_step()

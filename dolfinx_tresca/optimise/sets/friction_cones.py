@@ -72,7 +72,7 @@ class FrictionCones:
     def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere it is
+        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere, g is
         evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
         distance rho v from the circle with radius g(v). At a solution of the problem, this v equals
         |r|. At other points, this v depends less on r than |r| does, so that bounds that grow
