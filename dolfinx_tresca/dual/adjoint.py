@@ -53,8 +53,8 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 #: adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
 
-#: The right-hand side of the equations for GCR is a difference of two terms. Their residual counts
-#: as rounding up to this multiple of the sum of the terms' absolute values.
+#: The right-hand side of the equations for GCR is a difference of two terms. The residual of GCR
+#: counts as rounding up to this multiple of the sum of the terms' absolute values.
 RESIDUAL_ROUNDING = 1e-10
 
 #: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this

@@ -37,8 +37,9 @@ MAX_ITERATIONS_FACTOR = 4
 
 #: Stiffness that is added to a tangent which is not positive definite, in the order of trial. Each
 #: entry has the stiffness of springs in the contact, relative to the stiffness of a single node,
-#: and a factor of the undeformed bodies' stiffness. Blocks of rubber that are compressed by 40 %
-#: buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding that should slide.
+#: and the factor with which the undeformed bodies' stiffness is added. Blocks of rubber that are
+#: compressed by 40 % buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding
+#: that should slide.
 ADDED = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (10.0, 0.1), (10.0, 1.0))
 
 #: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
@@ -153,7 +154,7 @@ class Newton:
         self._unstable = False
         if problem.surfaces.slides_far:
             self._sliding = FiniteSliding(problem.surfaces)
-            self.level = 0  # springs hold the partners of another configuration
+            self.level = 0  # springs would hold the partners of another configuration
             try:
                 with suppress(StiffnessError):  # the steps will add stiffness
                     problem.factor()

@@ -106,7 +106,7 @@ class Factorisation:
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        with timed(self.method, timings):  # for a saddle point this factors another matrix
+        with timed(self.method, timings):  # for a saddle point, this factors another matrix
             return ContactCompliance(jump, solver, springs, before)
 
     def _chosen(self) -> tuple[ChosenMethod, str]:

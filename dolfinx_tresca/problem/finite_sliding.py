@@ -37,7 +37,7 @@ DEPENDENT = 1e-3
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
 #: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
 #: configuration changes the forces again, so early contact problems need no more accuracy. A
-#: residual in proportion to the last change of the forces is not better: where forces are sensitive
+#: residual proportional to the last change of the forces is not better: where forces are sensitive
 #: to residuals, as in slender bodies, this change is as large as the errors of contact problems.
 #: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
 #: steps if the residual is 0.03 times the change of the forces, 165 with the value below, and 159
@@ -50,7 +50,7 @@ FORCING = 0.01
 #: upper bound, since a convergent iteration has a ratio below 1. A change whose ratio is below both
 #: the lower bound and the ratio of the residuals u - w is small by chance. It is replaced by the
 #: previous change times the smaller of these two ratios: without this replacement, 28 of 200 random
-#: scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested error; with it 8 have.
+#: scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested error; with it, 8 have.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Advice to users if the configurations do not converge.

@@ -20,7 +20,7 @@ from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.status import ContactStatus
 
 #: Largest number of runs of the iteration until its fields have the requested error bound. (Of the
-#: 2,000 random floating scenes of `make test-long` four needed a second run.)
+#: 2,000 random floating scenes of `make test-long`, four needed a second run.)
 MAX_ATTEMPTS = 3
 
 

@@ -14,7 +14,7 @@ from dolfinx_tresca._base.patience import PATIENCE
 from dolfinx_tresca.monitor import Iteration
 
 #: Number of Newton steps without progress, and number of configurations with finite sliding, after
-#: which a solve counts as stalled. (For iterations of a contact problem the number is `PATIENCE`.)
+#: which a solve counts as stalled. (For iterations of a contact problem, the number is `PATIENCE`.)
 #: Of the solves in tests/validation and tests/nonlinear that converge, none needs more than 6 such
 #: Newton steps or 15 configurations. If both numbers are doubled, the warning comes later, and
 #: nothing else changes.

@@ -24,8 +24,9 @@ from dolfinx_tresca.surface.numbering import label_bodies
 #: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
 #: the share, two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not
 #: solved, and all piles together take 3,594 iterations and 7,088 products in place of 1,253 and
-#: 8,243; with twice the share, they take 463 and 8,770. Walls of 15 bricks with up to 220 and 348
-#: multipliers on a brick would take 0.5 and 0.65 times the time if A were computed as a matrix.
+#: 8,243; with twice the share, they take 463 and 8,770. Two walls of 15 bricks, with up to 220 and
+#: 348 multipliers on a brick, would take 0.5 and 0.65 times the time if A were computed as a
+#: matrix.
 BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
 #: Value of MUMPS's option ICNTL(7) for an ordering by approximate minimum fill. For a matrix of

@@ -121,8 +121,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the vector of random signs comes last, since the newest product sets the scale of the
-        # model: the order of the affine tractions is arbitrary
+        # the vector of random signs comes last: the newest product sets the scale of the model,
+        # and the order of the affine tractions is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

@@ -16,7 +16,7 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
 #: vectors with known products, has more than this fraction of the energy x'A x. When the new part
-#: is normalised, its rounding errors are divided by the root of its fraction.
+#: is normalised, its rounding errors are divided by the root of the fraction that it has.
 NEW_ENERGY = 1e-10
 
 #: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as

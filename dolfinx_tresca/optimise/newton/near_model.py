@@ -55,7 +55,8 @@ def solve(
         near.add(new, product)
         return product
 
-    tolerance *= FORCING  # this costs no product with A and saves some, since the model is accurate
+    # a smaller tolerance costs no product with A, and saves some, since the model is accurate
+    tolerance *= FORCING
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):

@@ -145,7 +145,7 @@ def constrained_projection(
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
-                if above > after:  # where the secant of the slope has half of `SLOPE_LEFT`
+                if above > after:  # where the secant of the slope reaches half of `SLOPE_LEFT`
                     incline = (above - after) / (high - part)
                     root = part - (after - 0.5 * SLOPE_LEFT * slope) / incline
                 high, above = part, after
