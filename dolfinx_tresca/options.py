@@ -13,8 +13,7 @@ from dolfinx_tresca.errors import InputError, shown
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
 
-#: Defaults of `rho_sigma` from benchmarks/README.md, by method. The other methods have the default
-#: 1.
+#: Defaults of `rho_sigma` by method, from benchmarks/README.md; 1 for the other methods.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
 

@@ -2,8 +2,7 @@
 
 `ContactProblem` takes the place of `dolfinx_tresca.ContactProblem`, as the `LinearProblem` of
 dolfinx-adjoint takes the place of DOLFINx's. `pyadjoint.ReducedFunctional`, `pyadjoint.minimize`
-and `pyadjoint.taylor_test` can then differentiate contact solves. This module needs dolfinx-adjoint
-0.4.
+and `pyadjoint.taylor_test` then differentiate contact solves. This needs dolfinx-adjoint 0.4.
 """
 
 from __future__ import annotations
@@ -288,7 +287,10 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
 
 
 class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
-    """A solve on the tape: it computes displacement and contact state from inputs and last step."""
+    """A solve on the tape.
+
+    It maps its inputs and the accepted step to the displacement and the contact state.
+    """
 
     def __init__(
         self,

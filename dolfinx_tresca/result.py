@@ -57,10 +57,10 @@ class ContactSolution(Evaluation, Tabulated):
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
-        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. Minus the
-            last value is `dual_energy` minus the dual energy of a reference state. The reference
-            state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies, it is the
-            smallest lambda that balances the loads.
+        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. The
+            `dual_energy` is the dual energy of a reference state minus the last value of q. The
+            reference state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies,
+            it is the smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
             an upper bound of the minimum, since u may penetrate slightly. In a process, T u stands
             for the slip since the last accepted step.
@@ -78,8 +78,8 @@ class ContactSolution(Evaluation, Tabulated):
             solves, from the smallest eigenvalue of the preconditioned K that conjugate gradients
             have found so far.
         local_error: largest change of the tractions of a node if this node alone took the state
-            that minimises the energy while its neighbours are fixed, relative to the largest
-            traction: approximately the relative error of nodal pressures.
+            that minimises the energy, with its neighbours fixed, relative to the largest traction:
+            approximately the relative error of nodal pressures.
         bound_error: largest change of a slip bound that such changes of all nodes' tractions would
             cause, relative to the largest bound: the distance from the fixed point if bounds depend
             on the pressure, else 0. All other errors are those of Tresca's problem with the present
@@ -91,7 +91,7 @@ class ContactSolution(Evaluation, Tabulated):
             without `cell_errors`.
         counts: numbers of nodes in each state.
         peak_pressure: largest pressure of all nodes [stress].
-        greatest_slip: largest slip of a pressed node [length], in a process the slip in this step.
+        greatest_slip: largest slip of a pressed node [length]; in a process, the slip in this step.
             Nodes that stick count with zero.
         greatest_total_slip: longest path of a pressed node over the other side: the sum of the
             lengths of its slips in all steps [length].
@@ -200,7 +200,7 @@ class ContactSolution(Evaluation, Tabulated):
         """Return force and moment of contact on the secondary side of each pair. Not collective.
 
         The forces are -N'lambda_nu - T'lambda_tau: they act against the normals and against the
-        tractions. The forces on the primary side are opposite and equal. `body_resultants` has the
+        tractions. The forces on the primary side are equal and opposite. `body_resultants` has the
         sums over all pairs for each body.
 
         Args:

@@ -20,10 +20,11 @@ FAR_ENERGY = 0.03
 class FarField:
     """The low-rank approximation F = s Z Z' of A - D, from known products with A.
 
-    D is an approximation of A with x'D x <= x'A x. If D is the near field, which represents the
-    bodies near the contact, F represents the rest of the bodies. F is then smooth, so that few
-    columns suffice. For another A with its own D, the sum D + F is always positive definite, and
-    accurate near the contact; the scale of F follows from the first products with the new A.
+    D is an approximation of A with x'D x <= x'A x, at least approximately. If D is the near field,
+    which represents the bodies near the contact, F represents the rest of the bodies. F is then
+    smooth, so that few columns suffice. For another A with its own D, the sum D + F is always
+    positive definite, and accurate near the contact; the scale of F follows from the first products
+    with the new A.
 
     Attributes:
         W: (size, k) vectors with known products (A - D) W.

@@ -102,7 +102,7 @@ def constrained_projection(
         return x, p, agreed(matrix.along(p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
-        """Return the rounding errors (k,) of the residual due to its sum, and due to y + G z."""
+        """Return two rounding errors (k,) of the residual: from summing it, and from y + G z."""
         changes = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
         terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), changes])).T
         return agreed(ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(
