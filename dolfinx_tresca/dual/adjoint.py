@@ -96,9 +96,9 @@ class LinearisedContact:
         """Return the contact state of multipliers x (size,) with gradient r (size,). Collective.
 
         Args:
-            dual: the problem.
-            x: multipliers.
-            r: gradient.
+            dual: the dual problem of the solve.
+            x: multipliers at which the problem is linearised.
+            r: gradient at x.
             edge: state that is assumed for nodes between two states, which `at_edge` finds.
 
         Raises:
@@ -201,7 +201,7 @@ def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: f
     The result is an array (n_discs,), False for discs without friction.
 
     Args:
-        lam: Lambda.
+        lam: Lambda, whose radii are the slip bounds.
         target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
         stress_scale: (size,) factors from multipliers to stresses.
         error: error of a traction [stress].

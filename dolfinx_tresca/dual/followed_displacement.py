@@ -96,7 +96,7 @@ class FollowedDisplacement:
         """Solve for z at multipliers y (size,) near the present multipliers. Collective.
 
         Args:
-            y: multipliers.
+            y: multipliers at which the iteration has ended.
             rtol: relative error of z in the energy norm.
         """
         self._solver.improve(self._force(y), self._z, rtol=rtol, accuracy=0.0)

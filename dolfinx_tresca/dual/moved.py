@@ -39,7 +39,7 @@ def moved_jump(
     Args:
         before: the previous B.
         pairs: the pairs of B.
-        u: displacement [length].
+        u: displacement at which the surfaces are paired [length].
         anew: for each pair whether it is paired anew; bonded pairs are never paired anew. None: all
             pairs that are not bonded are paired anew.
 
@@ -86,9 +86,9 @@ def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array
 
     Args:
         V: the space of the displacement.
-        straight: `straightened` u.
-        u: (nodes, dim of space) displacement.
-        pair: the surfaces.
+        straight: (nodes, dim of space) `straightened` u.
+        u: (nodes, dim of space) displacement [length].
+        pair: the pair whose primary edges are bent.
     """
     if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
         return straight

@@ -94,7 +94,7 @@ class NodalValues:
             control: the Constant or scalar Function that changes.
             nodes: nodes of this rank at which the field is taken.
             weights: (n,) weights of the values.
-            name: name of the field in errors.
+            name: name of the field in error messages.
 
         Returns:
             for a Constant, an array of its shape, the same on all ranks; for a Function, the
@@ -130,7 +130,7 @@ class NodalValues:
             control: the Constant or scalar Function that changes.
             direction: change of the control: values for a Constant, a Function for a Function.
             nodes: nodes of this rank at which the field is taken.
-            name: name of the field in errors.
+            name: name of the field in error messages.
 
         Returns:
             the derivative; None if the field does not depend on the control.

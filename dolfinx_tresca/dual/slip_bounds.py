@@ -118,8 +118,8 @@ class SlipBounds:
         """Check bounds that are plain numbers: they are known already before a solve. Collective.
 
         Args:
-            friction: the law.
-            nodes: contact nodes of this rank.
+            friction: the law of friction whose bounds are checked.
+            nodes: (n,) contact nodes of this rank.
             stress_rounding: see `at`.
 
         Raises:
@@ -138,8 +138,8 @@ class SlipBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
         Args:
-            friction: the law.
-            nodes: contact nodes of this rank.
+            friction: the law of friction whose bound is evaluated.
+            nodes: (n,) contact nodes of this rank.
             stress_rounding: negative values of at most this size [stress] also count as zero, even
                 if they exceed the limit of `BOUND_ROUNDING`.
 

@@ -44,8 +44,8 @@ class ContactSurfaces(PetscOwner):
         pairs: the surfaces that may touch.
         secondary: the secondary side of each pair.
         slides_far: whether at least one pair has finite sliding.
-        friction: evaluates the slip bounds at the nodes of the displacement.
-        nodal_values: evaluates users' fields at these nodes.
+        friction: object that evaluates the slip bounds at the nodes of the displacement.
+        nodal_values: object that evaluates users' fields at these nodes.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
         compliance: A = B K^-1 B', with K factored.
         guess: displacements of earlier solves with the present B.
@@ -54,7 +54,7 @@ class ContactSurfaces(PetscOwner):
             this pairing.
         geometry: displacement at which pairs without finite sliding were paired.
         obstacles: the rigid obstacles and their positions.
-        summary: the sizes of the problem.
+        summary: the sizes of the problem, for tables.
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 

@@ -35,7 +35,7 @@ class Factorisation:
     Attributes:
         bodies: the bodies of the mesh.
         method: name of the chosen solver for K.
-        reason: reason of the choice.
+        reason: why this solver was chosen, as text.
     """
 
     def __init__(

@@ -253,7 +253,7 @@ def _with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
     Args:
         a: the bilinear form.
         gradient: UFL expression of shape (dim, dim) that replaces both gradients.
-        weight: scalar UFL expression.
+        weight: scalar UFL expression that multiplies the integrands.
     """
     a = apply_derivatives(apply_algebra_lowering(a))
     a = map_integrand_dags(_Substitution(gradient), a)

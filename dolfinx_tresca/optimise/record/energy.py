@@ -17,7 +17,7 @@ def change_of_q(
         problem: the dual problem (38.4).
         x: (size,) multipliers.
         r: (size,) gradient at x.
-        origin: (size,) other multipliers.
+        origin: (size,) multipliers with which x is compared.
         origin_gradient: (size,) gradient at the origin.
     """
     step, constraints = x - origin, problem.constraints
@@ -32,7 +32,7 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
 
     Args:
         problem: the dual problem (38.4).
-        x: (size,) multipliers.
+        x: (size,) multipliers at the start of the step.
         r: (size,) gradient at x.
         direction: (size,) the step.
         product: (size,) A times the direction.
