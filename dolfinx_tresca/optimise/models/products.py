@@ -16,12 +16,12 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
 #: vectors with known products, has more than this fraction of the energy x'A x. When the new part
-#: is normalised, its rounding errors are divided by the root of this ratio.
+#: is normalised, its rounding errors are divided by the root of the fraction that it has.
 NEW_ENERGY = 1e-10
 
 #: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as
-#: rounding up to this multiple of the largest quotient so far. Such quotients occur: A is singular
-#: if rows of B are linearly dependent.
+#: rounding up to this multiple of the largest quotient so far. Quotients of this size occur if rows
+#: of B are linearly dependent, since A is then singular.
 NULL_ENERGY = 1e-12
 
 #: A product is kept if its new part, which known products do not give, has an energy norm above
@@ -34,19 +34,19 @@ RESOLVED = 1.5
 WORSE_ERROR = 2.0
 
 #: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
-#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit
+#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit,
 #: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
-#: the limit such steps take 18 products in place of 13, since more pairs must be found again.
+#: the limit, such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
 #: The part of a vector along the vectors w of known pairs (w, A w) counts as rounding if its norm
-#: is at most this multiple of the norm of the rest. With exact pairs the Gram-Schmidt process
+#: is at most this multiple of the norm of the rest. With exact pairs, the Gram-Schmidt process
 #: reaches this limit in two passes.
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
 #: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
-#: |lambda| |r| (Euclidean norms). Doubling or halving it changes no status and no number of
-#: products (benchmarks/ablation.py).
+#: |lambda| |r| (Euclidean norms). Doubling or halving this number changes no status and no number
+#: of products (benchmarks/ablation.py).
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
@@ -54,7 +54,7 @@ class ProductStore(KnownProducts):
     """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
 
     Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
-    same. After a change of the stiffness the pairs are no longer valid, but they still approximate
+    same. After a change of the stiffness, the pairs are no longer valid, but they still approximate
     the new A: see `successor`.
 
     Attributes:
@@ -189,9 +189,9 @@ class ProductStore(KnownProducts):
         """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
-        errors of the first. Pairs with errors are not orthonormal and need more passes. After two
-        passes, parts along known pairs would remain and be added as new pairs, until there are more
-        pairs than unknowns.
+        errors of the first. Pairs with errors are not orthonormal and need more passes. If the
+        process always ended after two passes, parts along known pairs would remain and be added as
+        new pairs, until there are more pairs than unknowns.
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
@@ -235,7 +235,7 @@ class ProductStore(KnownProducts):
         known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
-        # for exact pairs the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
+        # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
         # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
         # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds
@@ -254,7 +254,7 @@ class ProductStore(KnownProducts):
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,) for the model M of `updated_model`, where D is a function. Collective.
+        """Return M x (size,), with M as in `updated_model` and D given as a function. Collective.
 
         Args:
             x: (size,) vector.

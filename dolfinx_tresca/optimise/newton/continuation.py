@@ -56,9 +56,9 @@ def along_load(
     """Follow the fixed points of changing loads, from the start to the present load.
 
     The path begins at the nearest load for which the start is a fixed point. If the start is the
-    last load step's solution, the path is that of the process. Without the path, Newton's method
+    solution of the last load step, the path follows the process. Without the path, Newton's method
     cycles if many nodes change between stick and slip at once, as on a belt that is pulled round a
-    drum. In each step along the path only few nodes change.
+    drum. In each step along the path, only few nodes change their state.
 
     Collective. Needs no product with A.
 
@@ -126,12 +126,13 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(
     newton: FaceNewton, start: Point, tolerance: float, *, refine: bool = False
 ) -> Point:
-    """Return the iterate of Newton's method with the least residual.
+    """Return the iterate with the least residual of up to three runs of Newton's method.
 
     The method begins with softened constraints and softens them further after each step that fails,
     as in the method of Levenberg and Marquardt. If this does not converge, a second run begins with
-    softer constraints. In a third run the constraints are exact until a step fails, and softened by
-    a constant from then on. If the model has no softness, there is one run, with exact constraints.
+    softer constraints. In a third run, the constraints are exact until a step fails, and softened
+    by a constant from then on. If the model has no softness, there is one run, with exact
+    constraints.
 
     Args:
         newton: Newton's method on the faces, with its problem.
@@ -150,7 +151,7 @@ def nearest_fixed_point(
 def _nearest_fixed_point(
     newton: FaceNewton, start: Point, tolerance: float, softness: float, growth: float
 ) -> Point:
-    """Return the iterate of Newton's method with the least residual.
+    """Return the iterate with the least residual of one run of Newton's method.
 
     A step is shortened if it does not reduce the residual. If no part of the step reduces the
     residual, contact on this face may hold some bodies only weakly, or not at all. With exact

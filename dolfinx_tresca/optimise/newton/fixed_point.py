@@ -1,4 +1,4 @@
-"""Friction with bounds that depend on the pressure: the fixed point of Tresca's problem."""
+"""Friction with bounds that depend on the pressure, as a fixed point of Tresca problems."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ WORSE = 2.0
 #: Some of the steps end with NO_FIXED_POINT both with 0.5 and with 0.03.)
 REDUCTION = 0.003
 
-#: Factor on the tolerance each time the model is solved more accurately. With FORCING the push of a
-#: wall of 1,025 bricks (`tests/validation/test_many_bodies.py`) takes six times as many Newton
+#: Factor on the tolerance each time the model is solved more accurately. With FORCING, the push of
+#: a wall of 1,025 bricks (`tests/validation/test_many_bodies.py`) takes six times as many Newton
 #: systems: the next iteration starts from the projection of a less accurate point, from which
-#: Newton's method makes no progress. With FORCING**4 rounding is reached, and 2,046 bricks under
+#: Newton's method makes no progress. With FORCING**4, rounding is reached, and 2,046 bricks under
 #: their weight take 87 systems in place of 31.
 REFINEMENT = FORCING**2
 
@@ -108,12 +108,12 @@ class _FixedPointNewton(ProjectedNewton):
     ) -> Array:
         """Return a fixed point of the model; if none is found, record how much friction is missing.
 
-        Newton's method on the model measures errors of the equilibrium and of the tractions as two
-        independent equations. The natural residual contains a projection that satisfies the
-        equilibrium exactly. Where bodies slide as a whole, few tractions can satisfy the
-        equilibrium, and the natural residual is a hundred times larger than the errors that
-        Newton's method measures. The model is then solved more accurately, from the projected
-        point; the natural residual decides which of the points is returned.
+        Newton's method on the model treats the equilibrium, and the laws of contact and friction,
+        as two independent equations, and measures the error of each. The natural residual contains
+        a projection that satisfies the equilibrium exactly. Where bodies slide as a whole, few
+        tractions can satisfy the equilibrium, and the natural residual is a hundred times larger
+        than the errors that Newton's method measures. The model is then solved more accurately,
+        from the projected point; the natural residual decides which of the points is returned.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
@@ -204,7 +204,7 @@ def fixed_point_of_model(
     rho: float,
     tolerance: float,
 ) -> tuple[Array, Point | None]:
-    """Return an approximate fixed point of the model's Tresca problems, in the cones.
+    """Return multipliers in the cones that are approximately a fixed point of the model.
 
     Newton's method is started from the following initial guesses in turn until it converges:
 
@@ -215,9 +215,9 @@ def fixed_point_of_model(
       springs as soft as the bodies;
     * the solution with all nodes sticking;
     * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. Sweeps
-      approach the fixed point if friction is too weak to reverse pressures. Bounds of a sweep may
-      be too small to support a floating body; springs then support the body at its position in the
-      previous sweep, as in the method of multipliers.
+      approach the fixed point if friction is too weak to reverse pressures. The slip bounds of a
+      sweep may be too small to support a floating body; springs then support the body at its
+      position in the previous sweep, as in the method of multipliers.
 
     If no fixed point is found, the solution of the last sweep is returned: its product with A may
     improve the model.
@@ -287,7 +287,7 @@ def fixed_point_of_model(
 
 
 def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: float) -> Point:
-    """Return the point of Newton's method at multipliers (size,) with a gradient. Collective."""
+    """Return the `Point` for multipliers (size,) and the gradient there. Collective."""
     _, c = cones_at(problem, multipliers, gradient, rho)
     return Point(multipliers, c, gradient - problem.constraints.columns @ c, float("inf"))
 

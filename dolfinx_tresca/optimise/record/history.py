@@ -62,7 +62,7 @@ class History:
     def check_convergence(
         self, x: Array, r: Array, error: float | None = None
     ) -> ContactStatus | None:
-        """Record an iterate; return the status with which the iteration ends, or None. Collective.
+        """Record an iterate; return the status if the iteration ends here, else None. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.

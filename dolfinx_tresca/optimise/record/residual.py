@@ -107,9 +107,9 @@ class NaturalResidual:
     def is_limited_by_rounding(self, residual: float) -> bool:
         """Return whether rounding may keep a residual from decreasing. Not collective.
 
-        The residual is then small compared with its scale or with b. If displacements by the loads
-        are tiny compared with a gap, the scale follows from the loads, but rounding errors follow
-        from the gap.
+        This is possible if the residual is small compared with its scale or with b. The size of b
+        matters if the loads move the bodies much less than the width of a gap: then the scale
+        follows from the loads, but rounding errors follow from the gap.
         """
         size = max(self.scale, self.rounding / ROUNDING)
         return residual <= EXHAUSTED * size

@@ -139,7 +139,7 @@ class FeasibleSet:
 
     @property
     def carrying(self) -> Mask:
-        """Which multipliers (size,) can be other than zero."""
+        """Which multipliers (size,) can be nonzero."""
         result = np.ones(self.size, dtype=np.bool_)
         result[self.tangential] = self.radius[self.node] > 0.0
         return result
