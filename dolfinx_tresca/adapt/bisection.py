@@ -38,7 +38,7 @@ class BisectedCells:
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
         ends: (nodes, 2) the two ends of the edge of which the node is the middle; for a corner,
-            twice the corner itself. Numbers are those of the nodes at the mesh's creation.
+            twice the corner itself. Nodes have the numbers that they got when `mesh` was created.
         shared: numbering of the nodes over all ranks.
     """
 

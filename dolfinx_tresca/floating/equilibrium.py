@@ -29,16 +29,16 @@ from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
 #: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
 UNBALANCED_PART = 1e-8
 
-#: Contact must also balance loads that are larger by this fraction than the given loads: exactly at
-#: the limit of friction the rigid displacement would not be determined.
+#: Contact must also balance the given loads increased by this fraction: exactly at the limit of
+#: friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
 
 #: Contact does not resist a rigid body mode if the mode's squared jump is at most this fraction of
 #: the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
-#: An eigenvalue of the Gram matrix of the modes' jumps, with 1 on the diagonal of the matrix,
-#: counts as rounding up to this number if there are hundreds of bodies.
+#: With hundreds of bodies, an eigenvalue of the Gram matrix of the modes' jumps counts as rounding
+#: if it is at most this number. (The jumps are scaled to length 1.)
 ROUNDING_SQUARE = 1e-13
 
 #: Number of motions that are computed if contact does not resist some motions of many bodies. The

@@ -125,8 +125,9 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # found.c, the multipliers of the constraints, belongs to the model's gradient: with the
-        # gradient of u, it would give larger gaps and penetrations than the stopping criterion saw
+        # the multipliers found.c of the constraints belong to the gradient of the model of A;
+        # together with the gradient that follows from u, they would give larger gaps and
+        # penetrations than the stopping criterion has measured
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)

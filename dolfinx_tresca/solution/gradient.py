@@ -41,8 +41,8 @@ class Forms:
         residual: function that returns the residual R(u; z), a form of rank 0, for a Function z.
         tangent: dR/du, a bilinear form.
         bcs: Dirichlet conditions.
-        entity_maps: entity maps of the forms, needed if these hold Functions on surfaces; None:
-            there are none.
+        entity_maps: entity maps, needed if the forms contain Functions on surfaces; None: there are
+            no entity maps.
     """
 
     residual: Callable[[fem.Function], Any]

@@ -22,8 +22,8 @@ from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.numbering import label_bodies
 from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
 
-#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1, the
-#: sizes of differently cut bricks would decide, and rounding if the bricks are equal.
+#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
+#: 1, slight differences in size would decide, and between equal bricks rounding.
 FINER = 2.0**-0.5
 
 #: Number of candidates for the direction that orders the facets of a body.
@@ -96,8 +96,9 @@ class SelfContact:
 
         Facets of one body may not meet if they share a corner, or if they are the two faces of a
         wall. Two facets are the faces of a wall if each is behind the other, deeper than facets of
-        curved surfaces penetrate each other (`SHALLOW_DEPTH`). This must be so in the undeformed
-        mesh and now, and the present depth must exceed `WALL_PART` of the undeformed depth.
+        curved surfaces penetrate each other (`SHALLOW_DEPTH`). This must be so both in the
+        undeformed mesh and in the present configuration, and the present depth must exceed
+        `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))

@@ -103,7 +103,7 @@ class Camera:
 
         Args:
             plotter: the plotter.
-            depth: extent of the scene along the view [length].
+            depth: extent of the scene along the viewing direction [length].
         """
         plotter.enable_parallel_projection()
         plotter.camera_position = [

@@ -30,7 +30,7 @@ ARROWS = 350  #: approximate number of slip arrows on a surface
 #: Least cosine between the normal of a facet and the contact normal; lateral facets have smaller
 #: cosines.
 FACING = 0.15
-COARSE = 150  #: arrows and marks on a surface with fewer nodes are as small as with this number
+COARSE = 150  #: arrows and marks become no larger on a surface with fewer nodes than this
 
 
 def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
