@@ -14,7 +14,7 @@ machine than wall-clock times. Figures are medians; one process runs the solvers
 With `--cells adaptive` a mesh of tetrahedra, with 4 cells along each brick, is refined where
 displacements are singular: N times for degree 1, and N / 2 times for degree 2. The levels of
 multigrid are then the meshes from which the mesh was refined. "GAMG of all of K" has no such
-levels, like multigrid on unrefined meshes of degree 1:
+levels, like multigrid on unrefined meshes of degree 1. The command for these rows is:
 
     tools/fenicsx python3 benchmarks/degree_2.py --cells adaptive --sizes 8 12 --solvers multigrid \
         "GAMG of all of K" Cholesky --contact --json benchmarks/data/degree_2.json
