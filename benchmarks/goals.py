@@ -358,7 +358,7 @@ def corrected(rows: list[Row]) -> str:
 
 
 def scenes(rows: list[Row]) -> str:
-    """Return the number of different goals in the rows."""
+    """Return the number of scenes in a line, all with the same kind of goal."""
     return f"{len({row['goal'] for row in rows})}"
 
 

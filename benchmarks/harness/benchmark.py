@@ -89,7 +89,7 @@ class Benchmark:
         return parser
 
     def _measure(self, arguments: argparse.Namespace) -> None:
-        """Run all cases; with `--here` on the ranks of this process. The first rank prints."""
+        """Run all cases; with `--here` on the MPI ranks that run already. The first rank prints."""
         if arguments.json and not arguments.changed and not is_known(commit()):
             raise SystemExit(
                 "nobody could measure this again: the code is not committed. Commit it, or keep "

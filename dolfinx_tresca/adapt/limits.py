@@ -30,7 +30,7 @@ class Limits:
     Attributes:
         max_dofs: limit for the degrees of freedom that are not prescribed.
         max_levels: limit for the number of meshes.
-        max_seconds: wall-clock limit, counted from construction.
+        max_seconds: wall-clock limit [s], counted from the construction of this object.
         max_memory: limit for the memory of all ranks together [GiB].
     """
 

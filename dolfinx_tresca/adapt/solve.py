@@ -51,11 +51,11 @@ ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 
 #: `SolverOptions.mesh_part` of solutions that only choose the cells to refine, if solves with K are
 #: iterative: then the preconditioner depends on the number of ranks, and so do the error of the
-#: iteration and the marked cells. (On two bricks with multigrid and `ROUGH_PART`, estimates
-#: differed by 1e-2, and meshes by a tenth of the unknowns. With three times the part below,
-#: estimates differed by 4e-3, and the fourth mesh by a tenth of the unknowns. With the part below,
-#: which takes twice the products on these meshes, estimates differed by 4e-5, and four meshes were
-#: the same.)
+#: iteration and the marked cells. (On two bricks with multigrid and `ROUGH_PART`, estimates on
+#: different numbers of ranks differed by 1e-2, and meshes by a tenth of the unknowns. With three
+#: times the part below, estimates differed by 4e-3, and the fourth mesh by a tenth of the unknowns.
+#: With the part below, which takes twice the products on these meshes, estimates differed by 4e-5,
+#: and four meshes were the same.)
 REPRODUCIBLE_PART = 0.003
 
 #: `local_accuracy` on the last mesh, relative to the mesh's error, and its largest value. (On two

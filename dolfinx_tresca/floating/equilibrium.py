@@ -51,9 +51,9 @@ MOST_NAMED = 6
 class Equilibrium:
     """Floating bodies under one load: equations of the multipliers, and rigid displacements.
 
-    Let K_p be K with the fixing springs, and U c the displacements that forces of these springs
-    alone cause under K_p. Then K u = f - B'lambda holds for u = K_p^-1 (f - B'lambda) + U c if and
-    only if
+    Let K_p be K plus the fixing springs. In a system with the matrix K_p, forces of these springs
+    alone cause displacements U c with some coefficients c. Then u = K_p^-1 (f - B'lambda) + U c
+    satisfies K u = f - B'lambda if and only if
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 

@@ -75,11 +75,19 @@ def couple(
     """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
-    is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
-    the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
-    multiplier since they belong to both sides. If `moved`, the surfaces are displaced, and there is
-    no warning of a close fit, since penetration is then an error of the displacement. `reason`
-    says, for the log, why the pairing is by mortar.
+    is the negative jump of the positions minus the sagitta of both sides.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        facets: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        others: facets of the primary side.
+        integrals: the integrals over the overlap.
+        shared: (n,) whether a node belongs to both sides, and so has no multiplier.
+        moved: whether the surfaces are displaced. There is then no warning of a close fit, since
+            penetration is an error of the displacement.
+        reason: reason for pairing by mortar, for the log.
 
     Raises:
         PairingError: no node can carry a multiplier.
