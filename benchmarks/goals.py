@@ -349,7 +349,7 @@ def by_finer_mesh(row: Row) -> float:
 
 
 def corrected(rows: list[Row]) -> str:
-    """Return the numbers of meshes where correction reduces and increases the error, of all."""
+    """Return how many corrected values have smaller and larger errors, and the number of all."""
     counted = known(rows)
     nearer, farther = (
         sum(sign * row["corrected"] < sign * row["error"] for row in counted) for sign in (1, -1)

@@ -35,7 +35,8 @@ from harness import Benchmark, Column, Comm, Row
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("optimise", "dual", "pairing")
 TUNED = set(" ".join(CONSTANTS.values()).split())
-#: Limit for the tests of a change [processor seconds]. A change that makes them slower is noticed.
+#: Limit for the tests of a change [processor seconds]. A change with which they take longer counts
+#: as noticed.
 SECONDS = 1800
 
 #: Operator -> operators that may replace it; likewise for functions.

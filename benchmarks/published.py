@@ -145,7 +145,7 @@ def estimated(meshes: list[Row], known: Case) -> Row:
 
 
 def quantities(rows: list[Row]) -> list[Row]:
-    """Return a row for each quantity: its values, their observed order, the last one's error."""
+    """Return a row for each quantity: values, observed order, and the error of the last value."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in sorted(rows, key=lambda row: (NAMES.index(row["case"]), row["level"])):
         if "quantity" in row:  # otherwise the case was stopped

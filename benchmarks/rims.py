@@ -57,9 +57,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def side_by_side(figure: str, mesh: str, text: str) -> Callable[[list[Row]], str]:
-    """Return a function that writes a ratio: a figure with the plate over one with the block.
+    """Return a function that writes the ratio of a figure for the two secondary sides.
 
-    The plate or the block is the secondary side.
+    The figure with the plate as secondary side is divided by the figure with the block.
 
     Args:
         figure: field of the rows.

@@ -14,11 +14,11 @@ of the contact surface, of the largest nodal pressure, and of the normal force. 
 error of a solution to a residual of 1e-8 on the same mesh, which is the error of the mesh alone;
 `algebra` is the energy norm of the difference from this solution. `estimate` is the package's
 estimate of the mesh's error, and `effect.` is the estimate divided by the energy error. The
-reference has an error, too. Its energy error is the package's estimate, and is added to the errors
-of other solutions. Its other errors follow from the difference from a coarser reference, on the
-assumption that they fall like the estimate. Pressures of Hertz are compared with theory, whose
-error is about (a/R)^2. Errors that are not larger than the error of the reference or of theory are
-not resolved.
+reference has an error, too. Its energy error is the package's estimate; the square of this error is
+added to the squares of the errors of other solutions. Its other errors follow from the difference
+from a coarser reference, on the assumption that they fall like the estimate. Pressures of Hertz are
+compared with theory, whose error is about (a/R)^2. Errors that are not larger than the error of the
+reference or of theory are not resolved.
 
 Seconds are processor seconds from geometry to fields: mesh, forms, `ContactProblem(...)` and
 `solve`, or `solve_adaptively` with all its meshes; `wall` is wall-clock time, which depends on

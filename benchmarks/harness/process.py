@@ -78,7 +78,7 @@ def work(measure: Measure, small: Row, task: Row) -> None:
 
 
 def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:
-    """Yield the rows of a case that is measured in new processes; `ranks` in it is their number.
+    """Yield the rows of a case, measured in as many new processes as its entry `ranks` says.
 
     If the case fails, the last row has a `status` with the reason.
 

@@ -62,7 +62,7 @@ class Limits:
         Collective.
 
         Args:
-            comm: the ranks.
+            comm: communicator of the ranks.
             level: the level before the mesh.
             growth: `free_dofs` of the mesh, divided by `free_dofs` of the level.
         """
@@ -75,7 +75,7 @@ class Limits:
         """Return the first limit that a solve on a mesh would exceed; None if it fits. Collective.
 
         Args:
-            comm: the ranks.
+            comm: communicator of the ranks.
             number: number of the mesh; the first is 0.
             free_dofs: number of unknowns of the mesh.
             seconds: expected time of the solve [s].

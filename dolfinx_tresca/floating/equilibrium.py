@@ -140,7 +140,7 @@ class FloatingBodies:
         Args:
             load: f on this rank.
             feasible_set: Lambda.
-            reductions: sums over the ranks.
+            reductions: object that computes sums over the ranks.
 
         Raises:
             MechanismError: contact cannot hold a body; the message names the body and its motion,
@@ -192,7 +192,7 @@ def equilibrium_constraints(
         resultants: (k,) U'f, the resultants of the loads along the modes.
         sizes: (k,) size of the terms of each resultant, see `SpringResponse.resultants`.
         bodies: (k,) the body of each mode.
-        reductions: sums over the ranks.
+        reductions: object that computes sums over the ranks.
         describe: function that names the motion with given components (k,) or (k, columns) of the
             modes.
 

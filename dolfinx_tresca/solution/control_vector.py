@@ -70,7 +70,7 @@ class ControlVector:
         """Keep the controls. Not collective.
 
         Args:
-            controls: Constants and Functions.
+            controls: Constants and Functions whose values the array holds.
             scales: a typical size of the values of each control [its unit]; None: 1 for all.
 
         Raises:

@@ -132,7 +132,7 @@ class Differentiation:
             forms: forms and conditions of the bodies at u.
             u: displacement in the forms, to which `backwards` gives the values of each solution.
             values: object that evaluates fields of friction and gaps at the nodes of u.
-            controls: Constants and Functions.
+            controls: Constants and Functions with respect to which derivatives are taken.
             find_differences: function that returns the central differences of B for displaced
                 obstacles; None: obstacles depend on no control.
         """
@@ -277,7 +277,7 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
     Args:
         values: for each control the derivatives with respect to its values; None: nothing depends
             on the control, and the log says so.
-        controls: Constants and Functions.
+        controls: the Constants and Functions to which the derivatives belong.
         comm: communicator.
 
     Returns:

@@ -132,7 +132,7 @@ def _told(
     """Return the values (m,) at requested nodes, which may be known on other ranks. Collective.
 
     Args:
-        comm: the ranks.
+        comm: communicator of the ranks.
         numbers: (n,) numbers of nodes that this rank knows; other ranks may know them, too.
         values: (n,) values at the nodes that this rank knows.
         asked: (m,) numbers of the nodes that this rank requests.
