@@ -38,7 +38,7 @@ def write_xdmf(path: Path, blocks: Blocks) -> None:
 
 @contextmanager
 def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
-    """Give the mesh another name within a block, and then the user's name again."""
+    """Give a mesh another name inside a `with` block, and restore its name at the end."""
     before, mesh.name = mesh.name, name
     try:
         yield mesh

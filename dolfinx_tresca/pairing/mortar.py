@@ -266,7 +266,7 @@ def nodes_without_multiplier(
     own = owned_nodes(V, nodes)
 
     def owners_flags(some: Mask) -> Mask:
-        """Return the flags (n,) of the nodes' owners: an owner has all facets at its nodes."""
+        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
         return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)

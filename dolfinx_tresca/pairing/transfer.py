@@ -73,7 +73,7 @@ class SideTransfer:
 
     @cached_property
     def _nodes(self) -> LocalNumbers:
-        """(n,) numbers of the contact nodes in `_vector`, which differ from V's for degree 2."""
+        """(n,) numbers of the contact nodes in `_vector`; in V they differ if V has degree 2."""
         corners = entities_per_cell(self._V, 0)
         number = np.zeros(self._V.dofmap.list.max(initial=0) + 1, dtype=np.int32)
         number[self._V.dofmap.list[:, :corners]] = self._vector.dofmap.list

@@ -60,7 +60,7 @@ class NodeCounts:
 
     @property
     def slip(self) -> int:
-        """Nodes with a tangential traction at the slip bound, pressed or not."""
+        """Number of nodes whose tangential traction is at the slip bound, pressed or not."""
         return self.nodes - self.stick - self.idle - self.bonded
 
 

@@ -164,7 +164,7 @@ class SurfaceFields:
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for output; only from step 2 on with `slip_increment` and `slip_path`."""
+        """All fields, for output; from step 2 on also `slip_increment` and `slip_path`."""
         first = self.slip_increment is self.slip
         fields = (
             self.displacement,

@@ -21,7 +21,7 @@ from dolfinx_tresca.solution.solved_step import SolvedStep
 
 @dataclass(frozen=True)
 class NodalField:
-    """A user's scalar field, such as a gap, at the nodes of a pair, and the derivatives by it.
+    """A user's scalar field, such as a gap, at the nodes of a pair, and its effect on solutions.
 
     Attributes:
         field: the scalar as the user gave it.

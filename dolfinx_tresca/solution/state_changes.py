@@ -84,5 +84,5 @@ def _normal(pair: PairOperators, values: Array) -> Array:
 
 
 def _tangential(pair: PairOperators, values: Array) -> Array:
-    """Return lengths (nodes,) of vectors with values (n_tangential,); zero at nodes without any."""
+    """Return lengths (nodes,) of vectors with values (n_tangential,); zero at other nodes."""
     return np.sqrt(np.bincount(pair.tangent_node, values**2, minlength=len(pair.nodes)))

@@ -110,7 +110,7 @@ class Halo:
         self._send_facets(self._owned, *np.concatenate(pairs).T)
 
     def add_near_points(self, balls: Array) -> None:
-        """Add the facets of all ranks that meet given balls, maybe with others nearby. Collective.
+        """Add the facets of all ranks that meet balls, and maybe further facets nearby. Collective.
 
         Args:
             balls: (n, 4) balls as rows: the centre (3) and the radius [length].

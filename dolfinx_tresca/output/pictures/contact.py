@@ -94,7 +94,7 @@ class Contact:
 
 
 def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
-    """Return a surface on the first rank, None on others. Collective."""
+    """Return a whole surface on the first rank, None on other ranks. Collective."""
     grid = gather_grid((*surface.functions, surface.initial_gap))
     if grid is None:
         return None

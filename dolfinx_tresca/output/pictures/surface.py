@@ -80,7 +80,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
 
 
 def _with_normals(surface: Any) -> Any:
-    """Return a surface with normals of its cells and points, all to one side of it."""
+    """Return a surface with normals of its cells and points, all on one side of the surface."""
     return surface.compute_normals(
         cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
     )
@@ -191,7 +191,7 @@ def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> No
 
 
 def view(surface: Any) -> tuple[Array, Array]:
-    """Return the direction towards the viewer, a surface's mean normal, and the upward direction.
+    """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
 
     A closed surface has no mean normal, and is seen obliquely.
     """
