@@ -77,7 +77,7 @@ class Equilibrium:
 
         Args:
             x: (size,) multipliers.
-            u: K_p^-1 (f - B'x), which is changed.
+            u: the vector K_p^-1 (f - B'x), to which U c is added.
             c: (k,) multipliers of the constraints.
 
         Returns:

@@ -20,7 +20,7 @@ def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
     Not collective.
 
     Args:
-        controls: the argument of the user.
+        controls: the user's argument, which may have any type.
 
     Raises:
         InputError: controls are not such a list.

@@ -79,7 +79,7 @@ def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
     """Check a goal that is to be differentiated, and return it. Not collective.
 
     Args:
-        goal: the argument of the user.
+        goal: the user's argument, which may have any type.
         pairs: number of pairs of the problem.
         V: the space of the displacement.
 

@@ -245,7 +245,7 @@ class _Occluders:
         """Return the facets whose bounding box in the plane of the piece overlaps the piece's box.
 
         Args:
-            target: (n,) see the attribute.
+            target: (n,) see the attribute `target`.
             corners: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
             normals: (n, d + 1) outward unit normal of the facet in the frame of the piece.
             piece_corners: (n, corners, d + 1) corners of the piece in its own frame [length].
