@@ -145,8 +145,7 @@ def advice_on(error: str, own: list[Row], reference: Row) -> Iterator[Row]:
     """Yield the quickest mesh for each target of one kind of error, up to the first missed target.
 
     The error of a number may be small by chance. So the error of a row is replaced by the largest
-    of
-    three: its own error, the errors on all finer meshes of its kind, and the reference's own error.
+    of these: its own error, the errors on all finer meshes of its kind, and the reference's error.
     """
     doubtful = [{**row, error: max(row[error], reference[error])} for row in own]
     lasting = [{**row, error: max(worst(error, row, doubtful))} for row in doubtful]

@@ -2,10 +2,10 @@
 
     PYTHONPATH=.:benchmarks/published_cases python3 benchmarks/peer_solvers/getfem_block.py 64
 
-prints the quantities of that case, and the shear stress at some nodes, with 64 cells along the
-block. It needs Debian's python3-getfem beside DOLFINx. Displacements have degree 2; the multipliers
-of the plane have degree 1, and their conditions are integrals (Alart and Curnier's augmented
-Lagrangian). Newton's method begins with contact everywhere.
+This command prints the quantities of that case, and the shear stress at some nodes, with 64 cells
+along the block. It needs Debian's python3-getfem beside DOLFINx. Displacements have degree 2; the
+multipliers of the plane have degree 1, and their conditions are integrals (Alart and Curnier's
+augmented Lagrangian). Newton's method begins with contact everywhere.
 """
 
 from __future__ import annotations

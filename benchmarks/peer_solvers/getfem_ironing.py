@@ -2,11 +2,11 @@
 
     PYTHONPATH=.:benchmarks python3 benchmarks/peer_solvers/getfem_ironing.py CELLS STEPS
 
-prints the time t, the horizontal and the vertical force on the block [N] and the Newton steps of
-each load step. It needs Debian's python3-getfem beside DOLFINx. GetFEM solves the same problem by
-another method: rays along the deformed normals of the block find the foundation, multipliers are
-integrated over the block's surface (Poulios and Renard 2015), and Newton's method solves for
-displacements and multipliers at once.
+This command prints the time t, the horizontal and the vertical force on the block [N] and the
+Newton steps of each load step. It needs Debian's python3-getfem beside DOLFINx. GetFEM solves the
+same problem by another method: rays along the deformed normals of the block find the foundation,
+multipliers are integrated over the block's surface (Poulios and Renard 2015), and Newton's method
+solves for displacements and multipliers at once.
 """
 
 from __future__ import annotations

@@ -30,9 +30,9 @@ def penalty(scene: Any, tolerance: float) -> Answer:
 
 
 def augmented(scene: Any, tolerance: float) -> Answer:
-    """Solve by Uzawa's method: `penalty` solves with a shift lambda, which is then updated.
+    """Solve by Uzawa's method: penalty solves with multipliers lambda, updated after each solve.
 
-    After each solve lambda = P(lambda + c (B u - d)) (Alart, Curnier 1991; Simo, Laursen 1992). The
+    The update is lambda = P(lambda + c (B u - d)) (Alart, Curnier 1991; Simo, Laursen 1992). The
     iteration ends when lambda changes by at most a part of its norm.
     """
     return _solve(scene, AUGMENTED, tolerance)
