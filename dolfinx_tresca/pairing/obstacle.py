@@ -96,8 +96,9 @@ def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> 
     """Return at which corners (n, corners) facets face the obstacle.
 
     A facet faces the obstacle at a corner if the normals of both are opposed at this corner and at
-    the centre of the facet. So, if an edge of the body lies in a corner of the obstacle, only the
-    facets in front of the wall that is nearest to the edge count at the edge.
+    the centre of the facet. So, if an edge of the body lies in a corner between walls of the
+    obstacle, only the facets in front of the wall that is nearest to this edge count at the edge's
+    nodes.
 
     Args:
         facets: the facets of the surface.

@@ -37,7 +37,7 @@ class SideTransfer:
     the matching node. Rows of P sum to 1. Values and loads are transferred differently:
 
     - *Values* (temperatures, displacements) are transferred from the primary to the secondary side
-      by P, which is exact for constants, and for mortar pairs for linear functions.
+      by P, which is exact for constants and, if the pair is a mortar pair, for linear functions.
     - *Loads* (nodal forces, nodal heat flows) are transferred from the secondary to the primary
       side by P', which conserves their sum.
 

@@ -115,10 +115,10 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
-        body that comes first in `label_bodies` is secondary. In one body, of two facets that face
-        each other in the undeformed mesh, as in a slit or a ring, the facet whose normal is along
-        the body's direction is secondary; of two other facets, as on a folded sheet, the facet that
-        comes first in this direction is secondary.
+        body that comes first in `label_bodies` is secondary. Two facets of one body are ordered by
+        the body's `direction`. If they face each other in the undeformed mesh, as in a slit or a
+        ring, the facet whose normal points along the direction is secondary; otherwise, as on a
+        folded sheet, the facet that comes first in this direction is secondary.
         """
         f, g = first, second
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
