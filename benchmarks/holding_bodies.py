@@ -68,7 +68,7 @@ class AugmentedLagrangian:
     """
 
     def __init__(self, program: DualProgram, residual: NaturalResidual, springs: bool) -> None:
-        """Begin at the least multipliers that satisfy the equilibrium.
+        """Begin at the multipliers of least norm that satisfy the equilibrium.
 
         Args:
             program: A, b, G and e.
@@ -163,7 +163,7 @@ def largest_eigenvalue(hessian: Callable[[np.ndarray], np.ndarray], size: int) -
 
 
 def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tuple[np.ndarray, Row]:
-    """Solve by augmented Lagrangians; with Coulomb's law by sweeps."""
+    """Solve by augmented Lagrangians; for Coulomb's law in sweeps with fixed slip bounds."""
     at = AugmentedLagrangian(program, residual, springs)
     admissible, bounds, tolerance, sweeps = program.admissible, program.feasible_set, RTOL, 0
     if not isinstance(admissible, FeasibleSet):  # in the first sweep all nodes stick
@@ -245,7 +245,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def ratio(way: str) -> Callable[[list[Row]], str]:
-    """Return the text of a way's seconds over those of newton."""
+    """Return a function that writes the seconds of a way divided by the seconds of newton."""
 
     def text(rows: list[Row]) -> str:
         row = rows[-1]

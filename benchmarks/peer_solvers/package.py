@@ -1,4 +1,4 @@
-"""The package itself: its default with both back ends, and the algorithms of the paper."""
+"""The package itself: its default method with both solvers for K, and the paper's algorithms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from peer_solvers.discrete import MANY, Answer
 
 
 def solve(scene: Any, rtol: float, method: str, stiffness: str) -> Answer:
-    """Solve from forms to fields."""
+    """Solve by a method of the package, from forms to fields."""
     with ContactProblem(
         scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=stiffness
     ) as problem:

@@ -60,7 +60,7 @@ class NodeCounts:
 
     @property
     def slip(self) -> int:
-        """Nodes with a tangential traction at the slip bound, pressed or not."""
+        """Number of nodes whose tangential traction is at the slip bound, pressed or not."""
         return self.nodes - self.stick - self.idle - self.bonded
 
 
@@ -125,8 +125,9 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # found.c, the multipliers of the constraints, belongs to the model's gradient: with the
-        # gradient of u, it would give larger gaps and penetrations than the stopping criterion saw
+        # the multipliers found.c of the constraints belong to the gradient of the model of A;
+        # together with the gradient that follows from u, they would give larger gaps and
+        # penetrations than the stopping criterion has measured
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)

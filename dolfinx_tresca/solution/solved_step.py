@@ -52,7 +52,7 @@ class SolvedStep:
         return LinearisedContact.of(self.dual, self.multipliers, self.gradient, self.edge)
 
     def log_edge(self) -> None:
-        """Log the number of nodes at the edge of their state, if there are any. Collective."""
+        """Log how many nodes are about to change their state, if there are any. Collective."""
         normal, discs = at_edge(self.dual, self.multipliers, self.gradient)
         comm = self.dual.jump.comm
         rows, stick = reduce_array(comm, np.array([normal.sum(), discs.sum()]))
