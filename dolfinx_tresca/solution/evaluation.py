@@ -124,7 +124,7 @@ def evaluate(
     error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
     c = found.c
-    if dual.constraints.are_soft and not dual.exact:
+    if dual.constraints.are_soft and not dual.operator.exact:
         # found.c, the multipliers of the constraints, belongs to the model's gradient: with the
         # gradient of u, it would give larger gaps and penetrations than the stopping criterion saw
         r = response.gradient_of(w.x.petsc_vec)
@@ -219,7 +219,7 @@ def evaluate(
         dissipation=dissipation,
         total_dissipation=history.dissipation,
         energy_error_bound=relative_error(dual, bound, norm),
-        bound_is_rigorous=dual.exact,
+        bound_is_rigorous=dual.operator.exact,
         local_error=dual.local_error(found.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,
