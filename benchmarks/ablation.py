@@ -335,7 +335,6 @@ PARTS: dict[str, Patches] = {
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
     "tighten where unresolved": [(newton, "PROGRESS", math.inf)],
-    "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
     "start at the last multipliers": [
@@ -353,9 +352,7 @@ PARTS: dict[str, Patches] = {
     ],
     "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
     "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
-    "path of loads": [(fixed_point, "along_load", gone)],
     "path of friction": [(fixed_point, "along_friction", gone)],
-    "both paths": [(fixed_point, "along_load", gone), (fixed_point, "along_friction", gone)],
     "sweeps on the model": [(fixed_point, "MOST_SWEEPS", 0)],
 }
 
@@ -370,7 +367,7 @@ CONSTANTS = {
     "_base.arrays": "ROUNDING",
     "optimise.newton.near_model": "MOST",
     "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
-    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
+    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR "
     "PRODUCT_ROUNDING",
     "optimise.models.far_field": "FAR_ENERGY",
     "optimise.models.bfgs_model": "LEAST_SOFTNESS",

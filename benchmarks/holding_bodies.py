@@ -83,7 +83,11 @@ class AugmentedLagrangian:
 
         def apply(x: np.ndarray) -> np.ndarray:
             self.products += 1
-            return store.product(x)[0] if isinstance(store, SparseProducts) else program.apply(x)
+            return (
+                store.product(x)[0]
+                if isinstance(store, SparseProducts)
+                else program.operator.apply(x)
+            )
 
         def Q(x: np.ndarray) -> np.ndarray:
             return G @ inverse(transposed @ x)
@@ -183,9 +187,9 @@ def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tup
 
 def newton(program: DualProgram, residual: NaturalResidual) -> tuple[np.ndarray, Row]:
     """Solve by the package's method."""
-    products, start = program.products, np.zeros_like(program.b)
+    products, start = program.operator.products, np.zeros_like(program.b)
     found = methods.solve(program, start, SolverOptions(rtol=RTOL), lambda iteration: False)
-    figures = {"outer": found.iterations, "products": program.products - products}
+    figures = {"outer": found.iterations, "products": program.operator.products - products}
     return found.multipliers, {**figures, "converged": found.status.name == "CONVERGED"}
 
 
@@ -221,7 +225,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         origin = program.constraints.project(
             program.admissible, np.zeros_like(x), np.zeros(len(program.constraints)), rho
         )[0]
-        residual = NaturalResidual(program, rho, origin, program.apply(origin) - program.b)
+        residual = NaturalResidual(program, rho, origin, program.operator.apply(origin) - program.b)
         row: Row = {}
         for name, way in WAYS.items():
             program.compliance.forget()

@@ -72,6 +72,11 @@ class DenseProblem(OneRank):
         self.forget()
 
     @property
+    def operator(self) -> DenseProblem:
+        """The problem itself, which has the methods of A."""
+        return self
+
+    @property
     def response(self) -> DenseProblem:
         """The problem itself, which has the methods of a response."""
         return self

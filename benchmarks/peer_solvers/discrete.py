@@ -151,7 +151,7 @@ def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
         return {
             "n": int((~dual.jump.system.prescribed).sum()),
             "m": len(pair.nodes),
-            "residual": residual(x, dual.apply(x) - dual.b),
+            "residual": residual(x, dual.operator.apply(x) - dual.b),
             "stress_error": float(np.linalg.norm(x - exact) / np.linalg.norm(exact)),
             "normal_error": missing / force,
         }

@@ -31,7 +31,7 @@ def fista(scene: Any, rtol: float) -> Answer:
             gradient = product + beta * (product - product_before) - dual.b
             before, product_before = x, product
             x = project(y - rho * gradient)
-            product = dual.apply(x)
+            product = dual.operator.apply(x)
             t = 1.0 if (y - x) @ (x - before) > 0.0 else t_next
         _displacement(dual, x)
         return Answer(x, _work(dual, iterations))
@@ -42,7 +42,7 @@ def mpgp(scene: Any, rtol: float) -> Answer:
     with dual_program(scene) as dual:
         rho, residual = residual_norm(dual)
         x, _, iterations = proportioning(
-            dual.apply,
+            dual.operator.apply,
             np.zeros_like(dual.b),
             -dual.b,
             dual.feasible_set,
@@ -135,7 +135,7 @@ def _longest_step(bounds: Any, x: np.ndarray, p: np.ndarray) -> float:
 
 
 def _work(dual: Any, iterations: int) -> dict[str, int]:
-    return {"iterations": iterations, "products": dual.products, "factorisations": 1}
+    return {"iterations": iterations, "products": dual.operator.products, "factorisations": 1}
 
 
 def _displacement(dual: Any, x: np.ndarray) -> None:

@@ -124,7 +124,7 @@ def evaluate(
     error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
     c = found.c
-    if dual.constraints.are_soft and not dual.exact:
+    if dual.constraints.are_soft and not dual.operator.exact:
         # the multipliers found.c of the constraints belong to the gradient of the model of A;
         # together with the gradient that follows from u, they would give larger gaps and
         # penetrations than the stopping criterion has measured
@@ -220,7 +220,7 @@ def evaluate(
         dissipation=dissipation,
         total_dissipation=history.dissipation,
         energy_error_bound=relative_error(dual, bound, norm),
-        bound_is_rigorous=dual.exact,
+        bound_is_rigorous=dual.operator.exact,
         local_error=dual.local_error(found.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,

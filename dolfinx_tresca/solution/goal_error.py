@@ -135,7 +135,7 @@ def goal_error(
         InputError: the patch of the goal has no node of the pair.
         ConvergenceError: the adjoint has no solution.
     """
-    before = dual.products
+    before = dual.operator.products
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = weights_of(goal, dual.jump, x)
     state = LinearisedContact.of(dual, x, r)
@@ -158,7 +158,7 @@ def goal_error(
         state_changes=changes,
         cell_errors=cells,
         adjoint=z,
-        products=dual.products - before,
+        products=dual.operator.products - before,
     )
 
 

@@ -68,7 +68,7 @@ class SolvedStep:
     @property
     def accuracy(self) -> float:
         """Relative error of derivatives, which depends on the solver for K. Not collective."""
-        return ACCURACY if self.dual.exact else ITERATIVE_ACCURACY
+        return ACCURACY if self.dual.operator.exact else ITERATIVE_ACCURACY
 
     @property
     def sticking_and_other_rows(self) -> tuple[Mask, Mask]:

@@ -13,7 +13,6 @@ from dolfinx_tresca.optimise.models.model import Model
 from dolfinx_tresca.optimise.newton import face_newton
 from dolfinx_tresca.optimise.newton.continuation import (
     along_friction,
-    along_load,
     nearest_fixed_point,
 )
 from dolfinx_tresca.optimise.newton.face_newton import FaceNewton, Point
@@ -209,7 +208,6 @@ def fixed_point_of_model(
     Newton's method is started from the following initial guesses in turn until it converges:
 
     * the present point;
-    * in a load step of a process, continuation in the load (`along_load`) from the last step;
     * continuation in the coefficients of friction (`along_friction`), from Tresca's problem without
       friction, which has one solution; bodies that the reduced friction cannot support are held by
       springs as soft as the bodies;
@@ -258,9 +256,6 @@ def fixed_point_of_model(
     found = nearest_fixed_point(newton, start, tolerance)
     last = found
 
-    def by_load() -> Point:
-        return along_load(problem, model, start, rho, tolerance)
-
     def by_friction() -> Point:
         weak = problem.relaxed(0.0, rho, np.zeros_like(start.c)).section(np.zeros_like(multipliers))
         return along_friction(problem, model, solution(weak), rho, tolerance)
@@ -270,10 +265,7 @@ def fixed_point_of_model(
         stuck = solution(sticking.section(np.ones_like(multipliers)))
         return nearest_fixed_point(newton, stuck, tolerance)
 
-    strategies = [by_friction, from_stick]
-    if problem.is_load_step:
-        strategies.insert(0, by_load)
-    for strategy in strategies:
+    for strategy in (by_friction, from_stick):
         if found.residual > enough:
             found = strategy()
     for _ in range(MOST_SWEEPS):

@@ -65,7 +65,7 @@ class Iterate(ABC):
 
         The arguments are those of `__init__`.
         """
-        return (ExactIterate if problem.exact else InexactIterate)(problem, store)
+        return (ExactIterate if problem.operator.exact else InexactIterate)(problem, store)
 
     @abstractmethod
     def step(self, direction: Array) -> Step:
@@ -179,7 +179,7 @@ class ExactIterate(Iterate):
         new, known = self._store.split(direction)
         if float(problem.inner(new, new)) == 0.0:
             return Step(direction, known, self.error)
-        product = problem.apply(new)
+        product = problem.operator.apply(new)
         self._store.add(new, product)
         self.learned = len(self._store) != known_pairs
         return Step(direction, known + product, self.error)
@@ -190,7 +190,7 @@ class ExactIterate(Iterate):
         if error <= wanted:
             return r, error
         new, known = self._store.split(multipliers)
-        product = self._problem.apply(new)
+        product = self._problem.operator.apply(new)
         self._store.add(new, product)
         return known + product - self._problem.b, 0.0
 

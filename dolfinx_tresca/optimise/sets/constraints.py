@@ -89,10 +89,6 @@ class EqualityConstraints:
         softer, values = self.softness + softness * added, self.values + softness * c
         return dataclasses.replace(self, softness=softer, values=values)
 
-    def with_reduced_values(self, values: Array) -> EqualityConstraints:
-        """Return the equations with e - values in place of e; `values` (k,). Not collective."""
-        return dataclasses.replace(self, values=self.values - values)
-
     @property
     def are_soft(self) -> bool:
         """Whether any of the equations is soft. Not collective."""
