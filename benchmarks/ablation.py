@@ -367,8 +367,7 @@ CONSTANTS = {
     "_base.arrays": "ROUNDING",
     "optimise.newton.near_model": "MOST",
     "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
-    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR "
-    "PRODUCT_ROUNDING",
+    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
     "optimise.models.far_field": "FAR_ENERGY",
     "optimise.models.bfgs_model": "LEAST_SOFTNESS",
     "optimise.newton.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
