@@ -212,10 +212,10 @@ def fixed_point_of_model(
       friction, which has one solution; bodies that the reduced friction cannot support are held by
       springs as soft as the bodies;
     * the solution with all nodes sticking;
-    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. Sweeps
-      approach the fixed point if friction is too weak to reverse pressures. The slip bounds of a
-      sweep may be too small to support a floating body; springs then support the body at its
-      position in the previous sweep, as in the method of multipliers.
+    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. They
+      converge if friction changes the pressures only little. The slip bounds of a sweep may be too
+      small to support a floating body; springs then support the body at its position in the
+      previous sweep, as in the method of multipliers.
 
     If no fixed point is found, the solution of the last sweep is returned: its product with A may
     improve the model.

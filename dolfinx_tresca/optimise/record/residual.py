@@ -21,8 +21,8 @@ class NaturalResidual:
     on the initial guess. If zero does not satisfy the equality constraints, the origin, which is
     the nearest point to zero that satisfies them, takes the place of zero. The scale is then at
     least |A lambda| at the origin. In a load step whose initial multipliers have a larger residual
-    than the origin, the scale is also at least |A lambda| at these multipliers: friction may
-    support a body that no load presses.
+    than the origin, the scale is also at least |A lambda| at these multipliers. An example is a
+    wedge that friction keeps in place after its load is removed: the residual at zero is zero.
 
     Attributes:
         rho: step length.
