@@ -57,11 +57,13 @@ def plot(
     Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
     mean normal, or obliquely if they are closed. Surfaces that are bent about an axis, like holes
     and shafts, are unrolled and seen from outside. Colours show the pressure, and arrows the slip
-    of the secondary side against the primary side (in a process the slip of the step). Black discs
-    mark pressed nodes that stick, rings open nodes that stick; open parts are grey.
+    of the secondary side against the primary side (in a process the slip of the step; with finite
+    sliding the legend also has the longest path of the slip over all steps). Black discs mark
+    pressed nodes that stick, rings open nodes that stick; open parts are grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
-    its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
+    its arc length. In a process with finite sliding the length of the slip's path over all steps
+    replaces the slip. On the bodies the curve is thick and red where it is pressed, thin and black
     where it is open. Its start is marked by a dot or, with several pairs, by the number of the
     pair; a closed curve runs counterclockwise. Without friction there are no arrows, marks,
     tractions and slips.

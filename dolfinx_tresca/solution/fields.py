@@ -88,6 +88,7 @@ class SurfaceFields:
             patches; zero at ghosts and at nodes without a multiplier.
         obstacle: the rigid primary side, at its position in this solution; None if the primary side
             is deformable.
+        slides_far: whether the pair has finite sliding.
         entity_maps: the argument `entity_maps` of `fem.form` and `ContactProblem` for forms on the
             problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from 0.10 on.
             Such forms can only be integrated over facets of this surface, by `ufl.ds` whose
@@ -108,6 +109,7 @@ class SurfaceFields:
     normal: fem.Function
     weights: Array
     obstacle: RigidObstacle | None
+    slides_far: bool
     entity_maps: compat.EntityMaps
     _on_both_sides: Callable[[fem.Function], fem.Function] = field(repr=False)
 
@@ -354,6 +356,7 @@ class Surface:
             normal=self.function("normal", nodes, operators.normals),
             weights=self.weights(nodes, operators.weights),
             obstacle=copy(primary) if isinstance(primary, RigidObstacle) else None,
+            slides_far=self.pair.sliding == "finite",
             entity_maps=self.entity_maps,
             _on_both_sides=lambda function: self.on_both_sides(operators, function),
         )

@@ -372,6 +372,33 @@ def test_slip_of_earlier_steps_where_nodes_stick(comm) -> None:
     assert after.greatest_total_slip >= (1.0 - 64 * EPS) * total > after.greatest_slip
 
 
+@pytest.mark.parametrize("n", [(3, 2), (2, 2, 2)])
+@needs_xvfb
+def test_path_of_the_slip(n: tuple[int, ...]) -> None:
+    """A block that is pushed to and fro: with finite sliding the sum of both ways is shown."""
+    depth, dim = 0.01, len(n)
+    for sliding in ("small", "finite"):
+        model = block(MPI.COMM_SELF, n, held=[ABOVE], friction=Tresca(0.01)).but(sliding=sliding)
+        with model.problem() as problem:
+            for x in (0.2, 0.1):
+                model.data.held.x.array.reshape(-1, dim)[:, [0, -1]] = x, -depth
+                solution = problem.solve(rtol=1e-9)
+                problem.accept()
+        contact = gather_contact(solution.surface)
+        assert contact is not None
+        figure = figure_of(solution, None)
+        text = " ".join(text.get_text() for text in figure.findobj(Text))
+        assert ("path" in text) == (sliding == "finite")
+        shown = contact.grid.values["slip_path" if sliding == "finite" else "slip"]
+        lengths = np.linalg.norm(shown.reshape(len(shown), -1), axis=1)
+        wanted = 0.3 if sliding == "finite" else 0.1
+        assert lengths[contact.nodes] == pytest.approx(wanted, abs=depth)  # the block gets wider
+        if dim == 2:
+            assert np.abs(figure.axes[-1].lines[0].get_ydata()) == pytest.approx(wanted, abs=depth)
+        elif sliding == "finite":
+            assert float(text.split("path ≤ ")[1].split()[0]) == pytest.approx(wanted, abs=depth)
+
+
 @pytest.mark.parallel
 def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
     """Slip is zero there, and marks tell the pressed nodes from the open ones."""

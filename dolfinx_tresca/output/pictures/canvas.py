@@ -204,7 +204,7 @@ def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> No
     left, top = box.left + LEFT, box.bottom + box.height
     figure.text(left / width, (top - 0.3) / height, title, fontsize=11.0)
     if legend:
-        narrow = 0.6 if len(legend) > 4 else 1.0  # five entries are as wide as half a picture
+        narrow = 0.6 if len(legend) > 3 else 1.0  # four entries may be wider than half a picture
         figure.legend(
             handles=list(legend),
             loc="upper left",

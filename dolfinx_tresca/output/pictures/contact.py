@@ -25,7 +25,7 @@ class Contact:
 
     Attributes:
         grid: the fields of the surface, in degree 1. Its "slip" is the slip of this step, and zero
-            at sticking nodes.
+            at sticking nodes. Only pairs with finite sliding have a "slip_path".
         touching: (n,) whether a node of the grid is pressed or bonded.
         sticking: (n,) whether a node of the grid sticks, pressed or open, or is bonded.
         nodes: (k,) nodes of the grid that carry multipliers.
@@ -52,6 +52,11 @@ class Contact:
     def has_friction(self) -> bool:
         """Whether there are tractions and slip."""
         return "slip" in self.grid.values
+
+    @property
+    def has_path(self) -> bool:
+        """Whether the path of the slip over all steps is shown."""
+        return "slip_path" in self.grid.values
 
     def title(self, what: str) -> str:
         """Return a title of a drawing of the surface, with the name of the pair."""
@@ -116,4 +121,6 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
         slip = grid.values.pop("slip_increment", grid.values["slip"])
         slip[contact.sticking] = 0.0  # the error of the iteration is removed
         grid.values["slip"] = slip
+        if not surface.slides_far:
+            grid.values.pop("slip_path", None)
     return contact

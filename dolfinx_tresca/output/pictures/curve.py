@@ -103,7 +103,7 @@ def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.
 
 
 def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
-    """Draw pressure, traction and slip against arc length. Not collective.
+    """Draw pressure, traction and slip, or its path, against arc length. Not collective.
 
     Args:
         figure: a figure of matplotlib.
@@ -113,6 +113,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     """
     length, stress = (units.length, units.stress) if units else ("", "")
     contact, has_friction = curve.contact, curve.contact.has_friction
+    slip, slip_of = ("slip_path", "slip path") if contact.has_path else ("slip", contact.slip_of)
     inner = Box(box.left + 0.65, box.bottom + 0.5, box.width - 0.9, box.height - HEADER - 0.55)
     if has_friction:
         slip_height = 0.36 * inner.height
@@ -128,17 +129,17 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     label = "stress" if has_friction else "contact pressure"
     factors = [_label_axis(curve, axes[0], names, label, stress)]
     if has_friction:
-        factors.append(_label_axis(curve, axes[1], ("slip",), "slip", length))
+        factors.append(_label_axis(curve, axes[1], (slip,), slip.replace("_", " "), length))
     along = _along_arc(curve, axes[-1], length)
     legend = _draw_open(curve, axes, along)
     if has_friction:
         legend = [
             line("pressure", CURVE_COLOUR, 1.8),
-            line(f"traction, {contact.slip_of}", TANGENT_COLOUR, 1.8),
+            line(f"traction, {slip_of}", TANGENT_COLOUR, 1.8),
             *legend,
         ]
         _draw_line(curve, axes[0], "traction", TANGENT_COLOUR, (along, factors[0]))
-        _draw_line(curve, axes[1], "slip", TANGENT_COLOUR, (along, factors[1]))
+        _draw_line(curve, axes[1], slip, TANGENT_COLOUR, (along, factors[1]))
         _draw_marks(curve, axes[0], (along, factors[0]))
     _draw_line(curve, axes[0], "pressure", CURVE_COLOUR, (along, factors[0]), fill=True)
     for one in axes:
@@ -146,7 +147,8 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     figure.align_ylabels(axes)
     title = contact.title("Contact curve")
     if has_friction and not contact.label:
-        title += ": traction and slip positive along it"
+        signed = "traction" if contact.has_path else "traction and slip"
+        title += f": {signed} positive along it"
     write_header(figure, box, title, [*legend, *contact.legend_of_marks()])
 
 

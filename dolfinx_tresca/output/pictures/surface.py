@@ -19,7 +19,7 @@ from dolfinx_tresca.output.pictures.canvas import (
     skin,
 )
 from dolfinx_tresca.output.pictures.contact import Contact
-from dolfinx_tresca.output.pictures.labels import Range, quantity
+from dolfinx_tresca.output.pictures.labels import Range, quantity, scaled
 from dolfinx_tresca.output.pictures.legend import mark, patch
 from dolfinx_tresca.output.pictures.unrolled import Unrolled, unroll
 from dolfinx_tresca.units import Units
@@ -66,7 +66,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     legend = _draw_pressure(plotter, surface, colours, lift, light)
     tips: Array = np.empty((0, 3))
     if contact.has_friction:
-        tips, arrows = _draw_slip(plotter, surface, lift, length, contact.slip_of)
+        tips, arrows = _draw_slip(plotter, surface, lift, length, contact)
         legend += arrows
     _draw_marks(plotter, surface, contact, lift)
     framed = Camera.at if normal is OBLIQUE else Camera.turned
@@ -144,9 +144,9 @@ def _draw_pressure(
 
 
 def _draw_slip(
-    plotter: Any, surface: Any, lift: Array, unit: str, name: str
+    plotter: Any, surface: Any, lift: Array, unit: str, contact: Contact
 ) -> tuple[Array, list[Any]]:
-    """Draw slip as arrows; return their tips and the legend."""
+    """Draw slip as arrows; return their tips and the legend, with the longest path of the slip."""
     import pyvista
 
     slip = np.asarray(surface.point_data["slip"])
@@ -169,7 +169,13 @@ def _draw_slip(
             glyphs = arrows.glyph(orient="slip", scale="slip", factor=factor)
             plotter.add_mesh(glyphs, color=color, lighting=False)
     tips: Array = np.asarray(surface.points)[shown] + factor * slip[shown]
-    return tips, [mark(f"{name}, at most {quantity(largest, unit)}", "$\u2192$")]
+    text = f"{contact.slip_of}, at most {quantity(largest, unit)}"
+    if contact.has_path:
+        path = float(np.asarray(surface.point_data["slip_path"]).max())
+        factor = scaled("", unit, path).factor
+        both = f"slip ≤ {largest / factor:.4g}, path ≤ {path / factor:.4g}"
+        text = scaled(both, unit, path).label  # short: marks follow
+    return tips, [mark(text, "$\u2192$")]
 
 
 def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> None:
