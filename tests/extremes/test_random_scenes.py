@@ -218,8 +218,9 @@ def law_of(drawn: Drawn, bound: Any, stress: float) -> Friction:
 
 def is_revolved(drawn: Drawn) -> bool:
     """Return whether the blocks are bodies of revolution; two blocks are hollow."""
-    solid = drawn.bore == 0.0
-    return len(drawn.n) == 2 and drawn.bore is not None and not (solid and drawn.obstacle == "block")
+    if len(drawn.n) == 3 or drawn.bore is None:
+        return False
+    return drawn.bore > 0.0 or drawn.obstacle != "block"
 
 
 def revolved(scene: Scene, drawn: Drawn) -> Scene:
