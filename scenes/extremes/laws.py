@@ -126,11 +126,11 @@ def defects(
         along = normals / np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
         sideways = np.linalg.norm(slip - sliding[:, None] * along, axis=1)
         angle = sideways / np.maximum(sliding, TINY)
-        # by how much the traction turns the normal: radius of curvature of the ellipse
-        area = np.ones(len(pair.nodes))
-        np.multiply.at(area, pair.tangent_node, semi)
-        curvature = np.where(area < 1.0, area**2 * slope**3 * reached, norm)
-        note("direction", np.minimum(sideways, angle * np.minimum(curvature, norm)))
+        # an angle is an error of the traction over the ellipse's radius of curvature
+        product = np.ones(len(pair.nodes))
+        np.multiply.at(product, pair.tangent_node, semi)
+        radius = np.where(product < 1.0, product**2 * slope**3 * reached, norm)
+        note("direction", np.minimum(sideways, angle * np.minimum(radius, norm)))
     return {"balance": balance, **{law: largest(found[law]) for law in LAWS}}
 
 
