@@ -23,7 +23,7 @@ LOOP, ROUNDS = 1e-7, 80
 
 #: Random scenes of `make test`, and of `make test-long`.
 FEW, MANY = 6, 200
-FEW_OTHERS, MANY_OTHERS = 2, 50
+FEW_OTHERS, MANY_OTHERS = 1, 50
 
 
 def scene_of(comm, seed, shape):
