@@ -20,8 +20,8 @@ from scenes.scene import Scene
 
 LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "direction")
 
-#: Divisor in place of a scale that is zero.
-TINY = 1e-300
+#: Divisor in place of a scale that is zero, or of a norm that is zero since squares underflow.
+TINY, SQUARED = 1e-300, 1e-150
 
 #: Ratio of jump and displacement below which rounding errors of the displacement are visible: EPS
 #: times the condition number of K, divided by the accuracy with which laws are checked.
@@ -118,7 +118,7 @@ def defects(
         of_circle = _vectors(pair, np.where(held_along, t / size / semi, 0.0))
         reached = np.linalg.norm(of_circle, axis=1)
         normals = _vectors(pair, np.where(held_along, t / size / semi**2, 0.0))
-        normals /= np.maximum(reached, TINY)[:, None]
+        normals /= np.maximum(reached, SQUARED)[:, None]
         slope = np.maximum(np.linalg.norm(normals, axis=1), 1.0)
         slack = (bound / size - reached) / slope
         note("bound", -slack)
