@@ -167,6 +167,8 @@ def scene_of(comm, drawn: Drawn) -> Scene:
     }[drawn.obstacle]
     stiff = drawn.young * np.array([1.0, min(drawn.ratio, 1.0)])
     held = drawn.held if dim == 3 or drawn.held != FRONT else LEFT
+    # of a body that is only translated all forces are rounding: Newton's method finds no equilibrium
+    shrinks = drawn.material != "elastic"
     scene = block(
         comm,
         drawn.n,
@@ -176,7 +178,7 @@ def scene_of(comm, drawn: Drawn) -> Scene:
         poisson=drawn.poisson,
         load=stress * min(drawn.ratio, 1.0) * np.array(drawn.load),
         held=(held,),
-        moved=lambda x: -0.1 * drawn.strain * np.repeat(up[:dim, None], x.shape[1], axis=1),
+        moved=lambda x: -0.1 * drawn.strain * (up[:dim, None] + shrinks * x[:dim]),
         friction=law,
         obstacles=[(BELOW, obstacle)],
     )
