@@ -43,6 +43,8 @@ def defects(
     penetration, tension, complementarity: N u <= d, pressure >= 0, and one of the two is zero.
     bound, stick, direction: |traction| <= g, no slip if it is less than g, otherwise slip along the
     traction; the error of an angle counts as the error of slip or traction, whichever is smaller.
+    If the bound is an ellipse, slip must be along its normal, and the distance of a traction from
+    it is the distance from its linearisation.
     """
     comm = model.V.mesh.comm
 
