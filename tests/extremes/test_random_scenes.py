@@ -167,7 +167,7 @@ def scene_of(comm, drawn: Drawn) -> Scene:
     }[drawn.obstacle]
     stiff = drawn.young * np.array([1.0, min(drawn.ratio, 1.0)])
     held = drawn.held if dim == 3 or drawn.held != FRONT else LEFT
-    # of a body that is only translated all forces are rounding: Newton's method finds no equilibrium
+    # all forces of a body that is only translated are rounding errors: see docs/reliability.md
     shrinks = drawn.material != "elastic"
     scene = block(
         comm,
