@@ -126,6 +126,8 @@ def patch(
         overlap: area that both contact faces have in common.
         move: function that maps points (n, 3) of the blocks described above to points of the mesh.
         axis: (3,) the last axis after the turn; the upper block presses against this direction.
+        young: Young's modulus of each cell.
+        poisson: Poisson's ratio.
     """
     dim = dim_of(kind)
     span = [(0.0, 1.0)] * (dim - 1) if span is None else list(span)
@@ -175,6 +177,8 @@ def patch(
         overlap=float(np.prod(common)) * scale ** (dim - 1),
         move=move,
         axis=R[:, dim - 1],
+        young=E,
+        poisson=POISSON,
     )
     a, L = elasticity(V, E, POISSON), no_load(V)
     return Scene(V, a, L, bcs, [pair], facet_tags, cell_tags, data=data)

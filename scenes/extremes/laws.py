@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx_tresca import ContactSolution
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import direct_solver
@@ -19,15 +20,20 @@ from scenes.scene import Scene
 
 LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "direction")
 
-#: Divisor in place of a scale that is zero.
-TINY = 1e-300
+#: Divisor in place of a scale that is zero, or of a norm that is zero since squares underflow.
+TINY, SQUARED = 1e-300, 1e-150
 
 #: Ratio of jump and displacement below which rounding errors of the displacement are visible: EPS
 #: times the condition number of K, divided by the accuracy with which laws are checked.
 ROUNDING = 1e-6
 
+#: Cosine below which a tangent is normal to an axis of an ellipse.
+AXIS = 1e-12
 
-def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> dict[str, float]:
+
+def defects(
+    model: Scene, solution: ContactSolution, *, held: bool = True, axisymmetric: bool = False
+) -> dict[str, float]:
     """Return the largest dimensionless error in each law. Collective.
 
     Lengths are divided by the largest jump without contact, or if bodies float (not `held`) by the
@@ -37,20 +43,29 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
     penetration, tension, complementarity: N u <= d, pressure >= 0, and one of the two is zero.
     bound, stick, direction: |traction| <= g, no slip if it is less than g, otherwise slip along the
     traction; the error of an angle counts as the error of slip or traction, whichever is smaller.
+    If the bound is an ellipse, slip must be along its normal, and the distance of a traction from
+    it is the distance from its linearisation.
     """
     comm = model.V.mesh.comm
 
     def largest(values: Any) -> float:
         return float(comm.allreduce(float(np.max(values, initial=0.0)), op=MPI.MAX))
 
-    with LinearSystem(model.a, model.L, model.bcs) as system:
+    with LinearSystem(model.a, model.L, model.bcs, axisymmetric=axisymmetric) as system:
         system.assemble_stiffness()
         system.assemble_load()
-        pairs = [pair_surfaces(model.V, system.prescribed, pair) for pair in model.pairs]
+        pairs = [
+            pair_surfaces(model.V, system.prescribed, pair, axisymmetric=axisymmetric)
+            for pair in model.pairs
+        ]
         bounds = SlipBounds(model.V)
         terms = [
             bounds.at(pair.friction, found.nodes)
             for pair, found in zip(model.pairs, pairs, strict=True)
+        ]
+        pairs = [
+            with_tangents_along_axes(model.V, pair, term.ellipses) if term.ellipses else pair
+            for pair, term in zip(pairs, terms, strict=True)
         ]
         B = assemble_B(model.V, pairs)
         root = np.sqrt(np.concatenate([pair.weights[pair.row_node] for pair in pairs]))
@@ -62,7 +77,10 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
 
     split = list(zip(_split(pairs, jump), _split(pairs, alone), strict=True))
     stress = _split(pairs, solution.multipliers)
-    g = [_bounds(pair, term, p) for pair, term, (p, _) in zip(pairs, terms, stress, strict=True)]
+    g = [
+        _bounds(pair, term, p, slip)
+        for pair, term, (p, _), ((_, slip), _) in zip(pairs, terms, stress, split, strict=True)
+    ]
     if held:
         length = max(
             max(largest(n - pair.gap[pair.normal_node]), largest(np.abs(t)))
@@ -78,7 +96,9 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
     def note(law: str, values: Any) -> None:
         found[law] = max(found[law], float(np.max(values, initial=0.0)))
 
-    for pair, bound, ((normal, tangential), _), (p, t) in zip(pairs, g, split, stress, strict=True):
+    for pair, term, bound, ((normal, tangential), _), (p, t) in zip(
+        pairs, terms, g, split, stress, strict=True
+    ):
         gap = (pair.gap[pair.normal_node] - normal) / length
         if pair.bonded:
             continue
@@ -87,26 +107,69 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
         note("complementarity", np.minimum(gap, p / size))
         if len(pair.tangent_node) == 0:
             continue
+        semi = _semi_diameters(pair, term)
+        held_along = semi > 0.0  # along other axes slip is free, and there is no traction
+        note("bound", np.abs(t[~held_along]) / size)
+        semi[~held_along] = 1.0
         slip, traction = (
-            _vectors(pair, values / unit) for values, unit in ((tangential, length), (t, size))
+            _vectors(pair, np.where(held_along, values / unit, 0.0))
+            for values, unit in ((tangential, length), (t, size))
         )
-        slack = bound / size - np.linalg.norm(traction, axis=1)
+        norm, sliding = (np.linalg.norm(one, axis=1) for one in (traction, slip))
+        # |t / semi-axes| = g, and the derivative of this norm
+        of_circle = _vectors(pair, np.where(held_along, t / size / semi, 0.0))
+        reached = np.linalg.norm(of_circle, axis=1)
+        normals = _vectors(pair, np.where(held_along, t / size / semi**2, 0.0))
+        normals /= np.maximum(reached, SQUARED)[:, None]
+        slope = np.maximum(np.linalg.norm(normals, axis=1), 1.0)
+        slack = (bound / size - reached) / slope
         note("bound", -slack)
-        sliding = np.linalg.norm(slip, axis=1)
         note("stick", np.minimum(sliding, slack))
-        norm = np.linalg.norm(traction, axis=1)
-        along = traction / np.maximum(norm, TINY)[:, None]
+        along = normals / np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
         sideways = np.linalg.norm(slip - sliding[:, None] * along, axis=1)
         angle = sideways / np.maximum(sliding, TINY)
-        note("direction", np.minimum(sideways, angle * norm))
+        # an angle is an error of the traction over the ellipse's radius of curvature
+        product = np.ones(len(pair.nodes))
+        np.multiply.at(product, pair.tangent_node, semi)
+        radius = np.where(product < 1.0, product**2 * slope**3 * reached, norm)
+        note("direction", np.minimum(sideways, angle * np.minimum(radius, norm)))
     return {"balance": balance, **{law: largest(found[law]) for law in LAWS}}
 
 
-def _bounds(pair: PairOperators, terms: NodalBounds, pressure: np.ndarray) -> np.ndarray:
-    """Return the slip bounds (n,) of a pair's nodes with pressures (n_normal,)."""
+def _bounds(
+    pair: PairOperators, terms: NodalBounds, pressure: np.ndarray, slip: np.ndarray
+) -> np.ndarray:
+    """Return the slip bounds (n,) of a pair's nodes with pressures (n_normal,) and slips."""
     pressed = np.zeros(len(pair.nodes))
     pressed[pair.normal_node] = np.maximum(pressure, 0.0)
-    return terms.constant + np.minimum(terms.coefficient * pressed, terms.limit)
+    coefficient = terms.coefficient
+    if terms.curve is not None:
+        coefficient = terms.curve.values(pressed, np.linalg.norm(_vectors(pair, slip), axis=1))
+    return terms.constant + np.minimum(coefficient * pressed, terms.limit)
+
+
+def _semi_diameters(pair: PairOperators, terms: NodalBounds) -> np.ndarray:
+    """Return the bounds along the tangents of a pair, over those along the longer axes.
+
+    Two tangents of a node are the axes of its ellipse; a single one may have any direction.
+    """
+    if terms.ellipses is None:
+        return np.ones(len(pair.tangent_node))
+    first = terms.ellipses.direction
+    first = first - (first * pair.normals).sum(axis=1)[:, None] * pair.normals
+    first = first / np.linalg.norm(first, axis=1)[:, None]
+    axes = np.stack([first, np.cross(pair.normals, first)], axis=1)
+    shape, node = terms.ellipses.shape, pair.tangent_node
+    parts = np.einsum("rai,ri->ra", axes[node], pair.tangents)
+    parts[np.abs(parts) < AXIS] = 0.0
+    inverse = np.divide(
+        parts, shape[node], out=np.where(parts, np.inf, 0.0), where=shape[node] > 0.0
+    )
+    turned = (parts != 0.0).all(axis=1) & (np.bincount(node)[node] == 2)
+    turned &= shape[node, 0] != shape[node, 1]
+    assert not turned.any()
+    result: np.ndarray = 1.0 / np.linalg.norm(inverse, axis=1)
+    return result
 
 
 def _split(pairs: list[PairOperators], rows: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -1,7 +1,7 @@
 """Random scenes with finite sliding, against the loop of solves and updates of the geometry.
 
 Linear and hyperelastic bodies in 2D and 3D: two blocks, as a pair or as one surface that touches
-itself, or a block over a ball that moves and turns.
+itself, or a block over a ball that moves and turns; rings; friction ellipses.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from dolfinx_tresca import (
     Tresca,
 )
 from scenes.blocks import ABOVE, BELOW, POISSON, YOUNG, block
-from scenes.elasticity import fixed, lame_constants
+from scenes.elasticity import fixed, lame_constants, no_load
 from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, patch
+from scenes.revolution import ring_elasticity
 from scenes.rubber_block import neo_hookean
 from scenes.scene import Scene
 
@@ -47,6 +48,10 @@ SIZE = 0.4
 
 #: Random scenes of `make test`, and of `make test-long`.
 FEW, MANY = 8, 200
+FEW_OTHERS, MANY_OTHERS = 1, 50
+
+#: Radial coordinate at which the bodies of revolution begin; the blocks are 1 wide.
+BORE = 10.0
 
 
 @dataclass(frozen=True)
@@ -56,12 +61,14 @@ class RandomScene:
     Attributes:
         scene: with small sliding.
         u: the displacement, if the bodies are hyperelastic, else None.
+        ring: whether the bodies are of revolution.
         ball: the obstacle, or None.
         way: translation and rotation of the obstacle since a problem was made.
     """
 
     scene: Scene
     u: fem.Function | None
+    ring: bool
     ball: RigidSphere | None = None
     way: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.zeros(3))
 
@@ -71,7 +78,7 @@ class RandomScene:
         with self.obstacle_at_start():
             pairs = self.scene.but(sliding=sliding).pairs
             if self.u is None:
-                problem = self.scene.problem(pairs=pairs, options=OPTIONS)
+                problem = self.scene.problem(pairs=pairs, options=OPTIONS, axisymmetric=self.ring)
             else:
                 points = ufl.dx(degree=QUADRATURE)  # UFL takes far more points
                 energy = neo_hookean(self.u, *lame_constants(YOUNG, POISSON)) * points
@@ -101,23 +108,39 @@ class RandomScene:
         return problem.solve()
 
 
-def scene_of(comm, seed):
-    """Return a random scene."""
+def scene_of(comm, seed, shape="block"):
+    """Return a random scene of blocks, of linear rings, or in 3D with friction ellipses."""
     draw = np.random.default_rng(seed)
     dim, degree, hyperelastic, boxes = (int(k) for k in draw.integers([2, 1, 0, 0], [4, 3, 2, 2]))
+    ring = shape == "ring"
+    if ring:
+        dim, hyperelastic = 2, 0
+    elif shape == "ellipse":
+        dim = 3
     coefficient = draw.uniform(0.05, 0.5)
     laws = (Frictionless(), Coulomb(coefficient), Tresca(100.0 * coefficient))
     law = laws[draw.integers(3)]
     way = np.append(draw.uniform(-0.4, 0.4, dim - 1), -draw.uniform(0.02, 0.06))
-    turn = np.eye(3)
-    turn[:dim, :dim] = rotation(seed, dim)
-    shift = draw.uniform(-5.0, 5.0, 3) * [1.0, 1.0, dim - 2.0]
+    turn, shift = np.eye(3), np.array([BORE, 0.0, 0.0])
+    if not ring:
+        turn[:dim, :dim] = rotation(seed, dim)
+        shift = draw.uniform(-5.0, 5.0, 3) * [1.0, 1.0, dim - 2.0]
+    if shape == "ellipse":
+        angle, second = draw.uniform(0.0, np.pi), coefficient * draw.uniform(0.1, 0.9)
+        along = tuple(turn @ [np.cos(angle), np.sin(angle), 0.0])
+        law = (
+            Coulomb((coefficient, second), direction=along),
+            Tresca((100.0 * coefficient, 100.0 * second), direction=along),
+        )[draw.integers(2)]
     make = over_a_ball if draw.integers(2) else two_blocks
     scene, held, *ball = make(comm, draw, way, bool(boxes), turn, shift, degree, law)
+    if ring:
+        a = ring_elasticity(scene.V, scene.data.young, scene.data.poisson)
+        scene = replace(scene, a=a, L=no_load(scene.V))
     tags = scene.facet_tags
     bcs = [fixed(scene.V, tags.find(k), turn[:dim, :dim] @ value) for k, value in held.items()]
     u = fem.Function(scene.V) if hyperelastic else None
-    return RandomScene(replace(scene, bcs=bcs), u, *ball)
+    return RandomScene(replace(scene, bcs=bcs), u, ring, *ball)
 
 
 def over_a_ball(comm, draw, way, boxes, turn, shift, degree, law):
@@ -165,13 +188,25 @@ def force_of(solution):
     return solution.pair_resultants[0].force
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [pytest.param(k, marks=[pytest.mark.long] * (k >= FEW)) for k in range(MANY)],
-)
+def seeds(few, many):
+    """Return parameters, of which the first few run with `make test`."""
+    return [pytest.param(k, marks=[pytest.mark.long] * (k >= few)) for k in range(many)]
+
+
+@pytest.mark.parametrize("seed", seeds(FEW, MANY))
 def test_as_the_loop_of_updates(comm, seed):
+    compare(scene_of(comm, seed))
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("shape", ["ring", "ellipse"])
+@pytest.mark.parametrize("seed", seeds(FEW_OTHERS, MANY_OTHERS))
+def test_rings_and_ellipses_as_the_loop_of_updates(comm, seed, shape):
+    compare(scene_of(comm, seed, shape))
+
+
+def compare(scene):
     """Both end at the same forces, and a round of the loop from there changes nothing."""
-    scene = scene_of(comm, seed)
     with scene.problem("finite") as problem:
         solution = problem.solve()
         found, u = force_of(solution), solution.u.copy()
