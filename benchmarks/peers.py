@@ -17,6 +17,8 @@ surface instead: what users look at.
     monolithic_classical    the same with that of Alart and Curnier
     penalty, augmented      penalty method, and augmented Lagrangians by Uzawa's method, with MUMPS
     getfem                  GetFEM (Debian: python3-getfem), its own assembly and Newton method
+    scikit_fem              scikit-fem's assembly, and the method of `monolithic` in scipy, whose
+                            sparse LU factorisation scikit-fem takes (SuperLU); PyPI
     mpgp                    Dostal's modified proportioning with gradient projections; K factored
     fista                   accelerated projected gradients with restarts; K factored
     clarabel_*, scs_*       cone programs: primal, sparse in (u, bounds of slips), or dual, with
@@ -42,8 +44,16 @@ from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
 from harness.figure import new_figure, plain_ticks, save
 from harness.memory import peak_memory, reset_peak_memory
 from harness.timing import spread, timed
-from peer_solvers import cones, getfem_bricks, gradients, monolithic, package, regularised
-from peer_solvers.discrete import Answer, exact_stresses, judge
+from peer_solvers import (
+    cones,
+    getfem_bricks,
+    gradients,
+    monolithic,
+    package,
+    regularised,
+    scikit_fem_bricks,
+)
+from peer_solvers.discrete import Answer, judge
 
 from dolfinx_tresca import Tresca
 from scenes import hertz, press_fit, two_bricks
@@ -88,14 +98,30 @@ def fit(comm: Comm, N: int) -> Scene:
     return replace(scene, pairs=[replace(scene.pair, friction=Tresca(bound))])
 
 
-#: Displacement of the pin [mm] at which a part of its surface slips.
-PUSH = 0.003
+def fit_in_steps(comm: Comm, N: int) -> Scene:
+    """Return the same, with the pin pushed out in load steps until it slips, and back. Collective.
+
+    Slip counts from the last step.
+    """
+    scene = fit(comm, N)
+    scene.data.pushes = PUSHES
+    return scene
+
+
+#: Displacement of the pin [mm] at which a part of its surface slips, and load steps.
+PUSH, PUSHES = 0.003, press_fit.PUSHES[1:9]
 
 SCENES: dict[str, Callable[[Comm, int], Scene]] = {
     **{end: partial(bricks, end=end) for end in two_bricks.ENDS},
     "ball": ball,
     "press_fit": fit,
+    "press_fit_steps": fit_in_steps,
 }
+
+#: Peers that start a load step from the last one, and those that have the mesh of the bricks alone.
+STEPPING = ("cholesky", "multigrid", "monolithic", "monolithic_classical", "penalty", "augmented")
+ON_BRICKS = ("getfem", "scikit_fem")
+
 
 
 def ours(method: str, stiffness: str = "cholesky") -> Solve:
@@ -117,6 +143,7 @@ def peers(rtol: float) -> dict[str, tuple[Solve, tuple[float, ...]]]:
         "penalty": (regularised.penalty, STEPS),
         "augmented": (regularised.augmented, STEPS),
         "getfem": (getfem_bricks.solve, FORCES),
+        "scikit_fem": (scikit_fem_bricks.solve, STEPS),
         "mpgp": (gradients.mpgp, (rtol,)),
         "fista": (gradients.fista, (rtol,)),
         "clarabel_primal": (partial(cones.primal, solver="clarabel"), CLARABEL),
@@ -142,7 +169,8 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         case = {"peer": peer, "scene": scene, "N": N, "rtol": arguments.rtol}
         if arguments.error:
             case["error"] = arguments.error
-        if peer != "getfem" or scene in two_bricks.ENDS:  # it has the mesh of the bricks alone
+        fits = peer not in ON_BRICKS or scene in two_bricks.ENDS
+        if fits and (peer in STEPPING or scene != "press_fit_steps"):
             yield {**case, "repeats": arguments.repeats}
 
 
@@ -161,7 +189,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     if wanted:
         tolerances = ERRORS
     scene = SCENES[case["scene"]](comm, case["N"])
-    exact = exact_stresses(scene)
+    exact = package.exact_stresses(scene)
     for tolerance in tolerances:
         if tolerance > case["loosest"] and len(tolerances) > 1:
             continue
@@ -205,6 +233,7 @@ NAMES = {
     "penalty": "penalty method",
     "augmented": "augmented Lagrangians (Uzawa)",
     "getfem": "GetFEM",
+    "scikit_fem": "scikit-fem, SciPy",
     "mpgp": "MPGP (Dostál)",
     "fista": "accelerated projected gradients",
     "clarabel_primal": "Clarabel, primal cone program",
@@ -298,6 +327,7 @@ LONG_NAMES = {
     "penalty": "penalty method, Newton",
     "augmented": "augmented Lagrangians (Uzawa), Newton",
     "getfem": "GetFEM, its own assembly and Newton method",
+    "scikit_fem": "scikit-fem's assembly, semismooth Newton in SciPy",
     "mpgp": "MPGP (Dostal)",
     "fista": "accelerated projected gradients (FISTA)",
     "clarabel_primal": "Clarabel, primal cone program, sparse",
