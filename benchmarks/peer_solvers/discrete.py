@@ -157,9 +157,7 @@ def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
             x = x / scale
         exact = exact / scale  # the Euclidean norm of multipliers is the L2 norm of stresses
         normal = slice(len(pair.normal_node))
-        force, missing = (
-            np.abs((y / scale)[..., normal].sum(axis=-1)) for y in (exact, x - exact)
-        )
+        force, missing = (np.abs((y / scale)[..., normal].sum(axis=-1)) for y in (exact, x - exact))
         sizes = np.linalg.norm(x - exact, axis=-1) / np.linalg.norm(exact, axis=-1)
         found = {
             "n": int((~dual.jump.system.prescribed).sum()),

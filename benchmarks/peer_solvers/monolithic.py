@@ -50,7 +50,8 @@ def newton(
     one that Hueeber, Stadler and Wohlmuth (2008) modify so that it converges from afar. Each step
     factors one sparse unsymmetric matrix. It ends when |lambda - P(...)| is at most a part of
     |lambda|; the first equation, which is linear, holds after each step. A load step starts from
-    (u, lambda) of the one before; slip counts from there.
+    lambda of the one before, with the nodes in contact and slipping as there; slip counts from
+    there.
     """
     K, N, T = load_steps[0].K, load_steps[0].N, load_steps[0].T
     size, node = load_steps[0].size, load_steps[0].node
@@ -58,14 +59,12 @@ def newton(
     B = vstack([N, T], format="csr")
     c = STEP * modulus / np.concatenate([size, size[node]])
     scale, unscale, identity = diags_array(c), diags_array(1.0 / c), eye_array(len(c))
-    u, x, slipped = np.zeros(n), np.zeros(len(c)), np.zeros(len(c) - m)
+    x, slipped = np.zeros(len(c)), np.zeros(len(c) - m)
+    y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
     found: list[np.ndarray] = []
     total, converged = 0, True
     for data in load_steps:
         gap = np.concatenate([data.gap, data.slip + slipped])
-        y = x + c * (B @ u - gap)
-        if not found:
-            y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
         steps, error, projected = 0, np.inf, x
         while error > tolerance * np.linalg.norm(projected) and steps < MOST:
             steps += 1
@@ -76,8 +75,8 @@ def newton(
             )
             right = np.concatenate([data.f, (projected - D @ (y + c * gap)) / c])
             solution = linear_solve(matrix, right)
-            u, x = solution[:n], solution[n:]
-            y = x + c * (B @ u - gap)
+            x = solution[n:]
+            y = x + c * (B @ solution[:n] - gap)
             projected, _ = projection(data, y, None)
             error = np.linalg.norm(x - projected)
         slipped += (y - projected)[m:] / c[m:]

@@ -10,7 +10,8 @@ from scipy.sparse import diags_array, vstack
 from peer_solvers.discrete import Answer, Primal, load_steps
 from peer_solvers.monolithic import lu_solve, projection
 
-#: Newton steps of a load step after which it counts as failed, and where they end: residual over the load.
+#: Newton steps of a load step after which it counts as failed, and where they end: residual over
+#: the load.
 MOST, EQUILIBRIUM = 200, 1e-8
 
 #: Shortest part of a Newton step, halved until the energy falls.
@@ -37,16 +38,17 @@ def augmented(scene: Any, tolerance: float) -> Answer:
 
 
 def _solve(scene: Any, factor: float, tolerance: float) -> Answer:
-    """Solve each load step from displacement and multipliers of the one before."""
+    """Solve each load step from multipliers and states of the one before."""
     steps = load_steps(scene)
     m, nodes = len(steps[0].gap), np.concatenate([steps[0].size, steps[0].size[steps[0].node]])
     c = factor * scene.data.modulus / nodes
-    u, x, slipped = None, np.zeros(len(c)), np.zeros(len(c) - m)
+    x, slipped = np.zeros(len(c)), np.zeros(len(c) - m)
+    y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
     found, updates, factorisations, converged = [], 0, 0, True
     for data in steps:
         start = x if np.isfinite(tolerance) else np.zeros(len(c))  # the penalty method has none
         gap = np.concatenate([data.gap, data.slip + slipped])
-        u, x, y, work = _load_step(data, gap, c, tolerance, u, start)
+        x, y, work = _load_step(data, gap, c, tolerance, start, y)
         slipped += (y - x)[m:] / c[m:]  # what is left of the jump is elastic
         found.append(x)
         updates, factorisations = updates + work[0], factorisations + work[1]
@@ -61,17 +63,18 @@ def _load_step(
     gap: np.ndarray,
     c: np.ndarray,
     tolerance: float,
-    u: np.ndarray | None,
     multipliers: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
-    """Return u, x = P(y), y, and the numbers of updates of the multipliers and factorisations."""
+    y: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """Return x = P(y), y, and the numbers of updates of the multipliers and factorisations.
+
+    The first Newton step is linear: contact and slip are those of the given y.
+    """
     B = vstack([data.N, data.T], format="csr")
-    steps = updates = 0
-    if u is None:
-        normal = np.where(np.arange(len(c)) < len(data.gap), 1.0, 0.0)
-        _, D = projection(data, normal, None)  # at first all nodes touch and stick
-        matrix = (data.K + B.T @ D @ diags_array(c) @ B).tocsr()
-        u, steps = lu_solve(matrix, data.f + B.T @ (D @ (c * gap))), 1
+    x, D = projection(data, y, None)
+    constant = x + D @ (multipliers - c * gap - y)
+    u = lu_solve((data.K + B.T @ D @ diags_array(c) @ B).tocsr(), data.f - B.T @ constant)
+    steps, updates = 1, 0
 
     def stress(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any, float]:
         """Return y, P(y), its derivative and the energy, which is convex."""
@@ -95,4 +98,4 @@ def _load_step(
         while length > SHORTEST and stress(u - length * step)[3] > energy:
             length *= 0.5
         u, steps = u - length * step, steps + 1
-    return u, x, y, (updates, steps)
+    return x, y, (updates, steps)

@@ -52,16 +52,13 @@ def solve(scene: Any, tolerance: float) -> Answer:
     def area(v: Any, _: Any) -> Any:
         return v[0]
 
-    f = np.concatenate(
-        [
-            sum((load.assemble(basis.boundary(face)) for face in _loaded(scene, name)), basis.zeros())
-            for name, basis in bases.items()
-        ]
-    )
+    loads = {name: basis.zeros() for name, basis in bases.items()}
+    for name, basis in bases.items():
+        for face in _loaded(scene, name):
+            loads[name] += load.assemble(basis.boundary(face))
+    f = np.concatenate(list(loads.values()))
     upper, lower = bases.values()
-    fixed = np.concatenate(
-        [upper.get_dofs("fixed").all(), upper.N + lower.get_dofs("fixed").all()]
-    )
+    fixed = np.concatenate([upper.get_dofs("fixed").all(), upper.N + lower.get_dofs("fixed").all()])
     mesh = upper.mesh
     contact = (mesh.boundaries[name] for name in ("contact", "fixed"))
     nodes = np.setdiff1d(*(np.unique(mesh.facets[:, facets]) for facets in contact))
@@ -71,11 +68,10 @@ def solve(scene: Any, tolerance: float) -> Answer:
     def jump(axis: int) -> Any:
         """Return the displacement of the upper less that of the lower brick along an axis."""
         rows = np.arange(len(nodes))
+        shape = len(nodes), upper.N + lower.N
         columns = upper.nodal_dofs[axis, nodes], upper.N + lower.nodal_dofs[axis, facing]
-        of_upper, of_lower = (
-            csr_array((size, (rows, column)), shape=(len(nodes), upper.N + lower.N)) for column in columns
-        )
-        return of_upper - of_lower
+        above, below = (csr_array((size, (rows, column)), shape=shape) for column in columns)
+        return above - below
 
     K, f, _, free = skfem.condense(K, f, D=fixed)
     N = -jump(2)[:, free]  # outwards of the upper brick is down
