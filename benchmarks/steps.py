@@ -8,7 +8,8 @@ times. The first solve is cold; the later ones start from the last multipliers a
 products with A. Without history each is a static problem, whose slip is the total one; with
 `problem.accept()` after each solve slip counts from the last step. "rtol 1e-6" is the natural
 residual, relative to that at zero, of each step; "default" is `solve()`. Iterations of conjugate
-gradients are those of a step's solves with K, all of them, on the average.
+gradients are those of a step's solves with K, all of them, on the average. Seconds of a step, with
+`accept()`, are beside those of the linear solve of cost.py: assembly, set-up and one solve.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from collections.abc import Iterator
 from statistics import mean
 
 import numpy as np
+from cost import linear
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.timing import timed
 
-from dolfinx_tresca import ContactStatus, Coulomb, Tresca
+from dolfinx_tresca import ContactSolution, ContactStatus, Coulomb, Tresca
 from scenes.scene import Scene
 from scenes.two_bricks import ENDS, SLIP_BOUND, two_bricks
 
@@ -30,6 +33,9 @@ FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
 
 #: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[str, Row] = {"default": {}, "rtol 1e-6": {"rtol": 1e-6}}
+
+#: Linear solves, of which the fastest counts.
+LINEAR = 3
 
 #: Of the signs of the changes, the changes, and how many.
 SEED, CHANGE, STEPS = 1, 0.1, 10
@@ -48,8 +54,18 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield a row for each accuracy, without history and with it. Collective."""
     scene = two_bricks(comm, case["N"], end=case["scene"])
     scene = scene.but(friction=FRICTION[case["friction"]])
+    linear(scene, case["backend"])  # compiles, loads and allocates what later solves need
+    seconds = min(timed(comm, lambda: linear(scene, case["backend"]))[0] for _ in range(LINEAR))
     for asked, history in itertools.product(case["asked"], (False, True)):
-        yield {"asked": asked, "history": history, **steps(scene, case["backend"], asked, history)}
+        found = steps(scene, case["backend"], asked, history)
+        ratio = mean(found["seconds"]) / seconds
+        yield {
+            "asked": asked,
+            "history": history,
+            **found,
+            "linear_seconds": seconds,
+            "ratio": ratio,
+        }
 
 
 def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
@@ -58,14 +74,21 @@ def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
     first = load.value.copy()
     signs = np.random.default_rng(SEED).choice([-1.0, 1.0], STEPS)
     factors = np.cumprod([1.0, *(1.0 + CHANGE * signs)])
-    solutions = []
+    solutions, seconds = [], []
     with scene.problem(stiffness=backend) as problem:
         n, m = problem.free_dofs, problem.contact_nodes
         for factor in factors:
             load.value[:] = factor * first
-            solutions.append(problem.solve(**ASKED[asked]))
-            if history:
-                problem.accept(unconverged=True)  # the row says so
+
+            def step() -> ContactSolution:
+                solution = problem.solve(**ASKED[asked])
+                if history:
+                    problem.accept(unconverged=True)  # the row says so
+                return solution
+
+            needed, solution = timed(scene.mesh.comm, step)
+            solutions.append(solution)
+            seconds.append(needed)
     load.value[:] = first
     cold, *warm = solutions
     failed = [one for one in solutions if one.status is not ContactStatus.CONVERGED]
@@ -76,6 +99,7 @@ def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
         "cold": cold.products,
         "cold_krylov": cold.krylov_iterations,
         "products": [solution.products for solution in warm],
+        "seconds": seconds[1:],
         "krylov": [solution.krylov_iterations for solution in warm],
         "iterations": [solution.iterations for solution in warm],
         "failed": len(failed),
@@ -141,6 +165,7 @@ BENCHMARK = Benchmark(
         Column("history", "{history}"),
         Column("cold / mean / most", counts, width=18),
         Column("Krylov", krylov),
+        Column("over linear", "{ratio:.2f}"),
     ],
     tables=[
         Table(
@@ -148,7 +173,19 @@ BENCHMARK = Benchmark(
             [*WHAT, *(column for backend in BACKENDS for column in each(backend))],
             chosen=lambda row: row["ranks"] == 1,
             line=["friction", "asked", "scene", "N"],
-        )
+        ),
+        Table(
+            "steps_cost",
+            [
+                *WHAT,
+                Column("back end", "{backend}"),
+                Column("n", "{n}"),
+                Column("linear solve s", "{linear_seconds:.2f}"),
+                Column("step over it: mean", "{ratio:.2f}"),
+                Column("products, mean", lambda rows: f"{mean(rows[0]['products']):.1f}"),
+            ],
+            chosen=lambda row: "ratio" in row and row["history"] and row["ranks"] == 1,
+        ),
     ],
 )
 

@@ -100,7 +100,15 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
 def test_peers_find_the_same_stresses(tmp_path, monkeypatch):
     """Also those with an assembly of their own, and after load steps with history."""
     result = tmp_path / "rows.json"
-    peers = ["cholesky", "multigrid", "monolithic", "penalty", "augmented", "scikit_fem"]
+    peers = [
+        "cholesky",
+        "multigrid",
+        "monolithic",
+        "monolithic_classical",
+        "penalty",
+        "augmented",
+        "scikit_fem",
+    ]
     arguments = ["--sizes", 4, "--scenes", "free_end_1", "press_fit_steps", "--error", 0.01]
     arguments += ["--peers", *peers, "--here", "--changed", "--json", result]
     run(monkeypatch, "peers", *arguments)

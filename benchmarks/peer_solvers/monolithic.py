@@ -50,8 +50,10 @@ def newton(
     one that Hueeber, Stadler and Wohlmuth (2008) modify so that it converges from afar. Each step
     factors one sparse unsymmetric matrix. It ends when |lambda - P(...)| is at most a part of
     |lambda|; the first equation, which is linear, holds after each step. A load step starts from
-    lambda of the one before, with the nodes in contact and slipping as there; slip counts from
-    there.
+    lambda of the one before and, with the modified derivative, from the states of its nodes; with
+    the classical one from those at (u, lambda) of the one before. For each that is the better start
+    (press fit, N = 16: 19 factorisations instead of 31, and 30 instead of 60). Slip counts
+    from there.
     """
     K, N, T = load_steps[0].K, load_steps[0].N, load_steps[0].T
     size, node = load_steps[0].size, load_steps[0].node
@@ -59,12 +61,14 @@ def newton(
     B = vstack([N, T], format="csr")
     c = STEP * modulus / np.concatenate([size, size[node]])
     scale, unscale, identity = diags_array(c), diags_array(1.0 / c), eye_array(len(c))
-    x, slipped = np.zeros(len(c)), np.zeros(len(c) - m)
+    u, x, slipped = np.zeros(n), np.zeros(len(c)), np.zeros(len(c) - m)
     y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
     found: list[np.ndarray] = []
     total, converged = 0, True
     for data in load_steps:
         gap = np.concatenate([data.gap, data.slip + slipped])
+        if classical and found:
+            y = x + c * (B @ u - gap)
         steps, error, projected = 0, np.inf, x
         while error > tolerance * np.linalg.norm(projected) and steps < MOST:
             steps += 1
@@ -75,8 +79,8 @@ def newton(
             )
             right = np.concatenate([data.f, (projected - D @ (y + c * gap)) / c])
             solution = linear_solve(matrix, right)
-            x = solution[n:]
-            y = x + c * (B @ solution[:n] - gap)
+            u, x = solution[:n], solution[n:]
+            y = x + c * (B @ u - gap)
             projected, _ = projection(data, y, None)
             error = np.linalg.norm(x - projected)
         slipped += (y - projected)[m:] / c[m:]
