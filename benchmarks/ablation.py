@@ -1,18 +1,19 @@
-"""What each part of the default method is for: products, time and failures without it.
+"""Products, time and failures of the default method without each of its parts.
 
     OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/ablation.py --here \
         --json benchmarks/data/ablation.json
 
-Each row is a fixed set of small scenes, solved with one part of `optimise/` or `dual/` switched
-off, or with one constant doubled or halved (of parts that are nearly 1 the distance from 1). A
-failure is a solve that does not converge; "status" counts solves that end with another status than
-by default. Products are those of all scenes over those by default; "worst" is the scene in which
-they change most. Time is processor seconds of all scenes, with set-up and refinement. Many changes
-of constants leave all numbers as they are by default: the median time of these rows and of the
-default, which runs first and last, is 1, and their range shows how far time varies by chance. Of
-the constants that name rounding errors there are those that several files share; constants of
-scenes that are not here, such as several pairs, change nothing. `--here` does all in one process,
-which saves the start of one for each row.
+For each row a fixed set of small scenes is solved with one part of `optimise/` or `dual/` switched
+off, or with one constant doubled or halved. (For fractions close to 1 the distance from 1 is
+doubled or halved.) A failure is a solve that does not converge; "status" counts the solves whose
+status is not the same as by default. The number of products in all scenes is divided by the number
+by default; "worst" is the scene in which the products change most. Time is processor seconds of all
+scenes, with set-up and refinement. Many changes of constants change no number but the time. These
+rows and the rows of the default, which runs first and last, do the same work: their median time is
+taken as 1, and the range of their times shows how far time varies by chance. Of the constants that
+say what counts as rounding, only the constants shared by several files are included. Constants for
+scenes that do not occur here, such as scenes with several pairs, change nothing. With `--here` one
+process runs all rows, which saves the start of a process for each row.
 """
 
 from __future__ import annotations
@@ -65,19 +66,19 @@ from scenes.two_bricks import floating as two_bricks_floating
 
 PACKAGE = "dolfinx_tresca"
 DEFAULT = "default"
-#: `change` of its rows.
+#: Values of `change` in the first and the last row of the default.
 FIRST, LAST = "first", "last"
 
-#: Loads of the steps of a process, over the first one; the long process has four cycles.
+#: Loads of the steps of a process, divided by the first load; the long process has four cycles.
 LOADS = (1.0, 1.1, 0.95)
 CYCLES = 1.0 + 0.5 * np.sin(0.25 * np.arange(100))
 
-#: No mesh of an adaptive solve has more unknowns, about.
+#: Approximate limit for the unknowns of a mesh in an adaptive solve.
 MAX_DOFS = 2500
 CHANGES = 2
 RTOL = 1e-6
 
-#: Attributes and what takes their place.
+#: Objects, names of their attributes, and the values that replace these attributes.
 Patches = list[tuple[Any, str, Any]]
 
 
@@ -89,7 +90,7 @@ class Solves:
         self.statuses: list[str] = []
 
     def add(self, solve: Callable[[], Any], products_of: Callable[[Any], int]) -> None:
-        """Count a solve; an error is a status, too."""
+        """Run and count a solve; if it raises an error, the name of the error is its status."""
         try:
             found = solve()
         except (ContactError, ArithmeticError, ValueError, IndexError) as error:
@@ -101,7 +102,7 @@ class Solves:
 
     @property
     def failed(self) -> dict[str, str]:
-        """The statuses of the solves that did not converge, by their numbers."""
+        """Number of the solve -> its status, for the solves that did not converge."""
         numbered = enumerate(self.statuses)
         return {str(i): status for i, status in numbered if status != "CONVERGED"}
 
@@ -119,7 +120,7 @@ def bricks(N: int, end: str) -> Scene:
 
 @cache
 def floating_bricks() -> Scene:
-    """Return the two bricks, the upper of which contact alone holds. Collective."""
+    """Return the two bricks, of which the upper one is held by contact alone. Collective."""
     return two_bricks_floating(MPI.COMM_WORLD, "upper", 4)
 
 
@@ -127,7 +128,7 @@ FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
 
 
 def cold(solves: Solves, stiffness: str = "cholesky", N: int = 6) -> None:
-    """Solve for the two bricks, each reading of the load with another law."""
+    """Solve the two bricks, with both loads of `ENDS` and both laws (multigrid: one law each)."""
     for end, friction in zip(ENDS, FRICTION.values(), strict=True):
         for law in (friction,) if stiffness == "multigrid" else FRICTION.values():
             with bricks(N, end).but(friction=law).problem(stiffness=stiffness) as problem:
@@ -141,7 +142,7 @@ def steps(
     laws: Iterable[str] = FRICTION,
     loads: Iterable[float] = LOADS,
 ) -> None:
-    """Solve a process of load steps with history, each from the one before."""
+    """Solve a process of load steps with history; each step starts from the step before."""
     for law in laws:
         scene = bricks(N, "free_end_1").but(friction=FRICTION[law])
         load = scene.data.load
@@ -172,7 +173,7 @@ def refined(solves: Solves) -> None:
 
 
 def adaptive_solve(name: str, law: str | None, stiffness: str) -> SimpleNamespace:
-    """Return the outcome of an adaptive solve, over all meshes. Collective."""
+    """Return the total outcome of an adaptive solve on all meshes. Collective."""
     study = STUDIES[name]
 
     def build(tagged: TaggedMesh) -> ContactProblem:
@@ -189,7 +190,7 @@ def adaptive_solve(name: str, law: str | None, stiffness: str) -> SimpleNamespac
 
 
 def changes(solves: Solves) -> None:
-    """Solve again after changes of K, with both solvers for it."""
+    """Solve again after changes of K, with both solvers for K."""
     for stiffness in ("cholesky", "multigrid"):
         scene = bricks(4, "free_end_1")
         a, functions = form(scene, IN_A_ROW)
@@ -209,7 +210,7 @@ def floating(solves: Solves) -> None:
 
 
 def blocks(solves: Solves) -> None:
-    """Solve for blocks in the plane that nobody chose."""
+    """Solve for random blocks in the plane."""
     for seed in range(5):
         with random_blocks(seed).problem() as problem:
             solves.add(problem.solve, products_of)
@@ -217,17 +218,17 @@ def blocks(solves: Solves) -> None:
 
 @cache
 def random_blocks(seed: int) -> Scene:
-    """Return blocks of a number. Collective."""
+    """Return the random blocks with a given seed. Collective."""
     return RandomBlocks.drawn(seed, 2).coarse(MPI.COMM_WORLD)
 
 
-#: Numbers of random problems; the last ones of each kind need what most do not: safeguards and an
-#: interior-point method, and a path of friction.
+#: Seeds of random problems. The last ones of each kind need parts of the method that most problems
+#: do not need: safeguards and the interior-point method, or the path of friction.
 PLAIN, BALANCED, CONES = range(6), (0, 1, 2, 4, 7, 59), (0, 1, 2, 5, 20, 29, 86)
 
 
 def dense_problems(solves: Solves) -> None:
-    """Solve dense problems with Tresca's friction, on balanced multipliers, and with Coulomb's."""
+    """Solve dense problems: Tresca's law, multipliers in equilibrium, and Coulomb's law."""
     problems = [
         *(dense.random_problem(seed, 4 + seed % 17, seed % 5) for seed in PLAIN),
         *(
@@ -258,14 +259,14 @@ SCENES: dict[str, Callable[[Solves], None]] = {
 
 
 def no_lasting_pairs(store: products.ProductStore) -> None:
-    """Drop all pairs at the start of each solve but the first one."""
+    """Drop all stored products at the start of each solve except the first one."""
     if getattr(store, "has_served", False):
         store.W, store.Y, store.errors = store.W[:, :0], store.Y[:, :0], store.errors[:0]
     store.has_served = True
 
 
 def no_seeds(operator: Any, local: Any, affine: bool = True, near: Any = None) -> Any:
-    """Return a store without products, and with the diagonal of nodes that move alone."""
+    """Return a store without products; its diagonal is for nodes that move one at a time."""
     return products.ProductStore(operator.jump.reductions, local)
 
 
@@ -275,7 +276,7 @@ def without_affine(operator: Any, local: Any, affine: bool = True, near: Any = N
 
 
 def no_scale(store: products.ProductStore, *arguments: Any) -> None:
-    """Append a pair without a change of the diagonal's scale."""
+    """Append a product without changing the scale of the diagonal."""
     append(store, *arguments)
     store.scale = 1.0
 
@@ -298,7 +299,7 @@ def from_here(state: newton.ProjectedNewton, step: iterate.Step) -> iterate.Step
 
 
 def first_rho(residual: NaturalResidual, rho: float) -> None:
-    """Keep the rho that a residual begins with."""
+    """Set the rho of a residual only once: later values are ignored."""
     if not hasattr(residual, "rho"):
         set_rho(residual, rho)
 
@@ -307,7 +308,7 @@ set_rho = NaturalResidual.set_rho
 append, successor = products.ProductStore._append, products.ProductStore.successor
 ITERATE, NEWTON, STORE = iterate.Iterate, newton.ProjectedNewton, products.ProductStore
 
-#: What is switched off, and how.
+#: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
     "near field": [(compliance, "NEAR_SHARE", -1.0), (compliance, "NEAR_SHARE_ONCE", -1.0)],
     "limit of the near field": [
@@ -334,7 +335,6 @@ PARTS: dict[str, Patches] = {
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
     "tighten where unresolved": [(newton, "PROGRESS", math.inf)],
-    "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
     "start at the last multipliers": [
@@ -352,13 +352,12 @@ PARTS: dict[str, Patches] = {
     ],
     "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
     "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
-    "path of loads": [(fixed_point, "along_load", gone)],
     "path of friction": [(fixed_point, "along_friction", gone)],
-    "both paths": [(fixed_point, "along_load", gone), (fixed_point, "along_friction", gone)],
     "sweeps on the model": [(fixed_point, "MOST_SWEEPS", 0)],
 }
 
-#: Constants by module. Those in NEAR_ONE are parts of which the distance from 1 is changed.
+#: Module -> names of its constants. Constants in NEAR_ONE are fractions close to 1, whose distance
+#: from 1 is changed.
 CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
@@ -368,8 +367,7 @@ CONSTANTS = {
     "_base.arrays": "ROUNDING",
     "optimise.newton.near_model": "MOST",
     "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
-    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
-    "PRODUCT_ROUNDING",
+    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
     "optimise.models.far_field": "FAR_ENERGY",
     "optimise.models.bfgs_model": "LEAST_SOFTNESS",
     "optimise.newton.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
@@ -386,13 +384,13 @@ NEAR_ONE = {
     "TO_BOUNDARY", "INITIAL_RADIUS", "WHOLE_STEP", "PROGRESS", "SLACK",
 }  # fmt: skip
 FACTORS = {"doubled": 2.0, "halved": 0.5}
-#: Least values of integers, where 1 is not possible: `InitialGuess` drops what it was given then.
+#: Least values of integers that cannot be 1: with 1 `InitialGuess` would drop all that it is given.
 LEAST = {"KEPT": 2}
 CAPACITY = "products.ProductStore.capacity"
 
 
 def changed(name: str, value: float, factor: float) -> float:
-    """Return a constant times a factor."""
+    """Return a constant times a factor; in NEAR_ONE the factor multiplies its distance from 1."""
     if name in NEAR_ONE:
         return 1.0 + factor * (value - 1.0)
     if isinstance(value, int):
@@ -401,7 +399,7 @@ def changed(name: str, value: float, factor: float) -> float:
 
 
 def patches(part: str, change: str) -> Patches:
-    """Return what a row changes."""
+    """Return the replacements for a row."""
     if part == DEFAULT:
         return []
     if change == "off":
@@ -413,7 +411,7 @@ def patches(part: str, change: str) -> Patches:
     value = getattr(importlib.import_module(f"{PACKAGE}.{path}"), name)
     new = changed(name, value, factor)
     return [
-        (module, name, new)  # there, and wherever it was imported
+        (module, name, new)  # in its module, and in modules that import it
         for key, module in sorted(sys.modules.items())
         if key.startswith(PACKAGE) and getattr(module, name, None) is value
     ]
@@ -463,7 +461,7 @@ def failures(row: Row) -> int:
 
 
 def with_ratios(rows: list[Row]) -> list[Row]:
-    """Return the rows with what they are over the default."""
+    """Return the rows, with their figures divided by the figures of the default."""
     found = [row for row in rows if "products" in row]
     reference = next((row for row in found if row["part"] == DEFAULT), None)
     if reference is None:
@@ -482,12 +480,12 @@ def with_ratios(rows: list[Row]) -> list[Row]:
 
 
 def does_same_work(row: Row) -> bool:
-    """Whether a row is the default, or a constant that changes no number of it."""
+    """Whether a row is the default, or changes a constant but none of the default's numbers."""
     return row["same_numbers"] and (row["part"] == DEFAULT or row["change"] in FACTORS)
 
 
 def ratios(row: Row, reference: Row) -> Row:
-    """Return what a row is over the default, but for the time."""
+    """Return the figures of a row divided by those of the default, except for the time."""
     ours, its = row["products"], reference["products"]
     worst = max(its, key=lambda name: abs(ours[name] - its[name]) / its[name])
     krylov = sum(reference["krylov"].values())
@@ -507,13 +505,13 @@ def ratios(row: Row, reference: Row) -> Row:
     }
 
 
-#: Change of products, Krylov iterations, or of time beyond its range by chance, that is worth a
-#: part; and change of products in one scene.
+#: Least relative change that matters: of products, of Krylov iterations, or of time beyond its
+#: range by chance; and of the products in a single scene.
 WORTH, WORTH_IN_A_SCENE = 0.05, 0.1
 
 
 def matters(row: Row) -> bool:
-    """Whether a row has another status, or products, iterations or a time worth telling."""
+    """Whether statuses, products, iterations or time differ from the default noticeably."""
     ratios = (row["products_ratio"], row["krylov_ratio"], row["beyond_chance"])
     return (
         row["moved"] > 0
@@ -523,12 +521,12 @@ def matters(row: Row) -> bool:
 
 
 def switched_off(rows: list[Row]) -> list[Row]:
-    """Return the rows of parts."""
+    """Return the rows in which a part is switched off."""
     return [row for row in with_ratios(rows) if row["change"] == "off"]
 
 
 def noise(rows: list[Row]) -> list[Row]:
-    """Return a row with the times of rows that do the same work."""
+    """Return one row with the range of the times of all rows that do the same work."""
     found = [row for row in with_ratios(rows) if does_same_work(row)]
     if not found:
         return []
@@ -539,26 +537,26 @@ def noise(rows: list[Row]) -> list[Row]:
 
 
 def constants(rows: list[Row]) -> list[Row]:
-    """Return the rows of constants of which one change matters at least."""
+    """Return both rows of each constant for which at least one of the two changes matters."""
     found = [row for row in with_ratios(rows) if row["change"] in FACTORS]
     kept = {row["part"] for row in found if matters(row)}
     return [row for row in found if row["part"] in kept]
 
 
 def idle(rows: list[Row]) -> list[str]:
-    """Return the parts and constants of which no change matters."""
+    """Return the parts and constants for which no change matters."""
     found = [row for row in with_ratios(rows) if row["part"] != DEFAULT]
     kept = {row["part"] for row in found if matters(row)}
     return sorted({row["part"] for row in found} - kept)
 
 
 def summary(rows: list[Row]) -> str:
-    """Return what changes nothing."""
+    """Return a line that lists the parts and constants for which no change matters."""
     return f"No other status, less than {WORTH:.0%} of all: " + ", ".join(idle(rows))
 
 
 def idle_constants(rows: list[Row]) -> list[Row]:
-    """Return a row for each module, with those of its constants of which no change matters."""
+    """Return a row for each module, with its constants for which no change matters."""
     runs = {row["part"]: row["run"] for row in rows}
     modules: dict[tuple[str, str], list[str]] = {}
     for part in idle(rows):

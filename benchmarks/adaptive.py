@@ -1,16 +1,17 @@
-"""The error over unknowns: meshes refined where the error is, beside uniform ones.
+"""Error against unknowns, for meshes refined where the error is large and for uniform meshes.
 
     tools/fenicsx python3 benchmarks/adaptive.py --json benchmarks/data/adaptive.json
 
-Both begin with the same coarse mesh and end before one with more than `--dofs` unknowns, by
-forecast: `solve_adaptively` with its defaults, and with `fraction=1.0`, which cuts all
-cells. The error is the package's estimate of that of the mesh, relative and in the energy norm. The
-two bricks have singular edges; the cylinder on a plane (Hertz, in 2D) is smooth but for the ends of
-the contact, and its new nodes are put on the circle. Products of a level are those of a rough
-solve, which says where to refine, from the tractions on the mesh before; on the last level those of
-the final solve are among them. Seconds are those of the processor, of all that a level takes, the
-finer mesh included; `linear` those of the linear problem on the last mesh, from forms to
-displacement, with the solver for K that the contact problem took.
+`solve_adaptively` runs with its defaults, and with `fraction=1.0`, which cuts all cells. Both runs
+begin with the same coarse mesh, and end before a mesh that is forecast to have more than `--dofs`
+unknowns. The error is the package's estimate of the mesh's error, relative and in the energy norm.
+The two bricks have singular edges. The solution for the cylinder on a plane (Hertz, in 2D) is
+smooth except at the ends of the contact; new nodes are moved onto the circle. The products of a
+level are the products of a rough solve, which starts from the tractions on the previous mesh and
+decides where to refine; on the last level the products of the final solve are added. Seconds are
+processor seconds of everything on a level, the making of the next mesh included. `linear` is the
+time of the linear problem on the last mesh, from forms to displacement, with the same solver for K
+as in the contact problem.
 """
 
 from __future__ import annotations
@@ -34,27 +35,28 @@ from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.scene import Scene
 from scenes.two_bricks import on_bricks, two_bricks
 
-#: Never reached: `--dofs` ends each run.
+#: Accuracy and number of meshes, both never reached: `--dofs` ends each run.
 ACCURACY, MOST_LEVELS = 1e-12, 100
 
-#: The part of the squared error that is in the cells to refine.
+#: Kind of meshes -> part of the total squared error that the refined cells have together.
 FRACTIONS = {"adaptive": 0.5, "uniform": 1.0}
 
-#: Meshes, the finest ones, to which a rate is fitted; and how many times as many unknowns as the
-#: first one of others the last one has. Adaptive meshes double from one to the next.
+#: Two choices of meshes for a fitted rate: the number of finest meshes; and the largest ratio of
+#: the unknowns of the last mesh to the unknowns of an earlier mesh. (Each adaptive mesh has about
+#: twice the unknowns of the previous mesh.)
 FITTED, TENFOLD = 4, 10
 
 
 @dataclass(frozen=True)
 class Study:
-    """A scene: its first mesh, and what it is on another one.
+    """A scene on its first mesh and on refined meshes.
 
     Attributes:
-        name: in the table.
-        coarse: from a communicator and a size.
-        build: from a mesh and the degree.
-        size: of the first mesh, N or h [mm].
-        snap: for curved surfaces.
+        name: name of the scene in the table.
+        coarse: function from a communicator and a size to the scene on the first mesh.
+        build: function from a mesh and the degree to the scene on this mesh.
+        size: size of the first mesh, N or h [mm].
+        snap: projections to curved surfaces; see `refine`.
     """
 
     name: str
@@ -129,7 +131,7 @@ def rate(rows: Sequence[Row]) -> float:
 
 
 def rate_of_last(rows: list[Row]) -> str:
-    """Return the rate of the last meshes, and of how many where they are few."""
+    """Return the rate on the last meshes; with their number if it is less than `FITTED`."""
     if len(rows) < 2:
         return DASH
     fitted = rows[-FITTED:]
@@ -137,24 +139,24 @@ def rate_of_last(rows: list[Row]) -> str:
 
 
 def rate_of_tenfold(rows: list[Row]) -> str:
-    """Return the rate over the last tenfold of unknowns."""
+    """Return the rate on meshes with at least 1 / `TENFOLD` of the last mesh's unknowns."""
     fitted = [row for row in rows if TENFOLD * row["unknowns"] >= rows[-1]["unknowns"]]
     return f"{rate(fitted):.2f}" if len(fitted) > 1 else DASH
 
 
 def last_over_linear(rows: list[Row]) -> str:
-    """Return what the last mesh costs in linear solves of it."""
+    """Return the time of the last level, divided by the time of the linear problem on its mesh."""
     last = rows[-1]
     return f"{last['seconds'] / last['linear']:.1f}" if "linear" in last else DASH
 
 
 def percent(row: Row) -> str:
-    """Return the error of a mesh."""
+    """Return the error of a mesh as text, in percent."""
     return f"{100 * row['error']:.2g} %"
 
 
 def first_to_last(text: Callable[[Row], str]) -> Callable[[list[Row]], str]:
-    """Return a function that writes the first and the last mesh."""
+    """Return a function that writes a text for the first and the last mesh."""
     return lambda rows: f"{text(rows[0])} to {text(rows[-1])}"
 
 

@@ -1,11 +1,11 @@
-"""Walls of bricks that only contact holds: iterations, products, time and memory by their number.
+"""Iterations, products, time and memory by the number of bricks in walls held only by contact.
 
     tools/fenicsx python3 benchmarks/assemblies.py --json assemblies.json
 
-solves dry walls in running bond (`scenes/wall.py`) under their weight, and pushed at the top by a
-part of the weight of a course, to a relative residual of 1e-6. All contacts are declared at once.
-Seconds are the processor's, of all ranks: those of the weight are from forms to fields. K is
-factored in the seconds of "Cholesky", by the clock.
+Dry walls in running bond (`scenes/wall.py`) are loaded by their weight, and then also pushed at the
+top by a part of the weight of a course. Both problems are solved to a relative residual of 1e-6.
+One pair declares all contacts. Seconds are processor seconds of all ranks; for the weight they are
+counted from forms to fields. "Cholesky" is the wall-clock time of the factorisation of K.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from harness.memory import peak_memory, reset_peak_memory
 from dolfinx_tresca import ContactStatus
 from scenes.wall import HEIGHT, wall
 
-#: Bricks in a course and courses, by the number of bricks; every second course has one more.
+#: Number of bricks -> bricks in a course, and courses; every second course has one more brick.
 SIZES = {
     1: (1, 1),
     2: (2, 1),
@@ -32,10 +32,10 @@ SIZES = {
     5005: (71, 70),
 }
 
-#: The push, over the weight of a course.
+#: The force of the push, divided by the weight of a course.
 PUSH = 0.2
 
-#: Relative residual.
+#: Relative residual at which solves end.
 RTOL = 1e-6
 
 
@@ -51,7 +51,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     reset_peak_memory()
 
     def seconds(start: float) -> float:
-        """Return the processor seconds of all ranks since a start."""
+        """Return the sum over the ranks of the processor seconds since `start`."""
         return comm.allreduce(time.process_time() - start)
 
     begin = time.process_time()

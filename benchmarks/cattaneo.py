@@ -2,11 +2,12 @@
 
     tools/fenicsx python3 benchmarks/cattaneo.py --json benchmarks/data/cattaneo.json
 
-Two equal bodies are pressed together, drawn aside, and rubbed once to and fro (`scenes/cattaneo.py`
-and `cattaneo_cycle.py`): in plane strain, and in 3D. Errors are relative, and root mean squares
-over four loads, since on one mesh an error depends on where the edges of contact and stick zone lie
-between nodes. What to expect: pressure and traction end like a square root, so that they converge
-with h in L2; what is an integral of them converges faster.
+Two equal bodies are pressed together, shifted tangentially, and rubbed once to and fro
+(`scenes/cattaneo.py` and `cattaneo_cycle.py`), in plane strain and in 3D. Errors are relative. They
+are root mean squares over four loads, since on one mesh an error depends on the position of the
+edges of the contact and stick zones between the nodes. Expected rates: at these edges pressure and
+traction behave like a square root, so they converge with h in L2; integrals of pressure or traction
+converge faster.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from harness import Benchmark, Column, Comm, Row, Table
 
 from scenes.cattaneo_cycle import cycle_errors
 
-#: Cells along the bodies.
+#: Dimension of space -> numbers of cells along a body.
 SIZES = {2: (24, 48, 96, 192), 3: (12, 16, 24, 32)}
 
-#: Approaches over that of the scene.
+#: Approaches of the bodies, divided by the scene's own approach.
 LOADS = (1.0, 1.2, 1.45, 1.75)
 
 RTOL = 1e-9
 
-#: Heads of columns, and errors.
+#: Head of a column -> name of the error.
 ERRORS = {
     "pressure": "pressure",
     "traction": "traction",
@@ -57,7 +58,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def with_rates(rows: list[Row]) -> list[Row]:
-    """Return the rows, with the rates from the mesh before."""
+    """Return the rows, with the rates of convergence from the previous mesh."""
     result = []
     for _, family in itertools.groupby(rows, key=lambda row: row["dim"]):
         before: Row = {}
@@ -73,7 +74,7 @@ def with_rates(rows: list[Row]) -> list[Row]:
 
 
 def error_and_rate(error: str) -> Callable[[list[Row]], str]:
-    """Return the text of a cell."""
+    """Return a function that writes an error and its rate in a cell of the table."""
 
     def text(rows: list[Row]) -> str:
         (row,) = rows
@@ -92,7 +93,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def fitted_rates(rows: list[Row]) -> str:
-    """Return rates fitted to all meshes."""
+    """Return the text of the rates that are fitted to all meshes of each dimension."""
     lines = []
     for dim, family in itertools.groupby(rows, key=lambda row: row["dim"]):
         found = list(family)

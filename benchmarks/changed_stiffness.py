@@ -1,11 +1,11 @@
-"""What a solve costs after a change of K, which keeps what is known of A for the K before.
+"""The cost of a solve after a change of K; information about the old A is reused.
 
     tools/fenicsx python3 benchmarks/changed_stiffness.py \
         --json benchmarks/data/changed_stiffness.json
 
-The two bricks with another Young's modulus, as in later steps of Newton's method: `CHANGES`. The
-first solve is cold; then K changes, and the next one starts from the last multipliers. "rtol 1e-6"
-is the natural residual, relative to that at zero; "default" is `solve()`.
+The stiffness of the two bricks changes (`CHANGES`), as in later steps of Newton's method. The first
+solve starts from zero; then K changes, and the next solve starts from the last multipliers. "rtol
+1e-6" solves until the natural residual is 1e-6 of the residual at zero; "default" is `solve()`.
 """
 
 from __future__ import annotations
@@ -28,29 +28,30 @@ from scenes.elasticity import elasticity
 from scenes.scene import Scene
 from scenes.two_bricks import ENDS, YOUNG, two_bricks
 
-#: Height of the contact [m], and of the layer round it that changes by itself.
+#: Height of the contact surface, and half the thickness of the layer around it that changes alone
+#: [m].
 CONTACT, LAYER = 1.0, 0.15
 
-#: Of the random waves, and how many changes.
+#: Seed of the random waves, and the number of changes.
 SEED, CHANGES_IN_A_ROW = 3, 10
 
 
 def wave(amplitude: float) -> Callable[[Any], Any]:
-    """Return 1 plus a wave along and across the bricks."""
+    """Return the function 1 plus a wave in the directions x and z."""
     return lambda x: 1 + amplitude * ufl.sin(6 * x[0]) * ufl.cos(6 * x[2])
 
 
 def layer(factor: float) -> Callable[[Any], Any]:
-    """Return a factor near the contact, and 1 elsewhere."""
+    """Return the function that is `factor` near the contact, and 1 elsewhere."""
     return lambda x: 1 + (factor - 1) * ufl.conditional(abs(x[2] - CONTACT) < LAYER, 1.0, 0.0)
 
 
 def upper(factor: float) -> Callable[[Any], Any]:
-    """Return a factor in the upper brick, and 1 in the lower one."""
+    """Return the function that is `factor` in the upper brick, and 1 in the lower brick."""
     return lambda x: 1 + (factor - 1) * ufl.conditional(x[2] > CONTACT, 1.0, 0.0)
 
 
-#: Name, with _ for blanks -> what Young's modulus is multiplied by, a function of the place.
+#: Name, with _ for blanks -> factor of Young's modulus, as a function of the position.
 FACTORS: dict[str, Callable[[Any], Any]] = {
     "wave_of_1_%": wave(0.01),
     "wave_of_10_%": wave(0.1),
@@ -81,7 +82,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def form(scene: Scene, change: str) -> tuple[Any, list[Callable[[], None]]]:
-    """Return the form, and functions that change what it depends on, one after the other."""
+    """Return the form, and functions, to be called in turn, that change its coefficients."""
     V, poisson = scene.V, scene.data.poisson
     x = ufl.SpatialCoordinate(scene.mesh)
     on = fem.Constant(scene.mesh, 0.0)
@@ -108,7 +109,7 @@ def form(scene: Scene, change: str) -> tuple[Any, list[Callable[[], None]]]:
 
 
 def changed(scene: Scene, backend: str, change: str, asked: str) -> Row:
-    """Return what the first solve and those after a change cost. Collective."""
+    """Return the costs of the first solve and of the solves after changes. Collective."""
     a, changes = form(scene, change)
     with scene.problem(a=a, stiffness=backend) as problem:
         solutions = [problem.solve(**ASKED[asked])]
@@ -128,7 +129,7 @@ def changed(scene: Scene, backend: str, change: str, asked: str) -> Row:
 
 
 def counts(rows: list[Row]) -> str:
-    """Return the products of the first solve and, in the mean, of those after a change."""
+    """Return the products of the first solve, and their mean for the solves after changes."""
     (row,) = rows
     if "products" not in row:
         return DASH
@@ -146,7 +147,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def words(rows: list[Row]) -> str:
-    """Return the change."""
+    """Return the name of the change, with blanks."""
     return str(rows[-1]["change"]).replace("_", " ")
 
 

@@ -1,10 +1,10 @@
-"""Which package factors K: seconds of a factorisation and of a solve.
+"""Seconds of a factorisation of K and of a solve, by the package that factors K.
 
     FENICSX_SUITE=trixie tools/fenicsx python3 benchmarks/cholesky.py --json cholesky.json
     FENICSX_SUITE=wheels tools/fenicsx python3 benchmarks/cholesky.py --json cholesky.json
 
-factors the stiffness matrix of the two bricks with each direct solver that PETSc was built with:
-Debian's PETSc has CHOLMOD, the PyPI wheel has not.
+The stiffness matrix of the two bricks is factored with each direct solver that PETSc was built
+with: Debian's PETSc has CHOLMOD, the PETSc from PyPI does not.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dolfinx.fem import petsc
 from dolfinx_tresca.stiffness.cholesky import DEFAULTS, PACKAGE
 from scenes.two_bricks import two_bricks
 
-#: Options of PETSc for each package, on top of what `stiffness="cholesky"` takes.
+#: Package -> options of PETSc, in addition to the options of `stiffness="cholesky"`.
 PACKAGES = {
     "CHOLMOD": {PACKAGE: "cholmod"},
     "MUMPS": {},
@@ -35,13 +35,13 @@ PACKAGES = {
     "SuperLU_DIST": {PACKAGE: "superlu_dist", "pc_type": "lu"},
 }
 
-#: Packages that have no solver on several ranks.
+#: Packages that cannot solve on several ranks.
 SERIAL = ("CHOLMOD", "PETSc")
 
-#: Solves of which the mean time is taken.
+#: Number of solves over which the time is averaged.
 SOLVES = 10
 
-#: Where PETSc is from: DOLFINx 0.9 is Debian's, the latest one the wheel's.
+#: Origin of PETSc: DOLFINx 0.9 comes from Debian, the latest DOLFINx from PyPI.
 SOURCE = "Debian" if dolfinx.__version__.startswith("0.9") else "PyPI"
 
 

@@ -2,14 +2,15 @@
 
     tools/fenicsx python3 benchmarks/convergence.py --json FILE --picture FILE
 
-Two blocks of different materials, meshed 2 : 3, are pressed together and slide on each other. Loads
-are made such that the exact solution is known and smooth: chosen are pressure, slip and the
-displacements of the surfaces, the rest follows from the equations (a manufactured solution), so
-there is no reference mesh. Errors are relative: of the displacement in the energy norm, of pressure
-and slip in L2 of the contact surface.
+Two blocks of different materials, with cells in the ratio 2 : 3, are pressed together and slide on
+each other. The solution is manufactured: pressure, slip and the displacements of the surfaces are
+chosen, and the loads follow from the equations. The exact solution is therefore known and smooth,
+and no reference mesh is needed. Errors are relative: for the displacement in the energy norm, for
+pressure and slip in L2 of the contact surface.
 
-What to expect: the multipliers are discontinuous of degree 1 and only constants are exact in them,
-so the energy norm converges with h for degree 1 and with h^1.5 at least for degree 2.
+Expected rates: the basis of the multipliers is discontinuous, of degree 1, and reproduces only
+constants exactly. So the error in the energy norm falls with h for degree 1, and at least with
+h^1.5 for degree 2.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ SLOPES = {"energy": (1.0, 1.5), "pressure": (1.0, 1.5), "slip": (1.0, 2.0)}
 
 
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Save errors over the size of the cells as a picture. On one rank only."""
+    """Save a picture of the errors against the cell size. On one rank only."""
     from matplotlib.lines import Line2D
 
     figure, panels = new_figure(3.7, 1, len(ERRORS), sharex=True)

@@ -1,25 +1,26 @@
-"""What contact costs: a contact solve beside a linear elastic solve of the same mesh.
+"""The cost of contact: a contact solve compared with a linear elastic solve on the same mesh.
 
     tools/fenicsx python3 benchmarks/cost.py --sizes 16 26 --ranks 1 2 --json FILE --picture FILE
 
-The linear solve is what a user pays anyway: assemble K and f of the two bricks without contact, set
-up the solver that the contact solve uses, with the same options (MUMPS, or GAMG with conjugate
-gradients to a relative residual of 1e-8), and solve once. The contact solve is everything from
-`ContactProblem(...)` to the fields. Both are run in turns, in one process that has loaded
-everything before, and medians are taken; the mesh is in neither. `spread` is the larger one of
-(slowest - fastest) / median of the two; `ratios` has the ratio of each turn, `ratio_of_fastest`
-that of the fastest runs: where a machine is shared that is the better figure.
+The linear solve has to be paid for without contact, too: assemble K and f of the two bricks without
+contact, set up the solver that the contact solve uses, with the same options (MUMPS, or GAMG with
+conjugate gradients to a relative residual of 1e-8), and solve once. The contact solve is everything
+from `ContactProblem(...)` to the fields. One process, which has loaded everything before, runs both
+in turns; medians are taken, and the time for the mesh is not counted. `spread` is (slowest -
+fastest) / median, for the linear or the contact solves, whichever is larger. `ratios` has the ratio
+of contact to linear time in each turn, and `ratio_of_fastest` the ratio of the fastest contact to
+the fastest linear solve, which is the better figure on a shared machine.
 
 Accuracy 1e-6 is the relative natural residual (`rtol`). Accuracy 1e-3 is the relative error of the
-displacement in the energy norm (`accuracy`), which the solver bounds; `energy_error` is what it is
-in truth, against a solution to 1e-8, and `energy_error_bound` the bound.
+displacement in the energy norm (`accuracy`), which the solver bounds: `energy_error_bound` is this
+bound, and `energy_error` is the error itself, against a solution to a residual of 1e-8.
 
-Memory is the peak (VmHWM, summed over ranks) of two further processes, one with a linear solve and
-one with a contact solve alone, counted from after the mesh was made; what is resident by then,
-Python and the mesh, is in it.
+Memory is the peak (VmHWM, summed over ranks) of two further processes: one only runs a linear
+solve, the other only a contact solve. The peak is reset after the mesh was made, but memory that is
+in use at that time, such as Python and the mesh, is included.
 
-What `auto` takes is compared, at the end, with the fastest of what was measured of the same scene,
-size, ranks and accuracy.
+At the end the time of the solver that `auto` has chosen is compared with the fastest solver for the
+same scene, size, number of ranks and accuracy.
 """
 
 from __future__ import annotations
@@ -55,10 +56,10 @@ BACKENDS = ("cholesky", "multigrid", "auto")
 ASKED: dict[float, Row] = {1e-3: {"accuracy": 1e-3}, 1e-6: {"rtol": 1e-6}}
 IN_WORDS = {1e-3: "energy error", 1e-6: "natural residual"}
 
-#: Relative natural residual of the solution with which others are compared.
+#: Relative natural residual of the solution that serves as the reference for errors.
 TIGHT = 1e-8
 
-#: Of the linear solve by multigrid: a relative residual of 1e-8, as PETSc measures by default.
+#: Options of the linear solve by multigrid: a relative residual of 1e-8 in PETSc's default norm.
 LINEAR_MULTIGRID = {"ksp_rtol": 1e-8, "ksp_norm_type": "preconditioned"}
 
 
@@ -100,12 +101,12 @@ def energy_error(scene: Scene, u: Any, tight: Any) -> float:
     return energy_norm(scene, difference) / energy_norm(scene, tight)
 
 
-#: What a case measures, in processes of its own.
+#: Kinds of cases, each of which is measured in processes of its own.
 PARTS = ("seconds", "memory of linear", "memory of contact")
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield a case for the seconds, and one for each figure of memory."""
+    """Yield one case for the seconds, and one case for each figure of memory."""
     loops = (arguments.sizes, arguments.scenes, arguments.ranks, arguments.backends)
     for N, scene, ranks, backend in itertools.product(*loops):
         case = {"scene": scene, "N": N, "ranks": ranks, "backend": backend}
@@ -117,7 +118,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def prepare(case: Row, rows: list[Row]) -> Row:
-    """Let the linear problem take what "auto" took; leave memory out where seconds failed."""
+    """Give the linear problem the solver that "auto" chose; skip memory if seconds failed."""
     if case["part"] == PARTS[0]:
         return case
     names = ("scene", "N", "ranks", "backend", "accuracy")
@@ -128,7 +129,7 @@ def prepare(case: Row, rows: list[Row]) -> Row:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield what a case is for. Collective."""
+    """Yield the seconds or the memory of a case. Collective."""
     scene = two_bricks(comm, case["N"], end=case["scene"])
     if case["part"] == PARTS[0]:
         yield from measure_seconds(comm, scene, case)
@@ -181,7 +182,7 @@ def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
 
 
 def summary(rows: list[Row]) -> str:
-    """Return how what `auto` took compares with the fastest back end and linear solve."""
+    """Return a comparison of the choice of `auto` with the fastest back end and linear solve."""
     lines = []
     for row in rows:
         if row["backend"] != "auto" or "ratio" not in row:
@@ -205,7 +206,7 @@ def summary(rows: list[Row]) -> str:
 
 
 def draw(path: Path, rows: list[Row]) -> None:
-    """Save the ratio over n as a picture."""
+    """Save a picture of the ratio of contact to linear time against the unknowns n."""
     rows = [row for row in rows if "ratio" in row]
     accuracies = sorted({row["accuracy"] for row in rows}, reverse=True)
     figure, panels = new_figure(4.0, 1, len(accuracies), sharey=True)

@@ -1,13 +1,14 @@
-"""What Coulomb friction costs, in products with A, over Tresca friction of the same scene.
+"""Products with A for Coulomb friction, compared with Tresca friction in the same scene.
 
     tools/fenicsx python3 benchmarks/coulomb.py --json benchmarks/data/coulomb.json
 
-Each solve is a problem of its own, from nothing; N is cells along a brick or block, and round the
-half hole of the implant. "1e-6" is the natural residual, relative to that at zero; "default" is
-`solve()`. Rows of Coulomb's law have, beside their own `products`, those of Tresca's law with the
-scene's own bound (`tresca`) and with the bounds that the solution ended with (`frozen`).
+Each solve is a new problem without known products; N is the number of cells along a brick or block,
+or round the half hole of the implant. "1e-6" solves until the natural residual is 1e-6 of the
+residual at zero; "default" is `solve()`. The rows of Coulomb's law have their own `products`, the
+products of Tresca's law with the scene's own bound (`tresca`), and the products of Tresca's law
+with the final bounds of the Coulomb solution (`frozen`).
 
-Sixteen cases of 20 to 35 seconds each on a busy machine, so about seven minutes.
+The sixteen cases take 20 to 35 seconds each on a busy machine, about seven minutes in all.
 """
 
 from __future__ import annotations
@@ -34,18 +35,18 @@ BACKENDS = ("cholesky", "multigrid")
 #: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[str, Row] = {"1e-6": {"rtol": 1e-6}, "default": {}}
 
-#: What is wanted of the products, over those of Tresca's law with the scene's bound.
+#: Largest desired ratio of the products to those of Tresca's law with the scene's own bound.
 GOAL = 1.3
 
 
 def moved_implant(comm: Comm, N: int) -> Scene:
-    """Return the stem in bone with the head moved all the way. Collective."""
+    """Return the stem in bone, with the head moved by its whole displacement. Collective."""
     scene = implant(comm, N)
     scene.data.motion.value[:] = MOTION
     return scene
 
 
-#: Name -> scene of a size, and the size of the table.
+#: Name -> function that returns the scene for a size, and the size for the table.
 SCENES: dict[str, tuple[Callable[[Comm, int], Scene], int]] = {
     "free_end_1": (lambda comm, N: two_bricks(comm, N, end="free_end_1"), 16),
     "free_end_2": (lambda comm, N: two_bricks(comm, N, end="free_end_2"), 16),
@@ -63,7 +64,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield a row of Tresca's law, F = None, and one for each coefficient. Collective."""
+    """Yield one row for Tresca's law (F is None), and one for each coefficient. Collective."""
     scene = SCENES[case["scene"]][0](comm, case["N"])
 
     def solved(friction: Friction) -> ContactSolution:
@@ -82,7 +83,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def counted(solution: ContactSolution) -> Row:
-    """Return figures of a solve."""
+    """Return the status, the products and the counts of nodes of a solve."""
     counts = solution.counts
     return {
         "status": solution.status.name,
@@ -107,7 +108,7 @@ def law(rows: list[Row]) -> str:
 
 
 def over_tresca(rows: list[Row]) -> str:
-    """Return products, and in brackets these over both of Tresca's law."""
+    """Return the products, and in brackets their ratios to `tresca` and to `frozen`."""
     (row,) = rows
     ratio, frozen = (row["products"] / row[name] for name in ("tresca", "frozen"))
     text = f"{row['products']} ({ratio:.2f}; {frozen:.2f})"

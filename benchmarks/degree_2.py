@@ -1,18 +1,20 @@
-"""Solvers for K side by side: of degree 2, of degree 1 with as many unknowns, on refined meshes.
+"""Solvers for K compared: degree 2, degree 1 with as many unknowns, and refined meshes.
 
     tools/fenicsx python3 benchmarks/degree_2.py --sizes 8 12 --repeats 3 --contact \
         --json benchmarks/data/degree_2.json
 
-Two bricks, as in the paper, with N cells along each (2 N for degree 1). Figures: set-up of the
-solver and one linear solve to 1e-8, in processor seconds of the first rank, which other work on the
-machine changes less than those of a clock; iterations; peak memory of both [bytes per unknown], K
-not counted; the linear problem from forms to displacement; with --contact the contact problem to a
-bound of 1e-3 of its energy error, its products and how many linear problems of the same solver it
-takes. Medians; the solvers take turns in one process.
+Two bricks, as in the paper, with N cells along each (2 N for degree 1). The figures are: the time
+of the solver's set-up and of one linear solve to 1e-8; iterations; the peak memory of set-up and
+solve [bytes per unknown], without K; and the time of the linear problem from forms to displacement.
+With --contact they are also the time and the products of the contact problem, solved until its
+energy error is bounded by 1e-3, and this time divided by the time of the linear problem with the
+same solver. Times are processor seconds of the first rank, which depend less on other work on the
+machine than wall-clock times. Figures are medians; one process runs the solvers in turns.
 
-`--cells adaptive` are tetrahedra again: the mesh of 4 cells along each brick, refined N times where
-displacements are singular, of degree 1 and half as often of degree 2; multigrid takes the meshes in
-between as its levels, and GAMG of all of K is what other meshes of degree 1 have:
+With `--cells adaptive` a mesh of tetrahedra, with 4 cells along each brick, is refined where
+displacements are singular: N times for degree 1, and N / 2 times for degree 2. The levels of
+multigrid are then the meshes from which the mesh was refined. "GAMG of all of K" has no such
+levels, like multigrid on unrefined meshes of degree 1. The command for these rows is:
 
     tools/fenicsx python3 benchmarks/degree_2.py --cells adaptive --sizes 8 12 --solvers multigrid \
         "GAMG of all of K" Cholesky --contact --json benchmarks/data/degree_2.json
@@ -40,10 +42,11 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 from scenes.two_bricks import on_bricks, two_bricks
 
-#: For degree 1 that is what "multigrid" is.
+#: Name of the solver without levels above GAMG; on unrefined meshes of degree 1 "multigrid" is the
+#: same.
 OF_ALL = "GAMG of all of K"
 
-#: What each solver is asked for, besides `stiffness="multigrid"`.
+#: Name of a solver -> PETSc options in addition to the defaults.
 SOLVERS: dict[str, Mapping[str, Any]] = {
     "multigrid": {},
     OF_ALL: {"pc_type": "gamg"},
@@ -62,7 +65,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield a row for each solver, those of degree 1 last. Collective."""
+    """Yield a row for each solver with degree 2, then with degree 1. Collective."""
     adaptive = case["cells"] == ADAPTIVE
     coarse, fine = (case["N"] // 2, case["N"]) if adaptive else (case["N"], 2 * case["N"])
     runs = [(2, coarse, solver) for solver in case["solvers"]]
@@ -110,7 +113,7 @@ def refined(comm: Comm, times: int) -> TaggedMesh:
 
 
 def linear(comm: Comm, scene: Scene, name: str) -> Row:
-    """Return what the linear problem costs: seconds, iterations, bytes per unknown. Collective."""
+    """Return seconds, iterations and bytes per unknown of the linear problem. Collective."""
     gc.collect()
     began = time.process_time()
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
@@ -140,7 +143,7 @@ def linear(comm: Comm, scene: Scene, name: str) -> Row:
 
 
 def contact(scene: Scene, name: str) -> Row:
-    """Return what the contact problem costs: seconds and products. Collective."""
+    """Return the seconds and the products of the contact problem. Collective."""
     gc.collect()
     start = time.process_time()
     stiffness = "cholesky" if name == "Cholesky" else "multigrid"

@@ -1,11 +1,12 @@
-"""What contact in a larger model takes: lines of code, and products per contact solve.
+"""Lines of code, and products per contact solve, of larger models with contact.
 
     tools/fenicsx python3 benchmarks/embedding.py --json benchmarks/data/embedding.json
 
-Demos of this project at the size that they have in the tests, and the nearest examples that other
-packages have of their own: `PEERS`, asimov-contact at db958afe, GetFEM at d05e3018. Lines of code
-are those of the whole script, without blanks, comments and docstrings; checks against analysis and
-pictures are among them, which the others have in part. Nobody's mesh files are counted.
+Demos of this project, in the size that tests use, are compared with the most similar examples of
+other packages (`PEERS`): asimov-contact at commit db958afe, and GetFEM at commit d05e3018. Lines of
+code are counted in whole scripts, without blank lines, comments and docstrings. Checks against
+analysis and pictures are included; only some examples of other packages have them. Mesh files are
+not counted.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ MODELS = {
     "impact": ("impact", 20),
 }
 
-#: Lines of code of what is nearest in other packages, counted by `code_lines`, and where it is.
+#: Model -> package -> lines of code of its most similar example, by `code_lines`, and its path.
 PEERS: dict[str, dict[str, str]] = {
     "O-ring seal": {
         "asimov": "none",
@@ -68,7 +69,7 @@ NOT_CODE = {
 
 
 def code_lines(text: str) -> int:
-    """Return how many lines of Python have code: no blanks, comments, docstrings."""
+    """Return the number of lines of Python without blank lines, comments and docstrings."""
     said: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
@@ -83,7 +84,7 @@ def code_lines(text: str) -> int:
 
 
 def without_checks(text: str) -> str:
-    """Return a demo without its formula, checks and pictures."""
+    """Return the text of a demo without the sections on its formula, checks and pictures."""
     parts = re.split(r"^# %% \[markdown\]\n", text, flags=re.MULTILINE)
     return "".join(
         part
@@ -99,7 +100,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Run a demo, and yield what its contact solves took. Collective."""
+    """Run a demo, and yield its lines of code and the products of its solves. Collective."""
     name, size = MODELS[case["model"]]
     script = DEMOS / f"demo_{name}.py"
     products: list[int] = []
@@ -110,7 +111,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         products.append(solution.products)
         return solution
 
-    ContactProblem.solve = counted  # in a process of its own
+    ContactProblem.solve = counted  # each case runs in a process of its own
     sys.argv = [str(script), str(size)]
     os.chdir(tempfile.mkdtemp())
     start = time.perf_counter()
@@ -120,18 +121,18 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         "model_lines": code_lines(without_checks(script.read_text())),
         "products": products,
         "seconds": time.perf_counter() - start,
-        "status": "CONVERGED",  # else the demo fails
+        "status": "CONVERGED",  # otherwise the demo raises an error
     }
 
 
 def solves(rows: list[Row]) -> str:
-    """Return the number of contact solves, and products of the first and the later ones."""
+    """Return the number of solves, the products of the first, and the mean of the later ones."""
     products = rows[-1]["products"]
     return f"{len(products)}: {products[0]} / {mean(products[1:]):.1f}"
 
 
 def peer(name: str, rows: list[Row]) -> str:
-    """Return what another package has."""
+    """Return the lines and the path of the most similar example of another package."""
     return PEERS.get(rows[-1]["model"], {}).get(name, DASH)
 
 

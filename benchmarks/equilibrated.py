@@ -1,12 +1,13 @@
-"""What a guaranteed bound of the mesh's error could give, and what it would cost: in 2D.
+"""How sharp a guaranteed bound of the mesh's error could be in 2D, and its cost.
 
     tools/fenicsx python3 benchmarks/equilibrated.py --json benchmarks/data/equilibrated.json
 
 By Prager and Synge the distance of the stress of u_h from any symmetric stress in equilibrium with
-the loads bounds the error. The best one in the space of Arnold, Falk and Winther (2007: rows in
-BDM, symmetry only in the mean of each cell) is found here by one global mixed solve, which no
-reconstruction patch by patch can beat with the same elements. What its stress lacks in symmetry is
-shown beside the bound: it would have to be added, times a constant of Korn's inequality.
+the loads bounds the error. One global mixed solve finds the stress in equilibrium that is nearest
+in the space of Arnold, Falk and Winther (2007: rows in BDM, symmetry only in the mean of each
+cell). No reconstruction patch by patch with the same elements can give a smaller bound. The skew
+part of this stress is shown beside the bound: for a guaranteed bound the norm of the skew part,
+times a constant of Korn's inequality, would have to be added.
 """
 
 from __future__ import annotations
@@ -41,14 +42,15 @@ def compliance(stress: Any, poisson: float) -> Any:
 
 
 def of_rows(*rows: Any) -> Any:
-    """Return the tensor with these rows."""
+    """Return the 2 x 2 tensor with the given rows."""
     return ufl.as_matrix([[row[0], row[1]] for row in rows])
 
 
 def nearest_stress(u: fem.Function, poisson: float) -> tuple[Any, int]:
-    """Return the stress of the mixed method for the displacement's boundary values, and its size.
+    """Return the stress of the mixed method for the boundary values of u, and its unknowns.
 
-    Of all in equilibrium it is the nearest to that of u.
+    Of all stresses of the space in equilibrium, this stress is the nearest to the stress of u. The
+    second result is the number of unknowns of the mixed method.
     """
     mesh, degree = u.function_space.mesh, u.function_space.element.basix_element.degree
     cell = mesh.basix_cell()
@@ -93,7 +95,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield a row. Runs on one rank."""
+    """Yield the row of a mesh. Runs on one rank."""
     poisson = case["poisson"]
     exact = clamped_square(comm, "quadrilateral", 48, 2, poisson, grading=4.0)[2]
     start = time.perf_counter()

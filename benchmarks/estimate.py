@@ -1,15 +1,18 @@
-"""The package's estimate of the mesh's error over the error, on all scenes with a reference.
+"""The package's estimate of the mesh's error divided by the error, on scenes with a reference.
 
     tools/fenicsx python3 benchmarks/estimate.py --json benchmarks/data/estimate.json
 
-References have elements of degree 2: in 2D on a mesh that is refined where the error is, for the
-two bricks graded towards all edges. Errors are energy norms of differences of gradients, at the
-points of a quadrature rule on the reference's mesh; that of the reference itself is an estimate.
-Where one side is 100 times stiffer the reference has multipliers on the softer one, and the meshes
-are those that `solve_adaptively` makes: n is how many.
-Contact terms are what surfaces leave of complementarity between nodes, where pressure and gap, or
-friction and slip, are linear: the root of 2 times the integral of p d + g |s| - t s, over the
-error. A residual estimate would have them besides what elements leave.
+References have elements of degree 2. Their meshes are refined where the error is large; the mesh of
+the two bricks is graded towards all edges instead. Errors are energy norms of differences of
+gradients, computed at the points of a quadrature rule on the mesh of the reference. The error of
+the reference itself is an estimate. If one side is 100 times stiffer, the multipliers of the
+reference are on the softer side, and the meshes are made by `solve_adaptively`: n is the number of
+meshes up to the present one.
+
+Contact terms measure how far complementarity is violated between nodes, where pressure and gap, or
+friction and slip, are interpolated linearly: the root of 2 times the integral of p d + g |s| - t s,
+divided by the error. A residual estimate would contain these terms in addition to the residuals of
+the elements.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 from scenes.scene import Scene
 
-#: Never reached: unknowns end the refinement of references.
+#: Accuracy that is never reached: a limit of unknowns ends the refinement of references.
 ACCURACY = 1e-12
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
@@ -41,17 +44,19 @@ CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 
 @dataclass(frozen=True)
 class Study:
-    """A scene, and where its reference comes from.
+    """A scene, and the way to its reference.
 
     Attributes:
-        name: in the table.
-        case: from a communicator, a number of cells, a kind of cells, and a degree.
-        refined: the scene of degree 2 on a mesh; None: the reference is `fine`.
-        fine: the reference.
-        sizes: of the meshes.
-        dim: of space.
-        cells: kinds of cells; None: all in that space.
-        snap: for curved surfaces.
+        name: name of the scene in the table.
+        case: function from a communicator, a number of cells, a kind of cells and a degree to the
+            scene.
+        refined: function from a mesh and a degree to the scene of a refined reference; None: the
+            reference is `fine`.
+        fine: function that returns the scene of the reference; None: the reference is refined.
+        sizes: numbers of cells of the meshes.
+        dim: dimension of space.
+        cells: kinds of cells; None: all kinds in this dimension.
+        snap: projections to curved surfaces; see `refine`.
     """
 
     name: str
@@ -65,12 +70,12 @@ class Study:
 
 
 def blocks(comm: Comm, n: int, cell: str, degree: int, **kind: Any) -> Scene:
-    """Return the blocks."""
+    """Return two blocks that are pressed together; see `pressed_blocks`."""
     return pressed_blocks(comm, n, cell=cell, degree=degree, **kind)
 
 
 def cylinder(comm: Comm, n: int, cell: str, degree: int) -> Scene:
-    """Return the cylinder with some n / 4 cells in the contact."""
+    """Return the cylinder on a plane, with about n / 4 cells in the contact."""
     quadrilaterals = cell == "quadrilateral"
     return cylinder_on_plane(comm, 3.84 / n, degree=degree, quadrilaterals=quadrilaterals)
 
@@ -86,7 +91,7 @@ def of_blocks(name: str, narrow: bool = False, **kind: Any) -> Study:
 
 
 def refined_blocks(comm: Comm, n: int, cell: str, degree: int, lower: float) -> Scene:
-    """Return a narrow block on a wide one, on the nth mesh that is refined where the error is."""
+    """Return a narrow block on a wide one, on the nth mesh of an adaptive solve."""
     result = solve_adaptively(
         lambda tagged: on_blocks(tagged, degree=degree, lower=lower).problem(),
         pressed_blocks(comm, 4, cell=cell, narrow=True).tagged_mesh,
@@ -97,7 +102,7 @@ def refined_blocks(comm: Comm, n: int, cell: str, degree: int, lower: float) -> 
 
 
 def softer_secondary(blocks: TaggedMesh, degree: int, lower: float) -> Scene:
-    """Return the blocks with multipliers on the softer one."""
+    """Return the blocks; the softer block is the secondary side."""
     scene = on_blocks(blocks, degree=degree, lower=lower)
     if lower > 1.0:
         return scene
@@ -105,7 +110,7 @@ def softer_secondary(blocks: TaggedMesh, degree: int, lower: float) -> Scene:
 
 
 def of_refined_blocks(name: str, lower: float, dim: int = 2) -> Study:
-    """Return a study of refined meshes, with another modulus of the lower block."""
+    """Return a study of adaptive meshes; `lower` is the lower block's modulus over the upper's."""
     return Study(
         name,
         partial(refined_blocks, lower=lower),
@@ -138,7 +143,7 @@ STUDIES = {
 
 
 def reference(name: str, comm: Comm, dofs: int) -> tuple[Reference, float]:
-    """Return the reference of a scene, and an estimate of its own relative error."""
+    """Return the reference of a scene, and an estimate of the reference's own relative error."""
     study = STUDIES[name]
     if study.fine is not None:
         scene = study.fine()
@@ -158,7 +163,7 @@ def reference(name: str, comm: Comm, dofs: int) -> tuple[Reference, float]:
 
 
 def contact_terms(scene: Scene, solution: ContactSolution) -> float:
-    """Return the root of twice the integral of p d + g |s| - t s, over |u|."""
+    """Return the root of twice the integral of p d + g |s| - t s, divided by |u|_K."""
     surface = solution.surface
     density = surface.pressure * abs(surface.gap)
     if surface.traction is not None and surface.slip is not None:
@@ -171,7 +176,7 @@ def contact_terms(scene: Scene, solution: ContactSolution) -> float:
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield the scenes, with all their meshes: they have one reference."""
+    """Yield the scenes; a case has all meshes of a scene, since they share one reference."""
     for name in arguments.scenes:
         yield {"scene": name, "dofs": arguments.dofs, "coarse": arguments.coarse}
 
@@ -203,7 +208,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def ratios(rows: list[Row]) -> str:
-    """Return estimate over error from the coarsest mesh to the finest."""
+    """Return the ratios of estimate to error, from the coarsest to the finest mesh."""
     return ", ".join(f"{row['estimate'] / row['error']:.2f}" for row in rows)
 
 

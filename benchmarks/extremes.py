@@ -1,11 +1,11 @@
-"""What happens at extremes: of data, shape and algebra, compared with ordinary scenes.
+"""Solves with extreme data, shapes and algebra, compared with ordinary scenes.
 
     tools/fenicsx python3 benchmarks/extremes.py --json FILE
 
-Runs the cases of scenes/extremes, prints for each its status, iterations, products with A, and of
-all that is checked (the laws of contact, analytic values, invariants) what is nearest to its limit.
-Of each group the first case is an ordinary scene. FAILED marks a wrong answer or status, which the
-tests do not let pass.
+The script runs the cases of scenes/extremes. For each case it prints the status, iterations and
+products with A. It also checks the laws of contact, analytic values and invariants, and prints the
+check that is nearest to its limit. The first case of each group is an ordinary scene. FAILED marks
+a wrong answer or status, with which the tests fail, too.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def outcome(comm: Comm, case: Case) -> Row:
     row: Row = {"case": case.name, "passed": False}
     try:
         found = case.run(comm)
-    except Exception as error:  # that is what is looked for
+    except Exception as error:  # such errors are what this benchmark looks for
         row |= {"status": f"{type(error).__name__}: {error}"}
     else:
         row |= {
@@ -73,11 +73,11 @@ def nearest(rows: list[Row]) -> str:
 
 
 def summary(rows: list[Row]) -> str:
-    """Return how many failed."""
+    """Return the numbers of all cases and of failed cases."""
     return f"{len(rows)} cases, {sum(not row.get('passed') for row in rows)} failed"
 
 
-#: How statuses are called in the table; all others are errors.
+#: Status -> its name in the table; any other status is an error.
 OUTCOMES = {
     ContactStatus.CONVERGED.name: "converged",
     ContactStatus.MAX_ITERATIONS.name: "at the iteration limit",
@@ -85,7 +85,7 @@ OUTCOMES = {
 }
 
 
-#: What the cases of a group are, where its name does not tell.
+#: Group -> range of its cases, if the name of the group does not say it.
 RANGES = {
     "stiffness of the upper body over that of the lower": "1e-9 to 1e9",
     "Poisson's ratio": "0 to 0.4999 (degree 1 locks, degree 2 does not)",
@@ -105,13 +105,13 @@ RANGES = {
 
 
 def described(rows: list[Row]) -> str:
-    """Return the group of a line, and what is in it."""
+    """Return the name of a line's group, and the range of its cases."""
     group = rows[0]["group"]
     return f"{group}: {RANGES[group]}" if group in RANGES else str(group)
 
 
 def outcomes(rows: list[Row]) -> str:
-    """Return how many ended how; a number only where they differ."""
+    """Return the outcome of the cases of a group, with numbers if there are several outcomes."""
     found = Counter(OUTCOMES.get(row["status"], "refused") for row in rows)
     if len(found) == 1:
         return next(iter(found))
@@ -124,18 +124,18 @@ def converged(rows: list[Row]) -> list[Row]:
 
 
 def ordinary(rows: list[Row]) -> str:
-    """Return the work of the ordinary scene."""
+    """Return iterations and products of the ordinary scene."""
     return "{iterations}/{products}".format(**converged(rows)[0])
 
 
 def ranges(rows: list[Row]) -> str:
-    """Return the least and the most work of all that converge."""
+    """Return the ranges of iterations and of products over the cases that converge."""
     own = converged(rows)
     return " / ".join(between([row[name] for row in own]) for name in ("iterations", "products"))
 
 
 def between(values: Sequence[int]) -> str:
-    """Return the range of values."""
+    """Return the range of values as text."""
     least, most = min(values), max(values)
     return f"{least}" if least == most else f"{least} to {most}"
 

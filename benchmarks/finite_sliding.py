@@ -1,13 +1,14 @@
-r"""Finite sliding: what a load step costs, where its time goes, and the cases of the literature.
+r"""Finite sliding: cost of a load step, shares of its phases, and cases from the literature.
 
     OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/finite_sliding.py \
         --json benchmarks/data/finite_sliding.json
 
 Cost: shallow ironing in the plane (Fischer and Wriggers 2006) and a hemisphere that is pulled
-through a block, in steps of several cells of the surface below. Neo-Hookean bodies, Coulomb's law
-with F = 0.3, forces and gaps to 1e-4, the default. The indentation, in small steps, is not counted.
-Each Newton step pairs the surfaces anew, factors the tangent by Cholesky and solves one contact
-problem. Seconds are those of the processor; shares of the phases, of the time that passed.
+through a block, in steps of several cells of the surface below. The bodies are neo-Hookean, with
+Coulomb's law and F = 0.3; forces and gaps are accurate to 1e-4, the default. The indentation, in
+small steps, is not counted. Each Newton step pairs the surfaces anew, factors the tangent by
+Cholesky and solves one contact problem. Seconds are processor seconds; the shares of the phases are
+parts of the wall-clock time.
 
 Cases (`--cases`): see docs/large_sliding_cases.md and scenes/large_sliding.py.
 """
@@ -32,7 +33,7 @@ from scenes.large_sliding import Process
 
 sys.path.insert(0, str(Path(__file__).with_name("published_cases")))
 
-#: Values of a case: quantity, what is published of it, and ours.
+#: Values of a case: for each its quantity, the published values as text, and our value.
 Values = list[tuple[str, str, float]]
 
 
@@ -41,10 +42,10 @@ class Way:
     """A body that is pressed on another one and pulled along it.
 
     Attributes:
-        body: the bodies.
-        depth: how deep it is pressed.
-        pressing: number of load steps until it is.
-        length: how far it is pulled.
+        body: process that moves the upper body.
+        depth: depth to which the body is pressed.
+        pressing: number of load steps in which it is pressed.
+        length: distance over which it is pulled.
         cell: size of the cells along the way.
     """
 
@@ -56,7 +57,7 @@ class Way:
 
 
 def ironing(comm: Comm, size: float) -> Way:
-    """Return the block on the foundation, `size` cells along that. Collective."""
+    """Return the block on the foundation, with `size` cells along the foundation. Collective."""
     return Way(large_sliding.ironing(comm, int(size)), 1.0, int(size) // 4, 5.0, 12.0 / size)
 
 
@@ -66,11 +67,11 @@ def hemisphere(comm: Comm, size: float) -> Way:
 
 
 def number(value: float) -> str:
-    """Return a value with four digits, or the power of ten of a small one."""
+    """Return a value with four digits, or a small value with an exponent."""
     return f"{value:.1e}" if abs(value) < 1e-2 else f"{value:.4g}"
 
 
-#: Phases of a solve: what the table calls them, and their names in `ContactSolution.timings`.
+#: Name of a phase in the table -> its names in `ContactSolution.timings`.
 PHASES = {
     "pairing": ("pairing",),
     "tangent": ("stiffness",),
@@ -81,14 +82,14 @@ PHASES = {
 SCENES = {"ironing": ironing, "hemisphere": hemisphere}
 
 
-#: Published vertical and horizontal forces of shallow ironing [N], at t = 1 and 1.5.
+#: Time t -> published vertical and horizontal forces of shallow ironing [N].
 IRONING = {
     1.0: ("268 to 332", "55 to 71"),
     1.5: ("338, 365, 408, 421", "102, 189, 160, 143"),
     2.0: ("", ""),
 }
 
-#: Depth to which the half ring is pressed, in load steps, and its coefficient of friction.
+#: Depth to which the half ring is pressed, number of load steps, and coefficient of friction.
 RING_DEPTH, RING_STEPS, RING_FRICTION = 20.0, 10, 0.5
 
 
@@ -141,7 +142,7 @@ def half_ring_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
 
 
 def hertz_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
-    """Press an elastic cylinder on a rigid one, 50 radii from where it was meshed. Collective."""
+    """Press an elastic cylinder on a rigid one, 50 radii away from its mesh. Collective."""
     far = large_sliding.hertz_far_away(comm, 1.0 / size, 50.0 * large_sliding.RADIUS)
     here = large_sliding.hertz_far_away(comm, 1.0 / size, 0.0)
     return [], [
@@ -152,7 +153,7 @@ def hertz_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
 
 
 def rolling_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
-    """Roll a rigid cylinder without creepage, `size` cells on a half width. Collective."""
+    """Roll a rigid cylinder without creepage; a half width has `size` cells. Collective."""
     rolling = importlib.import_module("rolling")
     block = rolling.read_gmsh(Path(rolling.__file__).with_name("rolling.geo"), comm, h=1.0 / size)
     way = rolling.Way(block, 1.0 / size, Coulomb(rolling.COEFFICIENT), 0.0)
@@ -163,7 +164,7 @@ def rolling_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
     ]
 
 
-#: Cases: titles, and sizes of meshes.
+#: Title of a case -> function that solves the case, and sizes of its meshes.
 CASES: dict[str, tuple[Callable[[Comm, float], tuple[list[Process], Values]], tuple[int, ...]]] = {
     "shallow ironing": (ironing_case, (60, 120)),
     "closed path, plane": (closed_path_in_the_plane, (40, 60)),
@@ -256,7 +257,7 @@ def values_of(comm: Comm, case: Row) -> Iterator[Row]:
         common["newton_steps"] = sum(sum(body.newton_steps) for body in bodies)
     for quantity, published, value in values:
         yield {"quantity": quantity, "published": published, "value": value, **common}
-        common = {}  # the first row of a mesh has it
+        common = {}  # only the first row of a mesh has these figures
     for body in bodies:
         body.problem.destroy()
 

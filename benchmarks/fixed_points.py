@@ -1,13 +1,13 @@
-"""Which ways to the fixed point of Coulomb's law find one, of random dense problems.
+"""Numbers of random dense problems for which each way finds a fixed point of Coulomb's law.
 
     tools/fenicsx python3 benchmarks/fixed_points.py --json benchmarks/data/fixed_points.json
 
 Each problem has 1 to 8 nodes, a full A with a condition number of up to 1e4, and one coefficient of
-friction F at all nodes; a fixed point exists in all of them, by Brouwer's theorem. Counted are
-those that a solve to a relative residual of 1e-7 finds, where Newton's method on the model of A
-takes full steps from the present point; where it shortens steps that do not reduce the residual;
-with one of the other initial guesses of `optimise/newton/fixed_point.py` beside these; and with all
-of them, as built.
+friction F at all nodes; by Brouwer's theorem each problem has a fixed point. The table counts the
+problems that are solved to a relative residual of 1e-7 in the following ways: Newton's method on
+the model of A takes full steps from the present point; it also shortens steps that do not reduce
+the residual; in addition, one of the other initial guesses of `optimise/newton/fixed_point.py` is
+tried; or all of these guesses are tried, as in the package.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from scenes.dense import random_dry_problem, run
 #: Coefficients of friction.
 COEFFICIENTS = (1.0, 3.0)
 
-#: Relative residual.
+#: Relative residual at which solves end.
 RTOL = 1e-7
 
-#: Name -> what the table calls it, and what there is besides full steps from the present point.
+#: Name of a way -> its text in the table, and what it has besides full steps from the present
+#: point.
 WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "newton": ("Newton's method from the present point", ()),
     "damped": ("and steps shortened", ("damped",)),
@@ -45,13 +46,19 @@ WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def nowhere(*arguments: Any) -> Point:
-    """Return no point, as if a path had ended."""
+    """Return an empty point, as if a path had ended."""
     nothing = np.empty(0)
     return Point(nothing, nothing, nothing, float("inf"))
 
 
 def without_stick(solve: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return the solve on the model, and Newton's method, which skips its second start."""
+    """Return replacements of the solve on the model and of Newton's method.
+
+    In each solve the second start of Newton's method, where all nodes stick, is skipped.
+
+    Args:
+        solve: the solve on the model.
+    """
     starts = 0
 
     def solve_counted(*arguments: Any) -> Any:
@@ -68,7 +75,7 @@ def without_stick(solve: Callable[..., Any]) -> tuple[Callable[..., Any], Callab
 
 
 def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
-    """Return a context in which the iteration has these ways alone."""
+    """Return a context in which the iteration has no ways other than `ways`."""
     stack = contextlib.ExitStack()
 
     def change(owner: Any, **values: Any) -> None:
@@ -94,7 +101,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield how many problems are solved, and their products."""
+    """Yield the number of problems that are solved, and the mean of their products."""
     rng = np.random.default_rng(7)
     products = []
     with only(WAYS[case["way"]][1]):

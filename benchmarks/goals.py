@@ -1,10 +1,10 @@
-"""Meshes refined for a number, beside those for the energy: error and estimate over unknowns.
+"""Error and its estimate against unknowns, for meshes refined for a goal or for the energy.
 
     tools/fenicsx python3 benchmarks/goals.py --json benchmarks/data/goals.json
 
-`solve_adaptively` with `goal=` and without. What is right is the number on a mesh of degree 2 that
-was refined for it up to four times `--dofs`. `random_2d` and `random_3d` are two numbers each of
-ten scenes that nobody chose.
+`solve_adaptively` runs with `goal=` and without it. The value of the goal on a mesh of degree 2,
+refined for this goal up to four times `--dofs` unknowns, counts as exact. `random_2d` and
+`random_3d` are ten random scenes each, with two goals for each scene.
 """
 
 from __future__ import annotations
@@ -44,42 +44,42 @@ from scenes.random_blocks import RandomBlocks
 from scenes.scene import Scene
 from scenes.two_bricks import on_bricks, two_bricks
 
-#: Never reached: unknowns end each run.
+#: Accuracy that is never reached: a limit of unknowns ends each run.
 ACCURACY = 1e-12
 
-#: What meshes are refined for.
+#: Errors for which meshes are refined.
 MARKINGS = ("goal", "energy")
 
-#: Relative energy error of the iteration where a number is not what is refined for.
+#: Relative energy error of the iteration on meshes that are not refined for the goal.
 ITERATION = 1e-6
 
-#: Relative errors of a number that tables ask for.
+#: Relative errors of a goal for which tables show the unknowns.
 ASKED = (1e-2, 1e-3)
 
-#: How many random scenes there are of each dimension.
+#: Number of random scenes in each dimension.
 SCENES = 10
 
-#: An error counts if it, and the number itself, are as many times the estimated error of what is
-#: right.
+#: An error counts as known if both the error and the exact value are more than this number times
+#: the estimated error of the exact value.
 RESOLVED = 3.0
 
-#: Estimate over error, from and to, that tables count.
+#: Lowest and highest good ratio of estimate to error: tables count the meshes in this range.
 RANGE = (0.7, 5.0)
 
-#: What the change of a number to a finer mesh is multiplied with to be an estimate.
+#: Factor by which the change of a goal from a mesh to a finer mesh is multiplied for an estimate.
 MARGIN = 1.2
 
 
 @dataclass(frozen=True)
 class Study:
-    """A number of a scene.
+    """A goal of a scene.
 
     Attributes:
-        name: in the table.
-        coarse: from a communicator.
-        build: from a mesh and the degree.
-        goal: the number.
-        snap: for curved surfaces.
+        name: name of the goal in the table.
+        coarse: function from a communicator to the scene on the first mesh.
+        build: function from a mesh and the degree to the scene on this mesh.
+        goal: the goal.
+        snap: projections to curved surfaces; see `refine`.
     """
 
     name: str
@@ -90,12 +90,12 @@ class Study:
 
 
 def blocks(name: str, goal: Any) -> Study:
-    """Return a study of the section of two blocks."""
+    """Return a study of two blocks in 2D with Tresca's law; `name` is the name of the goal."""
     return Study(f"blocks: {name}", lambda comm: pressed_blocks(comm, 8), on_blocks, goal)
 
 
 def rubbing(name: str, goal: Any) -> Study:
-    """Return a study of the same with Coulomb's law."""
+    """Return a study of the same two blocks with Coulomb's law."""
 
     def build(tagged: Any, degree: int) -> Scene:
         return on_blocks(tagged, degree=degree).but(friction=Coulomb(0.3))
@@ -114,7 +114,7 @@ def ball(name: str, goal: Any) -> Study:
 
 
 def floating_brick(name: str, goal: Any) -> Study:
-    """Return a study of the two bricks where contact with Coulomb's law alone holds the upper."""
+    """Return a study of the two bricks; contact with Coulomb's law alone holds the upper one."""
 
     def build(tagged: Any, degree: int) -> Scene:
         scene = on_bricks(tagged, degree=degree)
@@ -149,7 +149,7 @@ STUDIES = {
 
 
 def random_studies(dim: int) -> dict[str, Study]:
-    """Return studies of two numbers of each random scene."""
+    """Return studies of the random scenes, with two goals for each scene."""
     studies = {}
     for seed in range(SCENES):
         blocks = RandomBlocks.drawn(seed, dim)
@@ -161,14 +161,14 @@ def random_studies(dim: int) -> dict[str, Study]:
     return studies
 
 
-#: Studies that go by one name together.
+#: Name of a group -> its studies.
 RANDOM = {f"random_{dim}d": random_studies(dim) for dim in (2, 3)}
 
 EVERY = {**STUDIES, **{name: one for some in RANDOM.values() for name, one in some.items()}}
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield the numbers."""
+    """Yield the goals."""
     names = [name for group in arguments.goals for name in RANDOM.get(group, [group])]
     for name in names:
         degrees, markings = arguments.degrees, arguments.markings
@@ -184,10 +184,10 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 def levels(
     comm: Comm, study: Study, degree: int, dofs: int, goal: Any, finer: bool = False
 ) -> list[tuple[Row, Any]]:
-    """Return a row for each mesh, and the number with its estimate. Collective."""
+    """Return for each mesh a row, and the goal's value with its estimated error. Collective."""
     rows: list[tuple[Row, Any]] = []
 
-    class Problem:  # the last problem that was built, for numbers that are not refined for
+    class Problem:  # the last problem that was built, for runs without `goal`
         it: Any = None
 
     def build(tagged: Any) -> Any:
@@ -196,7 +196,7 @@ def levels(
 
     def note(level: Level) -> None:
         found = level.goal_error
-        if found is None:  # a rough solution says where to refine, but its number is rough, too
+        if found is None:  # the solution is only accurate enough to mark cells: solve again
             Problem.it.solve(accuracy=ITERATION)
             found = Problem.it.goal_error(study.goal)
         figures = {"unknowns": level.free_dofs, "products": level.products}
@@ -218,7 +218,7 @@ def levels(
 
 
 def on_finer_mesh(study: Study, tagged: TaggedMesh, degree: int) -> float:
-    """Return the number of degree 2 instead of 1, or on smaller cells. Collective."""
+    """Return the goal's value with degree 2 instead of 1, or else on smaller cells. Collective."""
     if degree == 2:
         everywhere = np.ones(owned_cells(tagged))
         tagged = refine(tagged, everywhere, fraction=1.0, snap=study.snap)
@@ -228,13 +228,13 @@ def on_finer_mesh(study: Study, tagged: TaggedMesh, degree: int) -> float:
 
 
 def owned_cells(tagged: TaggedMesh) -> int:
-    """Return how many cells this rank owns. Not collective."""
+    """Return the number of cells that this rank owns. Not collective."""
     topology = tagged.mesh.topology
     return int(topology.index_map(topology.dim).size_local)
 
 
 def unsigned(found: GoalError) -> float:
-    """Return the sum of the cells' products of norms. Collective."""
+    """Return the sum over the cells of the products of both errors' energy norms. Collective."""
     return total(found.cell_errors) ** 2
 
 
@@ -267,7 +267,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def needed(accuracy: float) -> Callable[[list[Row]], str]:
-    """Return a function that writes the unknowns from which on the error stays that small."""
+    """Return a function that writes the unknowns from which on the error is at most `accuracy`."""
 
     def text(rows: list[Row]) -> str:
         good = list(itertools.takewhile(lambda row: row["error"] <= accuracy, reversed(rows)))
@@ -277,12 +277,12 @@ def needed(accuracy: float) -> Callable[[list[Row]], str]:
 
 
 def known(rows: list[Row]) -> list[Row]:
-    """Return those with an error that is known."""
+    """Return the rows whose error is known well enough (`RESOLVED`)."""
     return [row for row in rows if RESOLVED * row["reference"] < min(row["error"], 1.0)]
 
 
 def effectivity(estimate: str) -> Callable[[list[Row]], str]:
-    """Return a function that writes the least, median, and largest ratio of estimate and error."""
+    """Return a function that writes the least, median and largest ratio of estimate to error."""
 
     def text(rows: list[Row]) -> str:
         ratios = [row[estimate] / row["error"] for row in known(rows)]
@@ -292,7 +292,7 @@ def effectivity(estimate: str) -> Callable[[list[Row]], str]:
 
 
 def crossing(rows: list[Row]) -> list[Row]:
-    """Return the rows with errors that have another sign than on the mesh before or after."""
+    """Return the rows whose error changes its sign from the previous or to the next mesh."""
     lines: dict[Any, list[Row]] = {}
     for row in rows:
         lines.setdefault((row["goal"], row["degree"], row["marking"]), []).append(row)
@@ -305,12 +305,12 @@ def crossing(rows: list[Row]) -> list[Row]:
 
 
 def share(estimate: Callable[[Row], float], beyond: bool = False) -> Callable[[list[Row]], str]:
-    """Return a function that writes on how many meshes an estimate is in `RANGE`.
+    """Return a function that writes the number of meshes on which estimate / error is in `RANGE`.
 
     Args:
-        estimate: of a row, relative like its error.
-        beyond: write instead on how many it is below and above, and on how many of these the error
-            passes through zero.
+        estimate: function from a row to an estimate, relative to the exact value.
+        beyond: whether to write the numbers of meshes below and above the range instead, and the
+            number of these meshes where the error passes through zero.
     """
 
     def text(rows: list[Row]) -> str:
@@ -333,20 +333,23 @@ def share(estimate: Callable[[Row], float], beyond: bool = False) -> Callable[[l
 
 
 def best_possible(row: Row) -> float:
-    """Return |s| + |error - s|, which takes the size of all that s does not know to be known."""
+    """Return |s| + |error - s|: the estimate if the size of the error of s were known.
+
+    Here s is `GoalError.signed_error`.
+    """
     error = (row["right"] - row["value"]) / abs(row["right"])
     return abs(row["signed"]) + abs(error - row["signed"])
 
 
 def by_finer_mesh(row: Row) -> float:
-    """Return `MARGIN` times the change to a finer mesh, relative; -1 where there is none."""
+    """Return `MARGIN` times the relative change to a finer mesh; -1 without a finer mesh."""
     if "finer" not in row:
         return -1.0
     return MARGIN * abs(row["finer"] - row["value"]) / abs(row["right"])
 
 
 def corrected(rows: list[Row]) -> str:
-    """Return how many corrected values are nearer and farther, of how many meshes."""
+    """Return how many corrected values have smaller and larger errors, and the number of all."""
     counted = known(rows)
     nearer, farther = (
         sum(sign * row["corrected"] < sign * row["error"] for row in counted) for sign in (1, -1)
@@ -355,7 +358,7 @@ def corrected(rows: list[Row]) -> str:
 
 
 def scenes(rows: list[Row]) -> str:
-    """Return of how many scenes rows are."""
+    """Return the number of scenes in a line, all with the same kind of goal."""
     return f"{len({row['goal'] for row in rows})}"
 
 
@@ -371,7 +374,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 GOAL = Column("number", "{kind}", width=36)
 DEGREE, MARKING = Column("degree", "{degree}"), Column("refined for", "{marking}")
 
-#: What estimates are worth.
+#: Columns that compare estimates and corrected values with the error.
 RATIOS = [
     Column("estimate over error: least, median, largest", effectivity("estimate")),
     Column("without signs", effectivity("unsigned")),

@@ -1,14 +1,15 @@
-"""What derivatives cost beside the solves: of one solution, and through a process.
+"""Cost of derivatives relative to solves: for one solution, and through a process.
 
     tools/fenicsx python3 benchmarks/gradients.py --json benchmarks/data/gradients.json
 
-The two bricks with Coulomb friction of 0.3; the load changes by a factor of 0.9 or 1.1 from solve
-to solve, as in steps.py, to a residual of 1e-8. "One solution": after the first, cold solve and
-after each later one the gradient of the normal force, with respect to a gap that is one number, or
-that is a Function with a value at each node of the mesh. "Process": all solves with `accept()` are
-recorded, and the gradient of the last normal force goes back through them all; with checkpoints
-each step is solved again from its solution. Seconds are of the processor, of one thread on one
-rank: a loaded machine changes them less.
+The two bricks have Coulomb friction with F = 0.3. The load changes by a factor of 0.9 or 1.1 from
+solve to solve, as in steps.py, and solves end at a residual of 1e-8. "One solution": the gradient
+of the normal force is computed after the first solve, which starts from zero, and after each later
+solve; the control is a gap that is one number, or a Function with a value at each node of the mesh.
+"Process": all solves are recorded, with `accept()` after each, and the gradient of the last normal
+force goes back through all of them; with checkpoints each step is solved again, starting from its
+stored solution. Seconds are processor seconds of one thread on one rank, which depend less on other
+work on the machine.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from dolfinx import fem
 from dolfinx_tresca import ContactStatus, Coulomb, NormalForce
 from scenes.two_bricks import ENDS, two_bricks
 
-#: Residual of the solves, and how many there are after the first one.
+#: Relative residual at which solves end, and number of solves after the first one.
 RTOL, LATER = 1e-8, 6
 
-#: What the gradient is of, and with respect to.
+#: Kinds of gradients: of one solution or a process, and with respect to which gap.
 WHAT = (
     *("one solution, one value", "one solution, many values"),
     *("process, many values", "process with checkpoints, many values"),
@@ -47,7 +48,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the processor's seconds of some work, and its result."""
+    """Return the processor seconds of some work, and its result."""
     start = time.process_time()
     result = work()
     return time.process_time() - start, result
@@ -103,7 +104,13 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def ratio(later: bool) -> Callable[[list[Row]], str]:
-    """Return the text of a gradient over its solve: the first one, or the mean of later ones."""
+    """Return a function that writes the time of a gradient divided by the time of its solve.
+
+    For a process the time of the gradient is divided by the time of all solves.
+
+    Args:
+        later: whether to take the means of the later gradients and solves instead of the first.
+    """
 
     def text(rows: list[Row]) -> str:
         (row,) = rows
@@ -119,7 +126,7 @@ def ratio(later: bool) -> Callable[[list[Row]], str]:
 
 
 def mean_of(name: str) -> Callable[[list[Row]], str]:
-    """Return the text of the first and the mean of later seconds."""
+    """Return a function that writes the first seconds, and the mean of the later seconds."""
 
     def text(rows: list[Row]) -> str:
         (row,) = rows

@@ -1,22 +1,22 @@
-"""How cost grows: processor seconds by unknowns, contact nodes, load steps, pairs and bodies.
+"""Growth of processor seconds with unknowns, contact nodes, load steps, pairs and bodies.
 
     OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/growth.py --json FILE
 
-Each kind makes one number larger and keeps the others, where that is possible:
+Each kind of case increases one number and, if possible, keeps the other numbers:
 
-    unknowns        two bricks (`scenes/two_bricks.py`), n from 10^4 to 3 10^6; with Cholesky, whose
-                    factors take the memory, to 2 10^5
+    unknowns        two bricks (`scenes/two_bricks.py`), n from 10^4 to 3 10^6; with Cholesky only
+                    to 2 10^5, since the factors take much memory
     contact_nodes   one layer of cells on a rigid plane: n is a multiple of the contact nodes
     load_steps      1,000 small changes of the load of two bricks, with one K
     pairs           one body on rigid planes, a pair for each of up to 50 strips, or for each
                     quarter of the 50 strips; together they are half of the lower face
     bodies          walls of up to 490 bricks that only contact holds (`scenes/wall.py`)
-    import, start   a new process: `import dolfinx_tresca`, and two bricks with N = 4 from there to
-                    the first solution, with an empty cache of compiled forms and with a full one
+    import, start   a new process: `import dolfinx_tresca`, or everything from its start until two
+                    bricks with N = 4 are solved; with an empty or a full cache of compiled forms
 
-Seconds are the processor's (`time.process_time`, of new processes with their compiler), from
-forms to fields; the mesh is not in them. `exponent` is the slope of log(seconds) over log(number)
-from the row before.
+Seconds are processor seconds (`time.process_time`; for new processes with their compilers), from
+forms to fields, without the time for the mesh. `exponent` is the slope of log(seconds) against
+log(number) between the previous row and this row.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ from scenes.scene import Scene
 from scenes.two_bricks import two_bricks
 from scenes.wall import wall
 
-#: Bricks in a course and courses, by the number of bricks.
+#: Number of bricks -> bricks in a course, and number of courses.
 WALLS = {2: (2, 1), 52: (6, 8), 150: (12, 12), 490: (24, 20)}
 
-#: What is counted: cells along a brick or a plate, steps, pairs, bricks; 1 for a full cache.
+#: Kind -> numbers: cells along a brick or a plate, steps, pairs or bricks; 1: the cache is full.
 NUMBERS: dict[str, tuple[int, ...]] = {
     "unknowns": (12, 20, 32, 61, 80),
     "contact_nodes": (20, 40, 80),
@@ -64,18 +64,18 @@ NUMBERS: dict[str, tuple[int, ...]] = {
 }
 BACKENDS = ("cholesky", "multigrid")
 
-#: Most cells along a brick with Cholesky.
+#: Largest number of cells along a brick with Cholesky.
 MOST_FACTORED = 32
 
 ROOT = Path(__file__).parents[1]
 
-#: Requested residual, and the relative change of the load from step to step.
+#: Relative residual at which solves end, and relative change of the load from step to step.
 RTOL, CHANGE = 1e-6, 0.02
 
-#: Strips of the plate with many pairs; more pairs are parts of strips.
+#: Largest number of strips of the plate; with more pairs the pairs are parts of strips.
 MOST_STRIPS = 50
 
-#: What a new process does: imports; from a mesh to the first solution.
+#: Kind -> program of a new process: the import, or the first solution.
 PROGRAMS = {
     "import": "import dolfinx_tresca",
     "start": (
@@ -86,10 +86,10 @@ PROGRAMS = {
 
 
 def plate(comm: MPI.Comm, cells: int, parts: int = 0) -> Scene:
-    """Return a layer of cells, held above, that waves press on a rigid plane.
+    """Return a layer of cells, held above, that a wavy body force presses on a rigid plane.
 
-    Its lower face has one pair, or a pair for each of some strips or parts of strips, which
-    together are half of the face.
+    If `parts` is 0, one pair has the whole lower face. Otherwise each of `parts` strips, or parts
+    of strips, has a pair; together they are half of the face.
     """
     height = 1.0 / cells
     made = boxes(comm, "hexahedron", [Body((cells, 1), [(0.0, 1.0), (0.0, 1.0), (0.0, height)])])
@@ -185,7 +185,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def with_exponents(rows: list[Row]) -> list[Row]:
-    """Return the rows with the exponent of seconds since the one before of the same kind."""
+    """Return the rows, with the exponent from the previous row of the same kind."""
     result: list[Row] = []
     for row in rows:
         last = result[-1] if result else {}
@@ -198,7 +198,7 @@ def with_exponents(rows: list[Row]) -> list[Row]:
 
 
 def name(row: Row) -> str:
-    """Return what is counted, and how much."""
+    """Return the kind and the number of a row as text."""
     if "counted" in row:
         return f"{row['counted']:,} {row['kind'].replace('_', ' ')}"
     cache = "a full" if row["number"] else "an empty"

@@ -68,7 +68,7 @@ class AugmentedLagrangian:
     """
 
     def __init__(self, program: DualProgram, residual: NaturalResidual, springs: bool) -> None:
-        """Begin at the least multipliers that satisfy the equilibrium.
+        """Begin at the multipliers of least norm that satisfy the equilibrium.
 
         Args:
             program: A, b, G and e.
@@ -83,7 +83,11 @@ class AugmentedLagrangian:
 
         def apply(x: np.ndarray) -> np.ndarray:
             self.products += 1
-            return store.product(x)[0] if isinstance(store, SparseProducts) else program.apply(x)
+            return (
+                store.product(x)[0]
+                if isinstance(store, SparseProducts)
+                else program.operator.apply(x)
+            )
 
         def Q(x: np.ndarray) -> np.ndarray:
             return G @ inverse(transposed @ x)
@@ -163,7 +167,7 @@ def largest_eigenvalue(hessian: Callable[[np.ndarray], np.ndarray], size: int) -
 
 
 def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tuple[np.ndarray, Row]:
-    """Solve by augmented Lagrangians; with Coulomb's law by sweeps."""
+    """Solve by augmented Lagrangians; for Coulomb's law in sweeps with fixed slip bounds."""
     at = AugmentedLagrangian(program, residual, springs)
     admissible, bounds, tolerance, sweeps = program.admissible, program.feasible_set, RTOL, 0
     if not isinstance(admissible, FeasibleSet):  # in the first sweep all nodes stick
@@ -183,9 +187,9 @@ def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tup
 
 def newton(program: DualProgram, residual: NaturalResidual) -> tuple[np.ndarray, Row]:
     """Solve by the package's method."""
-    products, start = program.products, np.zeros_like(program.b)
+    products, start = program.operator.products, np.zeros_like(program.b)
     found = methods.solve(program, start, SolverOptions(rtol=RTOL), lambda iteration: False)
-    figures = {"outer": found.iterations, "products": program.products - products}
+    figures = {"outer": found.iterations, "products": program.operator.products - products}
     return found.multipliers, {**figures, "converged": found.status.name == "CONVERGED"}
 
 
@@ -221,7 +225,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         origin = program.constraints.project(
             program.admissible, np.zeros_like(x), np.zeros(len(program.constraints)), rho
         )[0]
-        residual = NaturalResidual(program, rho, origin, program.apply(origin) - program.b)
+        residual = NaturalResidual(program, rho, origin, program.operator.apply(origin) - program.b)
         row: Row = {}
         for name, way in WAYS.items():
             program.compliance.forget()
@@ -245,7 +249,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def ratio(way: str) -> Callable[[list[Row]], str]:
-    """Return the text of a way's seconds over those of newton."""
+    """Return a function that writes the seconds of a way divided by the seconds of newton."""
 
     def text(rows: list[Row]) -> str:
         row = rows[-1]

@@ -1,10 +1,10 @@
-"""Run all commands of benchmarks/README.md that keep what they measure, in the page's order.
+"""Run all commands of benchmarks/README.md that store measurements, in the order of the page.
 
     make measure
 
-Minutes and exit codes go to `results/measure.log`; a command that fails does not stop the others.
-Afterwards `make tables` makes the page. `tools/fenicsx` is called by each command: this needs no
-DOLFINx.
+Minutes and exit codes are logged in `results/measure.log`; a command that fails does not stop the
+other commands. Afterwards `make tables` writes the tables of the page. This script needs no
+DOLFINx, since each command calls `tools/fenicsx`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def commands(page: str) -> list[str]:
 
 
 def main() -> None:
-    """Run them."""
+    """Run the commands."""
     LOG.parent.mkdir(exist_ok=True)
     for command in commands((ROOT / "benchmarks" / "README.md").read_text()):
         start = time.perf_counter()

@@ -1,15 +1,17 @@
-"""How many random changes of the code the quick tests notice.
+"""The number of random changes of the code that make quick tests fail.
 
     tools/fenicsx python3 benchmarks/mutation.py --here --reach .coverage
 
-Each row changes one operator or number of `optimise/`, `dual/` or `pairing/` in a copy of the last
-commit, and runs tests there until one fails: first those of the same folder, then of the other two,
-then the rest. Constants that `ablation.py` doubles and halves are left out, as are types and texts
-of errors. Only tests that reach the change need to run: with pytest-cov and `core = ctrace`,
+For each row one operator or number in `optimise/`, `dual/` or `pairing/` is changed in a copy of
+the last commit, and tests run in this copy until a test fails: first the tests of the same folder,
+then of the other two folders, then all other tests. Constants that `ablation.py` doubles and
+halves, types, and texts of errors are not changed. Only tests that execute the changed line need to
+run. With pytest-cov and `core = ctrace` the command
 
     tools/fenicsx python3 -m pytest tests --sample=first --cov --cov-context=test --cov-report=
 
-writes to `.coverage` which ones do; without `--reach` all run, for several minutes each time.
+writes the lines that each test executes to `.coverage`. Without `--reach` all tests run, which
+takes several minutes for each change.
 """
 
 from __future__ import annotations
@@ -33,10 +35,11 @@ from harness import Benchmark, Column, Comm, Row
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("optimise", "dual", "pairing")
 TUNED = set(" ".join(CONSTANTS.values()).split())
-#: Limit for the tests of a change, of the processor. What takes longer is noticed.
+#: Limit for the tests of a change [processor seconds]. A change with which they take longer counts
+#: as noticed.
 SECONDS = 1800
 
-#: What may take the place of an operator, and of a function.
+#: Operator -> operators that may replace it; likewise for functions.
 OPERATORS = {
     "Add": "Sub", "Sub": "Add", "Mult": "Div", "Div": "Mult", "FloorDiv": "Mult", "Pow": "Mult",
     "BitAnd": "BitOr", "BitOr": "BitAnd", "And": "Or", "Or": "And", "Lt": "LtE GtE",
@@ -48,7 +51,7 @@ FUNCTIONS |= {value: key for key, value in FUNCTIONS.items()}
 
 
 def replacements(node: ast.AST) -> Iterator[str]:
-    """Yield what may take the place of a node."""
+    """Yield source texts that may replace a node of the syntax tree."""
     match node:
         case ast.Constant(value=bool(value)):
             yield repr(not value)
@@ -70,7 +73,7 @@ def replacements(node: ast.AST) -> Iterator[str]:
 
 
 def parts(node: ast.AST, statement: ast.AST) -> Iterator[tuple[ast.AST, ast.AST]]:
-    """Yield what may change in a node, with the statement that it is in."""
+    """Yield the parts of a node that may be changed, each with the statement that contains it."""
     tuned = isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in TUNED
     check = isinstance(node, ast.keyword) and node.arg == "strict"
     if tuned or check or isinstance(node, ast.Raise | ast.JoinedStr | ast.ImportFrom):
@@ -84,7 +87,7 @@ def parts(node: ast.AST, statement: ast.AST) -> Iterator[tuple[ast.AST, ast.AST]
 
 
 def places() -> Iterator[Row]:
-    """Yield all places that may change, each with what may stand there."""
+    """Yield all places in the code that may be changed, each with its possible replacements."""
     for folder in FOLDERS:
         for path in sorted(ROOT.glob(f"dolfinx_tresca/{folder}/**/*.py")):
             tree = ast.parse(path.read_text())
@@ -112,7 +115,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def tests(case: Row) -> list[str]:
-    """Return the arguments of pytest that name the tests of a case, in their order."""
+    """Return the arguments of pytest for the tests of a case, in the order of running."""
     own = case["path"].split("/")[1]
     folders = [f"tests/{name}" for name in sorted(FOLDERS, key=lambda name: name != own)]
     if case["tests"] or not case["reach"]:
@@ -124,7 +127,7 @@ def tests(case: Row) -> list[str]:
     (file,) = (file for file in data.measured_files() if file.endswith("/" + case["path"]))
     by_line = data.contexts_by_lineno(file)
     lines = range(case["from"][0], case["last"] + 1)
-    if any("" in by_line.get(line, ()) for line in lines):  # it runs when it is imported
+    if any("" in by_line.get(line, ()) for line in lines):  # the line runs at import
         lines = range(max(by_line) + 1)
     names = {test.partition("|")[0] for line in lines for test in by_line.get(line, ())} - {""}
     return sorted(names, key=lambda name: [not name.startswith(f"{one}/") for one in folders])
@@ -132,7 +135,7 @@ def tests(case: Row) -> list[str]:
 
 @cache
 def copy() -> tempfile.TemporaryDirectory[str]:
-    """Return a folder with a copy of the last commit, in which failures are not made smaller."""
+    """Return a folder with a clone of the last commit, in which hypothesis shrinks no failures."""
     folder = tempfile.TemporaryDirectory()
     subprocess.run(["git", "clone", "-q", str(ROOT), folder.name], check=True)
     settings = Path(folder.name, "tests", "conftest.py")

@@ -1,18 +1,18 @@
-"""Time and memory of pairing two surfaces, over their size and the number of ranks.
+"""Time and memory of pairing two surfaces, by their size and the number of ranks.
 
     tools/fenicsx python3 benchmarks/pairing.py --facets 1000 10000 100000 --json FILE
     tools/fenicsx python3 benchmarks/pairing.py --facets 25000 --ranks 1 2 --count-bytes --json FILE
 
 Two plates, one cell thick, lie on each other; their meshes do not match, and with --wave both
-surfaces are wavy. A row for each size: facets of the secondary side (triangles; the primary side
-has about as many), seconds and memory of the whole pairing (N, T and gap from mesh and tags), and
-seconds per facet.
+surfaces are wavy. Each row has the number of facets of the secondary side (triangles; the primary
+side has about as many), the seconds and memory of the whole pairing (N, T and gap from mesh and
+tags), and the seconds per facet.
 
-With --count-bytes the plates are paired once more, and bytes are counted (`tracemalloc`): the peak
-on each rank while it pairs, of what Python and numpy allocate. To all of them bytes = a owned + b
-total is fitted, where a rank owns `owned` of the `total` facets of both sides: where memory scales
-b is nothing. Rows and messages that they send each other are counted too; the largest of a rank is
-printed. There may be more --ranks than cores.
+With --count-bytes the plates are paired once more, and `tracemalloc` measures the peak of the bytes
+that Python and numpy allocate on each rank during pairing. The formula bytes = a owned + b total is
+fitted to all ranks and rows, where a rank owns `owned` of the `total` facets of both sides. If
+memory scales with the number of ranks, b is zero. The bytes and messages that ranks send each other
+are counted, too; the largest numbers of any rank are printed. There may be more --ranks than cores.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, Frictionless, Tresca
 from dolfinx_tresca.pairing.choice import pair_surfaces
 
-#: corners of the six tetrahedra of a hexahedron
+#: Corners of the six tetrahedra into which a hexahedron is cut.
 TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 1, 7, 5], [0, 5, 7, 4],
                        [0, 3, 2, 7], [0, 6, 4, 7], [0, 2, 6, 7]])  # fmt: skip
 
@@ -99,7 +99,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Pair once, or twice to count. Collective."""
+    """Pair the surfaces once, and a second time to count bytes. Collective."""
     mesh, tags = plates(comm, case["size"], case["wave"])
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     prescribed = np.zeros(3 * V.dofmap.index_map.size_local, dtype=np.bool_)
@@ -149,7 +149,7 @@ def fitted(rows: list[Row]) -> tuple[float, float]:
 
 
 def summary(rows: list[Row]) -> str:
-    """Return how bytes go with facets, where they were counted."""
+    """Return the fitted formula of the bytes of a rank; empty if no bytes were counted."""
     counted = [row for row in rows if "bytes" in row]
     if not counted:
         return ""
@@ -158,7 +158,7 @@ def summary(rows: list[Row]) -> str:
 
 
 def of_ranks(head: str, name: str, reduce: Callable[[list[int]], int], unit: float) -> Column:
-    """Return the column of the sum or the largest of what was counted on the ranks."""
+    """Return the column of a number counted on each rank: the sum or the maximum by `reduce`."""
 
     def text(rows: list[Row]) -> str:
         return f"{reduce(rows[-1][name]) / unit:.3g}" if name in rows[-1] else ""
@@ -185,7 +185,7 @@ COUNTED = [
 
 
 def is_usual(row: Row) -> bool:
-    """Return whether the surfaces of a row are flat, and rub."""
+    """Return whether the surfaces of a row are flat and have friction."""
     return "facets" in row and not row["wave"] and bool(row["friction"])
 
 

@@ -1,22 +1,23 @@
-"""Contact by other means: two bricks, a ball, a press fit; the same discrete problem for all.
+"""Other solvers of contact problems, compared on two bricks, a ball and a press fit.
 
     tools/fenicsx python3 benchmarks/peers.py --sizes 8 16 --json FILE --picture FILE
 
-Every peer starts from mesh, forms or their data and ends with displacement and multipliers;
-`seconds` has its assembly, factorisations and products with A = B K^-1 B'. All answers are judged
-by the same relative natural residual, which our own code computes from the peer's multipliers
-after the clock has stopped. A peer that ends by a criterion of its own is given the loosest
-tolerance of a few that brings that residual to 1e-6; only that last run is counted. With
-`--error 0.01` each is given the loosest one that brings the stresses to 1 % in L2 of the contact
-surface instead: what users look at. `press_fit_steps`, a process of load steps with history, is
-judged so alone, by the largest error of its steps; each starts from the one before, with what was
-assembled and, in this package, factored once.
+All solvers ("peers") get the same discrete problem. Each starts from the mesh, the forms or the
+data of the forms, and ends with displacement and multipliers; `seconds` includes its assembly,
+factorisations and products with A = B K^-1 B'. All answers are judged by the same relative natural
+residual, which our own code computes from the peer's multipliers after the clock has stopped. A
+peer with another stopping criterion runs with several tolerances, the loosest first, until this
+residual is at most 1e-6; only the last run is counted. With `--error 0.01` the runs of each peer
+end instead when the error of the stresses, in L2 of the contact surface, is at most 1 %: users look
+at stresses, not at residuals. `press_fit_steps`, a sequence of load steps with history, is judged
+in this way only, by the largest error of its steps. Each step starts from the last one; matrices
+are assembled once and, by this package, factored once.
 
     cholesky, multigrid     this package, projected Newton with K factored or with multigrid
-    ssn, imssn, gimssn      the algorithms of the paper, in this package; K factored
+    ssn, imssn, gimssn      algorithms of the paper, as implemented in this package; K factored
     monolithic              semismooth Newton on (u, lambda), a sparse LU factorisation (MUMPS) each
                             step; derivative of Hueeber, Stadler, Wohlmuth
-    monolithic_classical    the same with that of Alart and Curnier
+    monolithic_classical    the same with the derivative of Alart and Curnier
     penalty, augmented      penalty method, and augmented Lagrangians by Uzawa's method, with MUMPS
     getfem                  GetFEM (Debian: python3-getfem), its own assembly and Newton method
     scikit_fem              scikit-fem's assembly, and the method of `monolithic` in scipy, whose
@@ -26,8 +27,8 @@ assembled and, in this package, factored once.
     clarabel_*, scs_*       cone programs: primal, sparse in (u, bounds of slips), or dual, with
                             the dense A (a product for each multiplier, many at once); PyPI
 
-A peer that takes more than --limit seconds for a run is stopped, and skipped for larger meshes; so
-is one that is not installed.
+A peer is stopped if a run takes more than --limit seconds, and is then skipped on larger meshes. A
+peer that is not installed is skipped, too.
 """
 
 from __future__ import annotations
@@ -61,17 +62,17 @@ from dolfinx_tresca import Tresca
 from scenes import hertz, press_fit, two_bricks
 from scenes.scene import Scene
 
-#: Where a peer judges by something else: its own tolerances to try, the loosest first.
+#: Tolerances to try for peers with stopping criteria of their own, the loosest first.
 CLARABEL = (1e-6, 1e-8, 1e-10, 1e-12)
 SCS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 STEPS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 FORCES = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13)
 
-#: Parts of the wanted residual to try for methods of the package: those of the paper measure theirs
-#: with a larger rho, which makes it smaller.
+#: Tolerances to try for methods of the package, as parts of the requested residual: the methods of
+#: the paper measure the residual with a larger rho, and so find a smaller value.
 PARTS = (1.0, 0.7, 0.5, 0.2, 0.1)
 
-#: Part by which the residual may be above what is wanted: it is computed anew.
+#: Factor by which the residual, which is computed anew, may exceed the requested residual.
 ROUNDING = 1.001
 
 Solve = Callable[[Any, float], Answer]
@@ -85,7 +86,7 @@ def bricks(comm: Comm, N: int, end: str) -> Scene:
 
 
 def ball(comm: Comm, N: int) -> Scene:
-    """Return a ball on a rigid plane without friction; N cells over the contact. Collective."""
+    """Return a ball on a rigid plane, without friction; the contact has N cells. Collective."""
     scene = hertz.sphere_on_plane(comm, h=1.2 / N)
     scene.data.modulus = hertz.YOUNG
     return scene
@@ -126,12 +127,12 @@ ON_BRICKS = ("getfem", "scikit_fem")
 
 
 def ours(method: str, stiffness: str = "cholesky") -> Solve:
-    """Return a method of the package."""
+    """Return the function that solves by a method of the package."""
     return partial(package.solve, method=method, stiffness=stiffness)
 
 
 def peers(rtol: float) -> dict[str, tuple[Solve, tuple[float, ...]]]:
-    """Return how each peer solves, and with which tolerances."""
+    """Return name of the peer -> function that solves, and tolerances to try."""
     parts = tuple(part * rtol for part in PARTS)
     return {
         "cholesky": (ours("projected_newton"), parts),
@@ -156,10 +157,11 @@ def peers(rtol: float) -> dict[str, tuple[Solve, tuple[float, ...]]]:
 
 PEERS = tuple(peers(1.0))
 
-#: Tolerances to try where an error is asked for: what a peer measures by them is its own.
+#: Tolerances to try with `--error`; each peer has its own meaning of a tolerance.
 ERRORS = tuple(10.0**-k for k in range(1, 13))
 
-#: Looser tolerances than this many times the one that sufficed on a smaller mesh are left out.
+#: A tolerance is skipped if it exceeds this factor times the tolerance that sufficed on a smaller
+#: mesh.
 LOOSER = 100.0
 
 
@@ -179,7 +181,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def prepare(case: Row, rows: list[Row]) -> Row:
-    """Skip a peer without answer on a smaller mesh; tell which tolerances are not too loose."""
+    """Skip a peer that failed on a smaller mesh; set the loosest tolerance that is tried."""
     before = [row for row in rows if (row["scene"], row["peer"]) == (case["scene"], case["peer"])]
     if any("seconds" not in row for row in before):
         return {**case, "status": "skipped: no answer on a smaller mesh"}
@@ -225,7 +227,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             break
 
 
-#: What each peer is called in the picture.
+#: Name of a peer -> its name in the picture.
 NAMES = {
     "cholesky": "dolfinx_tresca, Cholesky",
     "multigrid": "dolfinx_tresca, multigrid",
@@ -257,7 +259,7 @@ def draw(path: Path, rows: list[Row]) -> None:
 
     scenes = [scene for scene in two_bricks.ENDS if any(row["scene"] == scene for row in rows)]
     rows = [
-        {**row, "n": 6 * row["N"] ** 3}  # of those without answer, too
+        {**row, "n": 6 * row["N"] ** 3}  # also for runs without an answer
         for row in rows
         if row["scene"] in scenes and "error" not in row
     ]
@@ -265,7 +267,7 @@ def draw(path: Path, rows: list[Row]) -> None:
     looks = dict(zip(sizes, itertools.cycle(("#9ecae1", "#3182bd", "#08306b")), strict=False))
 
     def time(peer: str, n: int, scene: str) -> float | None:
-        """Return the seconds; infinite if it was stopped, None if it was not run."""
+        """Return the seconds of a run; infinite if it was stopped, None if there was no run."""
         own = [r for r in rows if (r["peer"], r["n"], r["scene"]) == (peer, n, scene)]
         if not own:
             return None
@@ -274,7 +276,7 @@ def draw(path: Path, rows: list[Row]) -> None:
         return math.inf if own[0]["status"].startswith("stopped") else None
 
     def place(peer: str) -> list[float]:
-        """Return what to sort by: the times in the first scene, of the middle size first."""
+        """Return the times in the first scene, the middle size first, by which peers are sorted."""
         middle = sizes[len(sizes) // 2]
         times = [time(peer, n, scenes[0]) for n in (middle, sizes[0])]
         return [math.inf if t is None else t for t in times]
@@ -319,7 +321,7 @@ def draw(path: Path, rows: list[Row]) -> None:
     save(figure, path)
 
 
-#: What each peer is called in the table, where names are ASCII or longer.
+#: Name of a peer -> its name in the table, in ASCII and often with more words than in the picture.
 LONG_NAMES = {
     "cholesky": "**ours, Cholesky**",
     "multigrid": "**ours, multigrid**",
@@ -346,7 +348,7 @@ SHOWN = [("free_end_1", 16), ("free_end_1", 26), ("free_end_2", 16)]
 
 
 def seconds(rows: list[Row]) -> str:
-    """Return the seconds, or those after which a peer was stopped."""
+    """Return the seconds of a peer, or the seconds after which it was stopped."""
     row = rows[-1]
     if row["status"] == "reached":
         return f"{row['seconds']:.{0 if row['seconds'] >= 10 else 1}f} s"

@@ -1,16 +1,17 @@
-"""Published cases: values of other programs and of theory, and ours on three meshes.
+"""Published cases: values of other programs or of theory, and our values on three meshes.
 
     tools/fenicsx python3 benchmarks/published.py --json benchmarks/data/published.json \
         --picture docs/published.png
 
-Each case is a script in `benchmarks/published_cases`. Cells are refined by a constant factor r. The
-observed order of convergence is the logarithm, to the base r, of the ratio of both changes of a
-value. The error of the finest value is the last change over r^q - 1, where the order q is the
-observed one within 0.5 and that of theory (W. L. Oberkampf and C. J. Roy, Verification and
-Validation in Scientific Computing, 2010, section 8.6); the last change counts at least as much as
-the first one and the order of theory promise, since it may be small by chance. Where the changes
-have different signs, the error is the larger change. Changes below the residual of the solves are
-none.
+Each case is a script in `benchmarks/published_cases`. From mesh to mesh cells are refined by a
+constant factor r, so a value changes twice. The observed order of convergence is the logarithm, to
+the base r, of the first change divided by the last change. The error of the value on the finest
+mesh is estimated as the last change divided by r^q - 1, where the order q is the observed order,
+limited to the range from 0.5 to the order of theory (W. L. Oberkampf and C. J. Roy, Verification
+and Validation in Scientific Computing, 2010, section 8.6). The last change may be small by chance:
+if the change that follows from the first change and the order of theory is larger, that change is
+used instead. If the changes have different signs, the error is the larger change. Changes below the
+residual of the solves count as zero.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from case import RTOL, number
 if TYPE_CHECKING:
     from case import Case
 
-#: Where the scripts find each other.
+#: Folder of the cases, from which they import each other.
 CASES = sys.path[0]
 
 #: Names of the cases, in the order of the table.
@@ -69,8 +70,8 @@ NAMES = (
 
 
 def case_of(name: str) -> Case:
-    """Return a case."""
-    if CASES not in sys.path:  # tests take it away
+    """Return the case of a script."""
+    if CASES not in sys.path:  # tests remove it
         sys.path.insert(0, CASES)
     case: Case = importlib.import_module(name).CASE
     return case
@@ -102,7 +103,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         common.update(x=x, y=y)
     for quantity in known.published:
         yield {"quantity": quantity, "value": result.values[quantity], **common}
-        common = {}  # the first row has it
+        common = {}  # only the first row of a mesh has these figures
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -111,12 +112,17 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--meshes", type=int, default=3, help="the coarsest ones")
 
 
-#: Observed orders of convergence below that count as so much.
+#: Observed orders of convergence below this number are replaced by it.
 LEAST_ORDER = 0.5
 
 
 def estimated(meshes: list[Row], known: Case) -> Row:
-    """Return the observed order of three values, and the error of the last; None: oscillates."""
+    """Return the observed order, None if values oscillate, and the error of the last value.
+
+    Args:
+        meshes: the rows of a quantity on three meshes, from coarse to fine.
+        known: the case.
+    """
     first, middle, last = (row["value"] for row in meshes)
     coarse, fine = (row["size"] for row in meshes[:2])
     factor = max(coarse / fine, fine / coarse)
@@ -139,10 +145,10 @@ def estimated(meshes: list[Row], known: Case) -> Row:
 
 
 def quantities(rows: list[Row]) -> list[Row]:
-    """Return a row for each quantity: three values, the observed order, the error of the last."""
+    """Return a row for each quantity: values, observed order, and the error of the last value."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in sorted(rows, key=lambda row: (NAMES.index(row["case"]), row["level"])):
-        if "quantity" in row:  # else it took too long
+        if "quantity" in row:  # otherwise the case was stopped
             groups.setdefault((row["case"], row["quantity"]), []).append(row)
     result = []
     for (name, quantity), meshes in groups.items():
@@ -162,7 +168,7 @@ def quantities(rows: list[Row]) -> list[Row]:
 
 
 def meshes_of(rows: list[Row]) -> list[Row]:
-    """Return a row for each case: its meshes, how long the finest takes, and its command."""
+    """Return a row for each case: its meshes, the seconds on the finest, and its command."""
     groups: dict[str, list[Row]] = {}
     for row in sorted(rows, key=lambda row: (NAMES.index(row["case"]), row["level"])):
         if "unknowns" in row:
@@ -178,7 +184,7 @@ def meshes_of(rows: list[Row]) -> list[Row]:
 
 
 def value_on(level: int) -> Callable[[list[Row]], str]:
-    """Return the text of a column: the value on a mesh."""
+    """Return a function that writes the value on a mesh; `level` 0 is the coarsest mesh."""
 
     def text(rows: list[Row]) -> str:
         values = rows[0]["values"]
@@ -188,7 +194,7 @@ def value_on(level: int) -> Callable[[list[Row]], str]:
 
 
 def observed_order(rows: list[Row]) -> str:
-    """Return the order of convergence that was observed."""
+    """Return the observed order of convergence as text."""
     if "order" not in rows[0]:
         return ""
     order = rows[0]["order"]
@@ -196,19 +202,19 @@ def observed_order(rows: list[Row]) -> str:
 
 
 def own_error(rows: list[Row]) -> str:
-    """Return the estimated error of the finest value."""
+    """Return the estimated relative error of the value on the finest mesh, as text."""
     error = rows[0].get("error")
     return "" if error is None else f"{100 * error:.1g} %"
 
 
 def difference(rows: list[Row]) -> str:
-    """Return how far the finest value is from the published range."""
+    """Return the relative distance of the value on the finest mesh from the published range."""
     (row,) = rows
     return "inside" if row["off"] == 0.0 and row["range"] else f"{100 * row['off']:+.2g} %"
 
 
 def draw(path: Path, rows: list[Row]) -> None:
-    """Save a panel for each case: our curve on the finest mesh over the published one."""
+    """Save a picture with a panel for each case: the published curve, and ours (finest mesh)."""
     curves = [row for row in rows if "x" in row]
     drawn = {row["case"] for row in curves}
     names = [name for name in NAMES if name in drawn and case_of(name).axes]

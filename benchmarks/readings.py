@@ -1,11 +1,11 @@
-"""What people read off a solution, by the default and by others, against the discrete solution.
+"""Errors of quantities that users read off, by `local_accuracy`, against the discrete solution.
 
     tools/fenicsx python3 benchmarks/readings.py --json readings.json
 
-solves the demos' scenes, each from zero, with the default, with others for `local_accuracy`, and
-to a residual of 1e-9, and prints by how much [%] peak pressure, greatest slip, forces and numbers
-of nodes differ. Forces are measured against the whole contact force, numbers against that of all
-nodes.
+The demos' scenes are solved, each from zero, with the default and other values of `local_accuracy`.
+The printed errors [%] of the peak pressure, the greatest slip, the forces and the numbers of nodes
+are differences from a solution to a residual of 1e-9. Errors of forces are relative to the whole
+contact force, errors of numbers to the number of all contact nodes.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from scenes.press_fit import FRICTION, lame_pressure, press_fit
 from scenes.rigid_obstacle import block_on_ball, block_on_ring
 from scenes.two_bricks import ENDS, two_bricks
 
-#: Relative residual of the discrete solution.
+#: Relative residual of the solution that counts as the discrete solution.
 EXACT = 1e-9
 
-#: Error that a reader does not see; a node more or less always counts as such.
+#: Largest error that a reader does not notice. A difference of one node is never noticed.
 UNSEEN = 0.01
 
 
 def scenes(comm: Comm) -> dict[str, Callable[[], Any]]:
-    """Return what makes each scene."""
+    """Return name -> function that returns the scene."""
     result: dict[str, Callable[[], Any]] = {
         f"{end}_{N}": lambda end=end, N=N: two_bricks(comm, N, end=end)
         for N in (4, 6, 10, 16)
@@ -48,7 +48,7 @@ def scenes(comm: Comm) -> dict[str, Callable[[], Any]]:
     result["ring_16"] = lambda: block_on_ring(comm, 16)
     for N in (8, 12, 20):
         result[f"implant_{N}"] = lambda N=N: implant(comm, N)
-    # errors of one solve with bounds that are given, as in the other scenes
+    # given slip bounds, as in the other scenes, instead of Coulomb's law
     tresca = Tresca(FRICTION * lame_pressure())
     for N in (8, 16):
         result[f"press_fit_{N}"] = lambda N=N: press_fit(comm, N).but(friction=tresca)
@@ -61,7 +61,7 @@ def scenes(comm: Comm) -> dict[str, Callable[[], Any]]:
 
 
 def errors(solution: ContactSolution, exact: ContactSolution) -> dict[str, float]:
-    """Return the errors of what is read, as parts of it."""
+    """Return the relative errors of the quantities in `KEYS`."""
 
     def of(value: float, true: float, size: float) -> float:
         return abs(value - true) / size if size > 0.0 else 0.0
@@ -78,7 +78,7 @@ def errors(solution: ContactSolution, exact: ContactSolution) -> dict[str, float
     }
 
 
-#: What is read, in the order of the table.
+#: Quantities that are read off, in the order of the table.
 KEYS = ("peak", "slip", "normal", "tangential", "stick", "pressed")
 
 
@@ -116,7 +116,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def is_seen(key: str, error: float, nodes: int) -> bool:
-    """Return whether a reader sees an error."""
+    """Return whether a reader notices an error."""
     return error > UNSEEN and not (key in ("stick", "pressed") and error * nodes < 1.5)
 
 
@@ -126,7 +126,7 @@ def percent(key: str) -> Column:
 
 
 def level(rows: list[Row]) -> str:
-    """Return the level of a line."""
+    """Return the value of `local_accuracy` of a line, as text."""
     value = rows[0]["local_accuracy"]
     is_default = value == SolverOptions().local_accuracy
     return f"**{value:g}, the default**" if is_default else f"{value:g}"

@@ -1,9 +1,9 @@
-"""The tables of benchmarks/README.md, made of what benchmarks/data keeps.
+"""The tables of benchmarks/README.md, made from the stored rows in benchmarks/data.
 
     tools/fenicsx python3 benchmarks/readme.py
 
-writes what stands between `<!-- table: NAME -->` and `<!-- end -->` anew; nothing is measured. NAME
-is a table of the benchmark that has a file in `benchmarks/data`.
+This command replaces the text between `<!-- table: NAME -->` and `<!-- end -->`; nothing is
+measured. NAME is the name of a table of a benchmark that has a file in `benchmarks/data`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MARKED = re.compile(r"( *)<!-- table: (\S+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def tables() -> Iterator[tuple[Table, list[Row]]]:
-    """Yield all tables and the rows of which each is made."""
+    """Yield each table with the rows from which it is made."""
     for path in sorted(DATA.glob("*.json")):
         benchmark: Benchmark = importlib.import_module(path.stem).BENCHMARK
         rows = read(path)
@@ -32,10 +32,10 @@ def tables() -> Iterator[tuple[Table, list[Row]]]:
 
 
 def filled(page: str) -> str:
-    """Return a page with all its tables.
+    """Return the text of a page with new contents of all its tables.
 
     Raises:
-        KeyError: it names a table that there is not.
+        KeyError: the page names a table that does not exist.
     """
     known = {table.name: table.markdown(rows) for table, rows in tables()}
 

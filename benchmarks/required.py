@@ -1,11 +1,12 @@
-"""What a scene needs, beside a full frictional one: unknowns, entries, factorisations, memory.
+"""Costs of scenes with less than full friction: unknowns, entries, factorisations and memory.
 
     tools/fenicsx python3 benchmarks/required.py --size 20 --json FILE
 
-Two equal bricks under a load, N cells along each, and variations with less to them. Columns:
-degrees of freedom; multipliers; entries of N and T; how many matrices two solves factor (K, and one
-of the size of the multipliers for the bound of the error); peak memory [MB] of the process (VmHWM,
-Python and mesh in it), and of one that solves the linear problem of the same mesh.
+Two equal bricks under a load, with N cells along each, and simpler variants of this scene. Columns:
+degrees of freedom; multipliers; entries of N and T; number of matrices that two solves factor (K,
+and for the bound of the error a matrix of the size of the multipliers); peak memory [MB] of the
+process (VmHWM, including Python and the mesh); and peak memory of a process that solves the linear
+problem on the same mesh.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ from scenes.two_bricks import two_bricks
 
 
 def bricks(N: int, **changes: Any) -> Scene:
-    """Return the two bricks with changes of their pair."""
+    """Return the two bricks; `changes` are arguments of their contact pair."""
     return two_bricks(MPI.COMM_WORLD, N, end="free_end_2").but(**changes)
 
 
 def mixed(N: int) -> tuple[Scene, list[ContactPair]]:
-    """Return the bricks with friction, and a frictionless plane under the lower one's free end."""
+    """Return the bricks with friction, and a frictionless plane at the lower one's free end."""
     scene = bricks(N)
     tag = scene.tags["lower_free_end"]
     plane = RigidPlane((2.1, 0.0, 0.0), (-1.0, 0.0, 0.0))
@@ -55,7 +56,7 @@ def mixed(N: int) -> tuple[Scene, list[ContactPair]]:
 
 
 def one_body(N: int, dim: int) -> tuple[Scene, list[ContactPair]]:
-    """Return a brick of the same cells, or its section, with friction on a rigid plane."""
+    """Return one brick of the same size, or its section in 2D, with friction on a rigid plane."""
     comm = MPI.COMM_WORLD
     if dim == 3:
         mesh = dolfinx.mesh.create_box(comm, [[0.0, 0.0, 1.0], [2.0, 1.0, 2.0]], [N, N - 1, N - 1])
@@ -89,7 +90,7 @@ def one_body(N: int, dim: int) -> tuple[Scene, list[ContactPair]]:
 
 
 def alone(scene: Scene) -> tuple[Scene, list[ContactPair]]:
-    """Return a scene with its own pair."""
+    """Return a scene and the list of its only pair."""
     return scene, [scene.pair]
 
 
@@ -105,13 +106,13 @@ SCENES: dict[str, Callable[[int], tuple[Scene, list[ContactPair]]]] = {
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield the contact problem and the linear one of each scene."""
+    """Yield the contact problem and the linear problem of each scene."""
     for scene, part in itertools.product(arguments.scenes, ("contact", "linear")):
         yield {"scene": scene, "N": arguments.size, "part": part}
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Solve the contact problem twice and count, or the linear one."""
+    """Solve the contact problem twice, or the linear problem once; yield the costs."""
     scene, pairs = SCENES[case["scene"]](case["N"])
     gc.collect()
     reset_peak_memory()

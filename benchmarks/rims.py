@@ -2,9 +2,9 @@
 
     tools/fenicsx python3 benchmarks/rims.py --json benchmarks/data/rims.json
 
-A block is pressed on a plate that it covers in part (scenes/rims.py), by triangles and tetrahedra
-of degrees 1 and 2, without friction. Each mesh has cells of the same size in both bodies; nodes do
-not match unless the name says so. Either side is secondary in turn.
+A block is pressed on a plate that it covers in part (scenes/rims.py), without friction. Cells are
+triangles or tetrahedra of degree 1 or 2, and have the same size in both bodies; the nodes match
+only if the name of the rim says so. Each case is solved twice: either body is the secondary side.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from harness import Benchmark, Column, Comm, Row, Table
 
 from scenes.rims import BLOCK, PLATE, RIMS, block_on_plate
 
-#: Cells along the plate for each kind and degree, and residual.
+#: Kind of cells and degree -> number of cells along the plate; and residual at which solves end.
 SIZES = {("triangle", 1): 24, ("triangle", 2): 24, ("tetrahedron", 1): 12, ("tetrahedron", 2): 6}
 RTOL = 1e-5
 
@@ -30,7 +30,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         for degree in arguments.degrees:
             for name in arguments.rims:
                 if name == "corners" and kind == "triangle":
-                    continue  # in 2D they are the edges
+                    continue  # in 2D the corners are the edges
                 for mesh in MESHES:
                     n = arguments.n or SIZES[kind, degree]
                     for side in ("block", "plate"):
@@ -39,7 +39,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield the peak of the pressure, and its L2 norm over the root of the area, over the mean."""
+    """Yield the peak and the root mean square of the pressure, both divided by its mean."""
     sides = {"block": (BLOCK, PLATE), "plate": (PLATE, BLOCK)}[case["side"]]
     scene = block_on_plate(comm, case["kind"], case["rim"], case["n"], case["degree"])
     with scene.but(secondary=sides[0], primary=sides[1]).problem() as problem:
@@ -57,7 +57,15 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def side_by_side(figure: str, mesh: str, text: str) -> Callable[[list[Row]], str]:
-    """Return the text of a cell: a figure with the plate as secondary side over the block's."""
+    """Return a function that writes the ratio of a figure for the two secondary sides.
+
+    The figure with the plate as secondary side is divided by the figure with the block.
+
+    Args:
+        figure: field of the rows.
+        mesh: name of the mesh.
+        text: template for the ratio.
+    """
 
     def cell(rows: list[Row]) -> str:
         found = {row["side"]: row[figure] for row in rows if row["mesh"] == mesh}

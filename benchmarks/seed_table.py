@@ -1,9 +1,9 @@
-"""Table 38.1 of the paper, ours beside it: iterations and products of every algorithm.
+"""Table 38.1 of the paper and our results: iterations and products of each algorithm.
 
     tools/fenicsx python3 benchmarks/seed_table.py --sizes 16 21 --scenes free_end_2 --json FILE
 
-Seconds are the processor's, of all threads. Their limit for an iteration (`--seconds`) is looked at
-between its steps.
+Seconds are processor seconds of all threads. A solve ends with the first step after which it has
+taken more than `--seconds`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from dolfinx_tresca import ContactProblem
 from dolfinx_tresca.options import Method
 from scenes.two_bricks import ENDS, two_bricks
 
-#: iterations / products in the paper, by N; they fit the second reading of its text (see the demo)
+#: Algorithm -> N -> iterations / products in the paper. The numbers fit the second reading of the
+#: paper's text (see the demo).
 PAPER = {
     "imssn": {16: "10/161", 21: "9/143", 26: "10/185", 31: "10/190", 36: "9/167", 41: "10/216"},
     "ssn": {16: "9/1180", 21: "9/1428", 26: "11/2506", 31: "10/2162", 36: "10/2298", 41: "10/2586"},
@@ -91,7 +92,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def work(rows: list[Row]) -> str:
-    """Return iterations / products; in brackets, with the residual, where it was stopped."""
+    """Return iterations / products; in brackets with the residual if the solve was stopped."""
     row = rows[-1]
     if row["status"] == "CONVERGED":
         text = f"{row['iterations']}/{row['products']}"
@@ -100,12 +101,12 @@ def work(rows: list[Row]) -> str:
 
 
 def papers(rows: list[Row], method: str) -> str:
-    """Return what the paper has for the size of a row."""
+    """Return the paper's iterations / products for the size of a row; empty if there are none."""
     return PAPER[method].get(rows[0]["N"], "")
 
 
 def is_papers(row: Row, scene: str) -> bool:
-    """Return whether a row is one of the paper's, for a scene."""
+    """Return whether a row has the paper's settings, for a scene."""
     papers = {"scene": scene, "cell": "tetrahedron", "rtol": 1e-6}
     ours = {"stiffness": "cholesky", "ranks": 1}
     return (papers | ours).items() <= row.items()

@@ -1,15 +1,16 @@
-"""What a load step costs: products of solves with the same K, each from the one before.
+"""The cost of a load step: products of solves with the same K, each starting from the last one.
 
     tools/fenicsx python3 benchmarks/steps.py --sizes 8 16 26 36 41 \
         --json benchmarks/data/steps.json
 
-The two bricks; the load changes by a factor of 0.9 or 1.1, at random but the same in each run, ten
-times. The first solve is cold; the later ones start from the last multipliers and keep its
-products with A. Without history each is a static problem, whose slip is the total one; with
-`problem.accept()` after each solve slip counts from the last step. "rtol 1e-6" is the natural
-residual, relative to that at zero, of each step; "default" is `solve()`. Iterations of conjugate
-gradients are those of a step's solves with K, all of them, on the average. Seconds of a step, with
-`accept()`, are beside those of the linear solve of cost.py: assembly, set-up and one solve.
+The load of the two bricks changes ten times, by a factor of 0.9 or 1.1. The factors are random, but
+the same in each run. The first solve starts from zero; each later solve starts from the last
+multipliers and keeps the products with A. Without history each solve is a static problem, in which
+friction depends on the total slip; with `problem.accept()` after each solve, slip counts from the
+last step. "rtol 1e-6" solves each step until the natural residual is 1e-6 of the residual at zero;
+"default" is `solve()`. Krylov iterations are all iterations of conjugate gradients in a step, on
+average over the steps. Seconds of a step are divided by those of the linear solve of cost.py, which
+includes assembly and factorisation.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
 #: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[str, Row] = {"default": {}, "rtol 1e-6": {"rtol": 1e-6}}
 
-#: Linear solves, of which the fastest counts.
+#: Number of linear solves, of which the fastest counts.
 LINEAR = 3
 
-#: Of the signs of the changes, the changes, and how many.
+#: Seed of the signs of the changes; relative size of a change; number of changes.
 SEED, CHANGE, STEPS = 1, 0.1, 10
 
 
@@ -69,7 +70,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
-    """Return what the first solve and the steps after it cost. Collective."""
+    """Return the costs of the first solve and of the steps after it. Collective."""
     load = scene.data.load
     first = load.value.copy()
     signs = np.random.default_rng(SEED).choice([-1.0, 1.0], STEPS)
@@ -83,7 +84,7 @@ def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
             def step() -> ContactSolution:
                 solution = problem.solve(**ASKED[asked])
                 if history:
-                    problem.accept(unconverged=True)  # the row says so
+                    problem.accept(unconverged=True)  # the row shows failures
                 return solution
 
             needed, solution = timed(scene.mesh.comm, step)
@@ -108,7 +109,7 @@ def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
 
 
 def counts(rows: list[Row]) -> str:
-    """Return the products of the first solve, and the mean and most of the steps."""
+    """Return the products of the first solve, and the mean and the maximum of the steps."""
     (row,) = rows
     if "products" not in row:
         return DASH

@@ -1,32 +1,36 @@
-"""Error over wall time and memory: which mesh, accuracy, algorithm and K-solver to take.
+"""Error against time and memory, for the choice of mesh, accuracy, algorithm and K-solver.
 
     tools/fenicsx python3 benchmarks/tradeoff.py --json FILE --picture FILE
 
-For the two bricks (`free_end_1`), the ball of Hertz, the implant and the crane it solves on meshes
-of several kinds and sizes, and on some of them with other tolerances, algorithms and K-solvers, one
-at a time. It prints a row for each run, then for each scene what the balance of errors costs, the
-Pareto fronts, and what to take for an error of 10, 5, 2, 1 and 0.1 percent.
+The two bricks (`free_end_1`), the ball of Hertz, the implant and the crane are solved on meshes of
+several kinds and sizes. On some meshes one of tolerance, algorithm and K-solver is varied at a
+time. The script prints a row for each run; then, for each scene, the errors and costs by the
+requested part of the mesh's error, the Pareto fronts, and the cheapest run for an error of 10, 5,
+2, 1 and 0.1 percent.
 
-Errors are relative, those of the whole answer (mesh and iteration) against a solution on a fine
-mesh: of the displacement in the energy norm, of pressure and slip in L2 of the contact surface, of
-the largest pressure of a node, and of the normal force. `mesh` is the energy error of a solution to
-a residual of 1e-8 on the same mesh, so the mesh's own; `algebra` is the energy norm of the
-difference from that one. `estimate` is the package's estimate of the mesh's error, `effect.` it
-over the energy error. The reference has an error too: in energy what the package estimates, which
-is in the errors of others; else from the difference from a coarser reference, if it falls as that
-estimate does. Pressures of Hertz are compared with theory, which is wrong by about (a/R)^2. What is
-not above that is not resolved.
+Errors are relative. They are errors of the whole answer (mesh and iteration) against a reference, a
+solution on a fine mesh: errors of the displacement in the energy norm, of pressure and slip in L2
+of the contact surface, of the largest nodal pressure, and of the normal force. `mesh` is the energy
+error of a solution to a residual of 1e-8 on the same mesh, which is the error of the mesh alone;
+`algebra` is the energy norm of the difference from this solution. `estimate` is the package's
+estimate of the mesh's error, and `effect.` is the estimate divided by the energy error. The
+reference has an error, too. Its energy error is the package's estimate; the square of this error is
+added to the squares of the errors of other solutions. Its other errors follow from the difference
+from a coarser reference, on the assumption that they fall like the estimate. Pressures of Hertz are
+compared with theory, whose error is about (a/R)^2. Errors that are not larger than the error of the
+reference or of theory are not resolved.
 
-Seconds are those of the processor from geometry to fields: mesh, forms, `ContactProblem(...)` and
-`solve`, or `solve_adaptively` with all its meshes; `wall` those of a clock, which other work on the
-machine changes. The best of some repetitions, after a small run has compiled what there is to
-compile. Memory is what the process held at the peak beyond what it held before.
+Seconds are processor seconds from geometry to fields: mesh, forms, `ContactProblem(...)` and
+`solve`, or `solve_adaptively` with all its meshes; `wall` is wall-clock time, which depends on
+other work on the machine. Both are the least of some repetitions, after a small run that compiles
+all forms. Memory is the peak memory of the process minus its memory before the run.
 
-The axes: `mesh` (defaults on all meshes), `backend` and `pairing` (on all meshes of degree 1; by
-default the bricks are paired node-to-node there, for degree 2 there is mortar only),
-`part` (`accuracy=` that part of the mesh's error, as the package estimates it), `rtol`, `method`
-(each to the default accuracy), `krylov` (relative residual of each solve with K in imssn; the
-default chooses its own), `fraction` (of `solve_adaptively`).
+The axes, along which settings vary, are: `mesh` (defaults on all meshes); `backend` and `pairing`
+(on all meshes of degree 1, where the bricks are paired node-to-node by default; for degree 2
+pairing is always by mortar); `part` (`accuracy` is this part of the package's estimate of the
+mesh's error); `rtol`; `method` (each method solves to the default accuracy); `krylov` (relative
+residual of each solve with K in imssn; by default imssn chooses this residual); and `fraction` (the
+argument of `solve_adaptively`).
 """
 
 from __future__ import annotations
@@ -70,16 +74,16 @@ METHODS = ("imssn", "gimssn", "ssn", "mssn")
 KRYLOV = (1e-2, 1e-4, 1e-6, 1e-8)
 FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)
 
-#: No adaptive mesh has more unknowns.
+#: Limit for the unknowns of adaptive meshes.
 MOST = 2_000_000
 
-#: Relative natural residual of the solutions without algebraic error.
+#: Relative natural residual of solutions whose algebraic error is negligible.
 TIGHT = 1e-8
 
 
 @dataclass(frozen=True)
 class Setting:
-    """All that may differ on one mesh."""
+    """The settings that are varied on one mesh; `axis` names the varied setting."""
 
     axis: str = "mesh"
     pairing: str = "auto"
@@ -93,15 +97,15 @@ class Setting:
 
     @property
     def asked(self) -> str:
-        """What decides when the iteration ends."""
+        """The stopping criterion of the iteration, as text."""
         if self.rtol is not None:
             return f"rtol {self.rtol:.0e}"
         return "default" if self.part is None else f"part {self.part:g}"
 
 
 def settings(scene: Study, mesh: Mesh, axes: list[str]) -> Iterator[Setting]:
-    """Yield what is run on a mesh."""
-    if "mesh" in axes:  # cells that are flat take multigrid three times the iterations
+    """Yield the settings of the runs on a mesh."""
+    if "mesh" in axes:  # with flat cells multigrid needs three times the iterations
         yield Setting(stiffness="auto" if mesh.grading == 1.0 else "cholesky")
     if mesh.accuracy:
         if "fraction" in axes and mesh in scene.base:
@@ -132,7 +136,7 @@ def settings(scene: Study, mesh: Mesh, axes: list[str]) -> Iterator[Setting]:
 
 @dataclass(frozen=True)
 class Answer:
-    """A solution, on which mesh, and how large that is."""
+    """A solution with its scene, and the size of its mesh."""
 
     case: Scene
     solution: ContactSolution
@@ -152,10 +156,10 @@ def answer(
 
     Args:
         study: the scene.
-        mesh: on which.
-        setting: how.
-        mesh_error: the package's estimate of it, of which `setting.part` is a part.
-        limit: seconds for the iteration.
+        mesh: the mesh; the first mesh of an adaptive solve if `mesh.accuracy` is not 0.
+        setting: the settings of the run; None: the defaults.
+        mesh_error: the package's estimate of the mesh's error, for `setting.part`.
+        limit: limit for the iteration [processor seconds].
     """
     setting = setting or Setting()
     tagged = study.tagged(mesh)
@@ -176,7 +180,7 @@ def answer(
 
 
 def adapted(study: Study, mesh: Mesh, tagged: TaggedMesh, setting: Setting) -> Answer:
-    """Solve on finer and finer meshes, to the accuracy of `mesh`."""
+    """Solve on adaptive meshes to the accuracy `mesh.accuracy`."""
     last: list[tuple[Scene, ContactProblem]] = []
 
     def build(finer: TaggedMesh) -> ContactProblem:
@@ -200,7 +204,7 @@ def adapted(study: Study, mesh: Mesh, tagged: TaggedMesh, setting: Setting) -> A
 def measured(
     study: Study, mesh: Mesh, setting: Setting, mesh_error: float, task: Row
 ) -> tuple[Answer, Row]:
-    """Return an answer and its cost."""
+    """Solve repeatedly; return the answer, and the least seconds and the memory."""
     comm = MPI.COMM_SELF
     seconds, wall, memory = [], [], 0.0
     while len(seconds) < task["repeats"] and sum(seconds) < task["enough"]:
@@ -229,7 +233,7 @@ def measured(
 
 
 class OnMesh:
-    """Runs on one mesh."""
+    """Runs on one mesh, which share the solution without algebraic error and the estimate."""
 
     def __init__(self, name: str, mesh: Mesh, reference: Reference) -> None:
         self._name, self._mesh, self._reference = name, mesh, reference
@@ -238,7 +242,7 @@ class OnMesh:
         self._estimate: float | None = None
 
     def _without_algebra(self, pairing: str) -> tuple[Answer, float]:
-        """Return a solution to a small residual, and the error of the mesh that it tells."""
+        """Return a solution to a small residual, and its energy error: the error of the mesh."""
         if pairing not in self._tight:
             found = answer(self._study, self._mesh, Setting(pairing=pairing, rtol=TIGHT))
             error = self._reference.errors(found.case, found.solution)["energy"]
@@ -247,14 +251,14 @@ class OnMesh:
 
     @property
     def _mesh_error(self) -> float:
-        """What the package estimates the mesh's error at."""
+        """The package's estimate of the mesh's error."""
         if self._estimate is None:
             self._estimate = answer(self._study, self._mesh).solution.discretisation_error
-        assert self._estimate is not None  # the default always estimates it
+        assert self._estimate is not None  # the default accuracy always needs this estimate
         return self._estimate
 
     def run(self, setting: Setting, task: Row) -> Row:
-        """Return a row."""
+        """Solve with a setting and return its row."""
         mesh = self._mesh
         row: Row = {"scene": self._name, "family": mesh.family, **dataclasses.asdict(mesh)}
         row |= dataclasses.asdict(setting) | {"asked": setting.asked}
@@ -281,7 +285,7 @@ class OnMesh:
         }
 
     def _algebra(self, found: Answer, pairing: str) -> Row:
-        """Return the errors of mesh and iteration apart from each other."""
+        """Return the error of the mesh and the error of the iteration."""
         tight, mesh_error = self._without_algebra(pairing)
         case, u = tight.case, tight.solution.u
         difference = fem.Function(case.V)
@@ -294,7 +298,12 @@ class OnMesh:
 
 
 def make_reference(name: str, level: int) -> tuple[Reference, Row]:
-    """Return a reference of a scene, 0 being the best, and a row that tells its own errors."""
+    """Return a reference of a scene, and a row with the reference's own errors.
+
+    Args:
+        name: name of the scene.
+        level: number of the reference; 0 is the finest.
+    """
     study = SCENES[name]
     fine, coarse = study.references[level : level + 2]
     other = answer(study, coarse)
@@ -317,14 +326,14 @@ def make_reference(name: str, level: int) -> tuple[Reference, Row]:
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield the scenes: a reference serves all runs of one."""
+    """Yield the scenes; all runs of a scene share one reference."""
     names = ("axes", "quick", "repeats", "enough", "seconds")
     for scene in arguments.scenes:
         yield {"scene": scene, **{name: getattr(arguments, name) for name in names}}
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield the reference of a scene, and all runs."""
+    """Yield the row of a scene's reference, and the rows of all runs."""
     name = case["scene"]
     scene = SCENES[name]
     reference, row = make_reference(name, int(case["quick"]))
@@ -341,7 +350,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 
 def warm_up(name: str, mesh: Mesh, reference: Reference) -> None:
-    """Compile and load all that runs on this kind of mesh need."""
+    """Compile and load everything that runs on this kind of mesh need."""
     on_mesh = OnMesh(name, mesh, reference)
     for stiffness in ("cholesky",) if mesh.accuracy else ("cholesky", "multigrid"):
         on_mesh.run(Setting(stiffness=stiffness), {"repeats": 1, "enough": 0.1, "seconds": 60.0})

@@ -1,9 +1,10 @@
-"""The scenes of benchmarks/tradeoff.py, each from its geometry to the answer, and its errors.
+"""The scenes of benchmarks/tradeoff.py, their meshes, and errors against a reference.
 
-Errors are those against a reference on a fine mesh; meshes of a scene need not be nested.
-Gradients of the displacement are compared at the points of a quadrature rule on the reference mesh,
-each in the cell of the same body that holds the point (or is next to it, where boundaries are
-curved); pressure and slip likewise, on the contact surface. It runs on one rank.
+Errors are differences from a reference on a fine mesh; the meshes of a scene need not be nested.
+Gradients of the displacement are compared at the points of a quadrature rule on the reference mesh.
+At each point the gradient is taken from the cell of the same body that contains the point, or, near
+curved boundaries, from the nearest cell. Pressure and slip are compared in the same way on the
+contact surface. All functions run on one rank.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from scenes.scene import Scene
 
 Array = np.ndarray
 
-#: Rule in cells of the reference, exact for squares of its strains: no point of it is on a face,
-#: where gradients jump.
+#: Degree and type of the quadrature rule in cells of the reference. The rule is exact for squares
+#: of the reference's strains, and has no points on faces, where gradients jump.
 RULE = (2, basix.QuadratureType.default)
 
 #: Cells along the foot of the crane on its coarsest mesh, and length of the load on its arm [m].
@@ -49,15 +50,16 @@ def energy_norm(scene: Scene, u: Any) -> float:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A kind of mesh and element, its size, and what is refined from there on.
+    """A mesh with its elements, and the adaptive refinement that starts from it.
 
     Attributes:
         cell: "tetrahedra" or "hexahedra".
-        degree: of the displacement.
+        degree: degree of the displacement.
         size: N, or h [mm] for Hertz.
-        grading: towards the faces of the bricks; 1: none.
-        accuracy: that `solve_adaptively` is asked for, from this mesh; 0: not refined.
-        goal: whose accuracy that is, "energy" or "force".
+        grading: exponent of the grading towards the faces of the bricks; 1: no grading.
+        accuracy: argument of `solve_adaptively`, which starts from this mesh; 0: the mesh is not
+            refined.
+        goal: quantity to which `accuracy` refers, "energy" or "force".
     """
 
     cell: str
@@ -69,7 +71,7 @@ class Mesh:
 
     @property
     def family(self) -> str:
-        """A name without the size."""
+        """Name of the kind of mesh, without the size."""
         name = {"tetrahedra": "P", "hexahedra": "Q"}[self.cell] + str(self.degree)
         if self.accuracy:
             return name + (" adaptive" if self.goal == "energy" else f" for {self.goal}")
@@ -77,20 +79,20 @@ class Mesh:
 
 
 def family(cell: str, degree: int, *sizes: float, grading: float = 1.0) -> list[Mesh]:
-    """Return meshes of a kind, coarse to fine."""
+    """Return meshes of one kind, with the given sizes."""
     return [Mesh(cell, degree, size, grading) for size in sizes]
 
 
 def adaptive(degree: int, size: float, *accuracies: float, goal: str = "energy") -> list[Mesh]:
-    """Return meshes that are refined from one of a size, loose to tight."""
+    """Return meshes from which adaptive solves start, one for each requested accuracy."""
     return [Mesh("tetrahedra", degree, size, 1.0, asked, goal) for asked in accuracies]
 
 
 def two_bricks(mesh: Mesh) -> TaggedMesh:
-    """Return the two bricks, N cells along each.
+    """Return the two bricks, with N cells along each.
 
-    With a grading g, the distances of nodes from the nearest face of their brick go with the power
-    g of what they were: singularities are at the edges.
+    With a grading g nodes are moved: the distance of a node from the nearest face of its brick, as
+    a part of half the brick's size, is raised to the power g, since singularities are at the edges.
     """
     hexahedra = int(mesh.cell == "hexahedra")
     tagged = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_SELF, N=int(mesh.size), Hex=hexahedra)
@@ -107,37 +109,38 @@ def two_bricks(mesh: Mesh) -> TaggedMesh:
 
 
 def hertz(mesh: Mesh) -> TaggedMesh:
-    """Return the ball with cells of size h [mm] at the contact; those elsewhere shrink with h."""
+    """Return the ball with cells of size h [mm] at the contact; all other cells shrink with h."""
     h, growth = mesh.size, 2.5 * mesh.size / mesh.degree
     return sphere_on_plane(MPI.COMM_SELF, h, Growth=growth).tagged_mesh
 
 
 def implant(mesh: Mesh) -> TaggedMesh:
-    """Return stem and bone, N cells round the half hole.
+    """Return stem and bone, with N cells round the half hole.
 
-    Cells far from the stem shrink along with the others: else the outer walls of the bone, where
-    the modulus rises by a factor of 15 within a cell, would have most of the error.
+    Cells far from the stem shrink as N grows, like the cells near the stem. Otherwise the outer
+    walls of the bone, where the modulus rises by a factor of 15 within a cell, would have most of
+    the error.
     """
     N = int(mesh.size)
     return stem.implant(MPI.COMM_SELF, N, Growth=min(0.35, 4.0 / N)).tagged_mesh
 
 
 def on_implant(hip: TaggedMesh, *, degree: int) -> Scene:
-    """Return it after the whole motion; the modulus is a function of the place in cells, too."""
+    """Return the implant after its whole motion; the modulus also varies within cells."""
     scene = stem.on_implant(hip, degree=degree, smooth=True)
     scene.data.motion.value[:] = stem.MOTION
     return scene
 
 
 def crane(mesh: Mesh) -> TaggedMesh:
-    """Return crane and clay, N cells along the foot."""
+    """Return crane and clay, with N cells along the foot."""
     N, hexahedra = int(mesh.size), int(mesh.cell == "hexahedra")
     M = N + 1 if mesh.accuracy else 9 * N // 4 + 1 - 9 * N // 4 % 2  # odd, see the .geo file
     return floating_block.crane_on_clay(MPI.COMM_SELF, N, M=M, Hex=hexahedra).tagged_mesh
 
 
 def on_crane(tagged: TaggedMesh, *, degree: int) -> Scene:
-    """Return it with a load of the same length on all meshes."""
+    """Return the crane with a load whose length is the same on all meshes."""
     return floating_block.on_crane(tagged, TROLLEY, degree=degree)
 
 
@@ -162,21 +165,21 @@ class Samples:
 
     @property
     def points(self) -> Array:
-        """Their places (n, 3)."""
+        """Positions (n, 3) of the points."""
         places = self.values(ufl.SpatialCoordinate(self.mesh))
         return np.pad(places, [(0, 0), (0, 3 - places.shape[1])])
 
     @property
     def weights(self) -> Array:
-        """Their weights (n,)."""
+        """Quadrature weights (n,) of the points."""
         jacobian = np.abs(self.values(ufl.JacobianDeterminant(self.mesh))[:, 0])
         return jacobian * np.tile(self._rule[1], len(self.cells))
 
 
 def depth(mesh: Any, cells: Array, points: Array) -> Array:
-    """Return by how much points (n, 3) are inside affine cells (n,): negative where outside.
+    """Return the depth of points (n, 3) inside affine cells (n,), one for each; negative outside.
 
-    It is the least distance from a face, in the coordinates of the reference cell.
+    The depth is the least distance from a face, in the coordinates of the reference cell.
     """
     nodes = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
     simplices = mesh.topology.cell_name() == "tetrahedron"
@@ -187,14 +190,14 @@ def depth(mesh: Any, cells: Array, points: Array) -> Array:
 
 
 def cells_at(mesh: Any, points: Array, allowed: Array) -> Array:
-    """Return for each point the cell that holds it, or is next to it."""
+    """Return for each point the cell in `allowed` that contains it or is nearest to it."""
     dim = mesh.topology.dim
     tree = geometry.bb_tree(mesh, dim, entities=allowed)
     found = np.full(len(points), -1, dtype=np.int32)
     if dim == 3:  # compute_colliding_cells also returns neighbours, where gradients differ
         near = geometry.compute_collisions_points(tree, points)
         owner = np.repeat(np.arange(len(points)), np.diff(near.offsets))
-        order = np.argsort(depth(mesh, near.array, points[owner]))  # the deepest one comes last
+        order = np.argsort(depth(mesh, near.array, points[owner]))  # deepest last
         found[owner[order]] = near.array[order]
     rest = found < 0
     if rest.any():
@@ -220,11 +223,12 @@ def gradient_at(case: Scene, u: Any, points: Array, cells: Array) -> Array:
 
 
 class Reference:
-    """A solution on a fine mesh, with which others are compared.
+    """A solution on a fine mesh, with which other solutions are compared.
 
     Attributes:
-        own: its own relative error in the energy norm, an estimate. It is added to others in
-            squares, as errors of Galerkin's method on nested meshes do.
+        own: estimated relative error of the reference itself in the energy norm. Its square is
+            added to the square of another solution's difference from the reference, as the squares
+            of errors add up for Galerkin's method on nested meshes.
     """
 
     def __init__(self, case: Scene, solution: ContactSolution, own: float = 0.0) -> None:
@@ -253,7 +257,7 @@ class Reference:
             self._fields["slip"] = samples.values(surface.slip)
 
     def errors(self, case: Scene, solution: ContactSolution) -> dict[str, float]:
-        """Return relative errors: energy norm, L2 of the contact surface, and of numbers."""
+        """Return relative errors: in the energy norm, in L2 of the contact, and of numbers."""
         square = whole = 0.0
         for name, (points, weights, wanted, mu, lame) in self._volumes.items():
             cells = case.cell_tags.find(case.tags[name])
@@ -276,9 +280,9 @@ class Reference:
 
 
 def theory_of(case: Scene, solution: ContactSolution) -> HertzSphere | None:
-    """Return what Hertz says to the force of a ball; of other scenes there is no theory.
+    """Return Hertz's theory for the force of the ball; None for other scenes.
 
-    It is wrong by about (a/R)^2.
+    The relative error of the theory is about (a/R)^2.
     """
     if not hasattr(case.data, "theory"):
         return None
@@ -303,14 +307,15 @@ def density(gradient: Array, mu: Array, lame: Array) -> Array:
 
 @dataclass(frozen=True)
 class Study:
-    """A scene, on which meshes, and what it is compared with.
+    """A scene, the meshes on which it is solved, and the meshes of its references.
 
     Attributes:
-        tagged: from a mesh to be made to that.
-        on: from that and the degree to the scene.
-        meshes: that are measured.
-        base: those on which accuracy, algorithm, K-solver and refinement are varied.
-        references: fine to coarse: the second one tells the error of the first one.
+        tagged: function from the description of a mesh to the `TaggedMesh`.
+        on: function from a `TaggedMesh` and the degree to the scene.
+        meshes: meshes that are measured.
+        base: meshes on which accuracy, algorithm, K-solver and refinement are varied.
+        references: meshes of references, from fine to coarse; the error of each reference is
+            estimated from the next one.
     """
 
     tagged: Callable[[Mesh], TaggedMesh]
@@ -320,7 +325,7 @@ class Study:
     references: tuple[Mesh, ...]
 
     def coarsest(self, count: int) -> list[Mesh]:
-        """Return so many meshes of each kind, and those on which settings are varied."""
+        """Return the `count` coarsest meshes of each kind, and the meshes in `base`."""
         kinds = itertools.groupby(self.meshes, key=lambda mesh: mesh.family)
         chosen = {mesh for _, kind in kinds for mesh in itertools.islice(kind, count)}
         return [mesh for mesh in self.meshes if mesh in chosen or mesh in self.base]

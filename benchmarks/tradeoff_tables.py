@@ -10,7 +10,7 @@ from typing import Any
 from harness import Column, Row, Table
 from harness.figure import new_figure, percent_ticks, plain_ticks, save
 
-#: Kinds of errors, by what they are called.
+#: Kind of error -> its name in tables.
 ERRORS = {
     "energy": "energy",
     "pressure": "pressure in L2",
@@ -20,15 +20,15 @@ ERRORS = {
 }
 TARGETS = (0.1, 0.05, 0.02, 0.01, 0.001)
 
-#: An error that is none: what statics say.
+#: Largest error that counts as rounding, such as the error of a force that statics determine.
 EXACT = 1e-9
 
-#: By how much an error must be smaller to be worth anything.
+#: Largest ratio of an error to another error that counts as an improvement.
 GAIN = 0.97
 
 
 def described(row: Row) -> str:
-    """Return the options of a row."""
+    """Return the settings of a row, without defaults, as text."""
     kind = "" if row["method"] == "projected_newton" else f"{row['method']}, "
     kind += "" if row["pairing"] == "auto" else f"{row['pairing']}, "
     kind += "" if row["fraction"] == 0.5 else f"fraction {row['fraction']:g}, "
@@ -58,7 +58,7 @@ COLUMNS = [
 
 
 def front(rows: list[Row], error: str, cost: str) -> list[Row]:
-    """Return the rows that no other one beats in both, cheap to dear; tiny gains are none."""
+    """Return the Pareto front of error and cost, by ascending cost, without tiny gains (`GAIN`)."""
     result: list[Row] = []
     for row in sorted(rows, key=lambda row: (row[cost], row[error])):
         if not result or row[error] < GAIN * result[-1][error]:
@@ -67,7 +67,7 @@ def front(rows: list[Row], error: str, cost: str) -> list[Row]:
 
 
 def converged(rows: list[Row], scene: str, error: str = "energy") -> list[Row]:
-    """Return the rows of a scene that have this error; of the reference only that in energy."""
+    """Return the converged rows of a scene with this error; references only for "energy"."""
     return [
         row
         for row in rows
@@ -77,7 +77,10 @@ def converged(rows: list[Row], scene: str, error: str = "energy") -> list[Row]:
 
 
 def over_mesh(rows: list[Row]) -> Iterator[Row]:
-    """Yield errors of runs over those of the best one on the same mesh, with the same K-solver."""
+    """Yield the rows of axes "part" and "rtol", with errors divided by those of the best run.
+
+    The best run has the least algebraic error on the same mesh and with the same K-solver.
+    """
     own = [row for row in rows if row["axis"] in ("part", "rtol")]
     same_mesh = ("scene", "family", "size", "chosen")
     for row in own:
@@ -90,7 +93,7 @@ def over_mesh(rows: list[Row]) -> Iterator[Row]:
 
 
 def part_lines(rows: list[Row], scene: str) -> Iterator[str]:
-    """Yield what the balance of errors costs and brings."""
+    """Yield lines with the cost and the errors for each requested part of the mesh's error."""
     found = list(over_mesh(converged(rows, scene)))
     for key in dict.fromkeys((row["family"], row["size"], row["chosen"]) for row in found):
         yield f"\n{scene}, {key[0]} of size {key[1]:g}, {key[2]}: errors over the mesh's own"
@@ -106,7 +109,7 @@ def part_lines(rows: list[Row], scene: str) -> Iterator[str]:
 
 
 def name_of(row: Row) -> str:
-    """Return what a row is, shortly."""
+    """Return the mesh and the settings of a row as a short text."""
     size = f"h = {row['size']:g} mm" if row["scene"] == "hertz" else f"N = {row['size']:g}"
     if row["accuracy"]:
         size = f"accuracy={row['accuracy']:g}"
@@ -117,7 +120,7 @@ def name_of(row: Row) -> str:
 
 
 def front_lines(rows: list[Row], scene: str) -> Iterator[str]:
-    """Yield the Pareto fronts of a scene."""
+    """Yield the lines of a scene's Pareto fronts."""
     for error in ERRORS:
         own = converged(rows, scene, error)
         for cost, unit in (("seconds", "s"), ("memory_mb", "MB")):
@@ -128,7 +131,7 @@ def front_lines(rows: list[Row], scene: str) -> Iterator[str]:
 
 
 def advice(rows: list[Row]) -> list[Row]:
-    """Return what to take for each error in each scene, with the package's defaults."""
+    """Return the quickest mesh for each error in each scene, with the package's defaults."""
     result = []
     defaults = [row for row in rows if row["axis"] in ("mesh", "reference")]
     for reference in [row for row in defaults if row["axis"] == "reference"]:
@@ -139,10 +142,10 @@ def advice(rows: list[Row]) -> list[Row]:
 
 
 def advice_on(error: str, own: list[Row], reference: Row) -> Iterator[Row]:
-    """Yield what to take for one kind of error, up to what is reached.
+    """Yield the quickest mesh for each target of one kind of error, up to the first missed target.
 
-    A number may be right by luck: an error counts if those of all finer meshes of that kind are as
-    small, and if the reference is as good.
+    The error of a number may be small by chance. So the error of a row is replaced by the largest
+    of these: its own error, the errors on all finer meshes of its kind, and the reference's error.
     """
     doubtful = [{**row, error: max(row[error], reference[error])} for row in own]
     lasting = [{**row, error: max(worst(error, row, doubtful))} for row in doubtful]
@@ -162,23 +165,23 @@ def advice_on(error: str, own: list[Row], reference: Row) -> Iterator[Row]:
 
 
 def picked(error: str, rows: list[Row]) -> Iterator[tuple[float, Row, bool]]:
-    """Yield for each target the quickest row, up to one that is missed: target, row, missed."""
+    """Yield (target, quickest row, whether missed) for each target, up to the first missed one."""
     best = min(row[error] for row in rows)
     for target in TARGETS:
         enough = [row for row in rows if row[error] <= target]
         enough_or_best = enough or [row for row in rows if row[error] <= best / GAIN]
         yield target, min(enough_or_best, key=lambda row: row["seconds"]), not enough
         if not enough:
-            return  # nor will less be
+            return  # smaller targets will be missed, too
 
 
 def ends(values: Sequence[float]) -> Sequence[float]:
-    """Return the first and the last one; one if there are no more."""
+    """Return the first and the last value; a single value alone."""
     return values if len(values) == 1 else (values[0], values[-1])
 
 
 def worst(error: str, row: Row, rows: list[Row]) -> Iterator[float]:
-    """Yield the errors of a row and of those on finer meshes of its kind."""
+    """Yield the error of a row, and the errors of rows on finer meshes of its kind."""
     yield row[error]
     for other in rows:
         if all(other[name] == row[name] for name in ("family", "axis")) and other["n"] > row["n"]:
@@ -186,7 +189,7 @@ def worst(error: str, row: Row, rows: list[Row]) -> Iterator[float]:
 
 
 def effectivity_lines(rows: list[Row], scene: str) -> Iterator[str]:
-    """Yield the range of estimate over error for each kind of mesh."""
+    """Yield a line with the range of estimate / error for each kind of mesh."""
     plain = [row for row in converged(rows, scene) if row["axis"] in ("mesh", "backend")]
     own = [row for row in plain if row["effectivity"] is not None]
     for kind in dict.fromkeys(row["family"] for row in own):
@@ -195,13 +198,13 @@ def effectivity_lines(rows: list[Row], scene: str) -> Iterator[str]:
 
 
 def summary(rows: list[Row]) -> str:
-    """Return what the balance costs, the Pareto fronts, and the estimates, of each scene."""
+    """Return the lines of `part_lines`, `front_lines` and `effectivity_lines` of each scene."""
     scenes = dict.fromkeys(row["scene"] for row in rows)
     kinds = (part_lines, front_lines, effectivity_lines)
     return "\n".join(line for scene in scenes for kind in kinds for line in kind(rows, scene))
 
 
-#: Kinds of meshes by family: name, colour, width of the line. What is adaptive stands out.
+#: Family of meshes -> name, colour, and width of the line; adaptive meshes stand out.
 KINDS = {
     "P1": ("tetrahedra, degree 1", "#9ecae1", 1.2),
     "P2": ("tetrahedra, degree 2", "#fdae6b", 1.2),
@@ -216,16 +219,16 @@ TITLES = {"two_bricks": "two bricks", "hertz": "Hertz", "implant": "implant", "c
 
 
 def drawn(rows: list[Row]) -> list[str]:
-    """Return the kinds of errors of a scene that are drawn."""
+    """Return the kinds of errors that are drawn for a scene."""
     force = max((row["force"] for row in rows), default=0.0)
     return ["energy", "pressure", "force" if force > EXACT else "slip"]
 
 
 def draw(path: Path, rows: list[Row]) -> None:
-    """Save errors over seconds as a picture: a row for each scene, a column for each error."""
+    """Save a picture of errors against seconds: a row for each scene, a column for each error."""
     from matplotlib.lines import Line2D
 
-    rows = list(filter(is_full, rows)) or rows  # a quick run is compared with coarser references
+    rows = list(filter(is_full, rows)) or rows  # a quick run has only rows with coarser references
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     figure, panels = new_figure(1.0 + 2.2 * len(scenes), len(scenes), 3)
     for line, scene in zip(panels, scenes, strict=True):
@@ -250,7 +253,7 @@ def draw(path: Path, rows: list[Row]) -> None:
 
 
 def draw_errors(panel: Any, rows: list[Row], error: str, unresolved: float) -> None:
-    """Draw an error over seconds: a curve for each kind of mesh."""
+    """Draw an error against seconds: a curve for each kind of mesh."""
     for family, (_, color, width) in KINDS.items():
         runs = [row for row in rows if row["family"] == family]
         runs.sort(key=lambda row: row["n"])
@@ -268,20 +271,20 @@ def draw_errors(panel: Any, rows: list[Row], error: str, unresolved: float) -> N
 
 
 def parts(rows: list[Row]) -> list[Row]:
-    """Return the runs with a requested part of the mesh's error, errors over the mesh's."""
+    """Return the rows of axis "part", with errors divided as in `over_mesh`."""
     scenes = dict.fromkeys(row["scene"] for row in rows)
     found = (row for scene in scenes for row in over_mesh(converged(rows, scene)))
     return [row for row in found if row["axis"] == "part"]
 
 
 def products(rows: list[Row]) -> str:
-    """Return the products with Cholesky and P1, of each scene."""
+    """Return the products of each scene with Cholesky and P1 meshes, as text."""
     own = [row for row in rows if (row["family"], row["chosen"]) == ("P1", "cholesky")]
     return " / ".join(str(row["products"]) for row in own)
 
 
 def range_of(error: str) -> Column:
-    """Return the column of the range of an error."""
+    """Return the column with the range of an error, relative to the best run."""
 
     def text(rows: Sequence[Row]) -> str:
         values = [row[error] for row in rows if error in row]
@@ -292,7 +295,7 @@ def range_of(error: str) -> Column:
 
 
 def is_full(row: Row) -> bool:
-    """Return whether a row is of the fine meshes and references."""
+    """Return whether a row belongs to a full run, with the finest meshes and references."""
     return not row["quick"]
 
 

@@ -4,7 +4,7 @@
 # A semicircular arch of 25 stones (voussoirs), without mortar, stands under its own weight. Contact
 # and friction alone hold the stones. How thin may the arch be? This is Couplet's problem of 1730.
 # Milankovitch found in 1907 that the thickness must be at least 0.1075 times the radius $R$ of the
-# centre line, if stones are rigid and do not slide and radial joints are everywhere
+# centre line, if stones are rigid and do not slide, and if there is a radial joint at each angle
 # ([Makris and Alexakis 2013](https://doi.org/10.1007/s00419-013-0763-4)). An arch of this thickness
 # has hinges at its outer side at the crown and the springings, and at its inner side 54.5 degrees
 # from the crown.
@@ -23,7 +23,7 @@
 # open, and forces between stones are results. Below the least thickness no forces balance the
 # weights, and `solve` says so.
 #
-# A number after the name of this script is another number of cells across the arch. With 4 cells it
+# A number after the name of this script sets the number of cells across the arch. With 4 cells it
 # takes about 10 seconds.
 
 # %%
@@ -68,14 +68,14 @@ joints = np.linspace(-np.pi / 2, np.pi / 2, stones + 1)  # angles from the crown
 # Let $w \varphi$ be the weight of the arch between the crown and a joint at the angle $\varphi$,
 # and $m (1 - \cos \varphi)$ its moment about the axis of symmetry. The horizontal thrust $H$ is the
 # same in all joints, and passes at the height $h$ through the axis of symmetry. The resultant in
-# the joint passes through it at the radius
+# the joint passes through the joint at the radius
 #
 # $$\rho(\varphi) = \frac{H h + m (1 - \cos \varphi)}{H \cos \varphi + w \varphi \sin \varphi}.$$
 #
 # $H$ and $h$ follow from hinges at the outer side of the springings and of the joints next to the
-# crown. The thickness is the least one if elsewhere the line of thrust touches the inner side. Many
-# stones give 0.1075. An odd number of stones has no joint at the crown, and a finite number none at
-# 54.5 degrees: 25 stones need a little less.
+# crown. The thickness is the least possible one if the line of thrust touches the inner side
+# somewhere between these hinges. Many stones give 0.1075. With 25 stones there is no joint at the
+# crown, and none at exactly 54.5 degrees, so they need a little less.
 
 
 # %%
@@ -164,8 +164,8 @@ assert 0.98 * 0.1075 < falls < stands < 1.02 * 0.1075
 # ## Line of thrust and hinges
 # `solution.resultants_between(i, j)` is the force and the moment on body i by body j; bodies are
 # counted from the left to the right here. The resultant passes through a joint at the distance
-# moment / normal force from the centre line. Where this is half of the thickness, to a hundredth,
-# the joint touches at its edge only: a hinge.
+# moment / normal force from the centre line. Where this distance is half of the thickness, to a
+# hundredth, the joint touches at its edge only: a hinge.
 
 # %%
 thickness = 0.1072 * R

@@ -2,9 +2,9 @@
 # # Which rollers of a bearing carry the load
 #
 # A roller bearing with 16 rollers between two rings, without clearance. The shaft presses the inner
-# ring down by a small way $\delta$. The lower half of the rollers carries the load, and the upper
-# half is loose: contact and friction alone hold all of them. How large is the force on the lowest
-# roller?
+# ring down by a small distance $\delta$. The lower half of the rollers carries the load, and the
+# upper half is loose: contact and friction alone hold all of them. How large is the force on the
+# lowest roller?
 #
 #               .-'''''-.
 #             .'  o o o  '.        o  rollers, their angle psi from the load
@@ -27,7 +27,7 @@
 # Sjövall's integral (1933), $Q = 4.08 F / Z$; both are in T. A. Harris and M. N. Kotzalas, Rolling
 # Bearing Analysis, 5th edition, chapter 7.
 #
-# A number after the name of this script is another number of cells in 0.4 mm of a contact. With 4
+# A number after the name of this script sets the number of cells in 0.4 mm of a contact. With 4
 # cells it takes 15 seconds.
 
 # %%
@@ -59,8 +59,8 @@ delta = 0.04
 # %% [markdown]
 # ## The problem
 # The housing is rigid, and so is the shaft. One pair contains all rollers and both raceways. A
-# `search_distance` keeps points that are far apart from being paired, since the two raceways face
-# each other between the rollers.
+# `search_distance` excludes pairs of distant points, since the two raceways face each other between
+# the rollers.
 
 # %%
 bearing = read_gmsh(MESHES / "bearing.geo", comm, N=N, M=rollers)

@@ -3,8 +3,9 @@
 #
 # A fretting rig presses a pad on a hard plate and moves it to and fro, by 20 µm. It records two
 # forces in 40 load steps, with noise. What were the coefficient of friction, Young's modulus of the
-# pad, and the angle by which it is out of line? One loop tells all three: its slope the modulus,
-# its width the friction, and its round corners, where one edge slips before the other, the angle.
+# pad, and the angle by which it is out of line? One loop determines all three: its slope shows the
+# modulus, its width shows the friction, and its round corners, where one edge slips before the
+# other, show the angle.
 #
 #               top: moved to and fro, and pressed            Q      .------.
 #             +---------------------------------+             |     /      /
@@ -33,8 +34,8 @@
 # **Measured data** are not at hand: they are computed, on a finer mesh than the mesh of the fit,
 # with noise from a fixed seed, so the true parameters are known.
 #
-# With quadratic elements, 16 across the pad, it takes about a minute; a number after the name
-# of this script is another number of elements, and the number of load steps goes with it.
+# With quadratic elements, 16 across the pad, it takes about a minute; a number after the name of
+# this script sets the number of elements, to which the number of load steps is proportional.
 
 # %%
 import sys
@@ -76,7 +77,7 @@ scales = np.array(list(truth.values()))  # controls are near 1 in these units
 
 there, back = np.linspace(0, 1, N // 2 + 1)[1:], np.linspace(1, -1, N + 1)[1:]
 shifts = amplitude * np.concatenate([there, back, -back])
-noise = 0.02  # standard deviation of each force over its largest value
+noise = 0.02  # standard deviation of each force, divided by its largest value
 
 # %% [markdown]
 # ## The rig
@@ -179,7 +180,8 @@ assert found.success, found.message
 
 # %% [markdown]
 # ## Without derivatives
-# Nelder and Mead's method from the same start, with as many solves: an adjoint solve counts as one.
+# Nelder and Mead's method from the same start, with as many solves; an adjoint solve counts as a
+# solve.
 
 # %%
 without = []

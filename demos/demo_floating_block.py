@@ -22,8 +22,8 @@
 #
 # How much of the foot slips while a tractor pulls at it? How far out may the load hang? And what
 # does the package say where no equilibrium exists? With 16 cells along the foot it takes 10,509
-# nodes, 10 seconds and 600 MB; a number after the name of this script, a multiple of 8, is another
-# size.
+# nodes, 10 seconds and 600 MB; a number after the name of this script, a multiple of 8, sets
+# another mesh size.
 #
 # **Strong form.** In each body $-\operatorname{div} \sigma(u) = f$. In the contact, with the
 # outward normal $n$ of the foot and $[u] = u_{foot} - u_{clay}$,
@@ -49,11 +49,11 @@
 #
 # **Discrete form.** The crane's part of the stiffness matrix K is singular: six rigid motions. The
 # multipliers, which are pressures and tractions, balance the loads for each of these motions
-# exactly, to whatever accuracy the problem is solved, and the motions are found with the
-# multipliers. The foot has 16 cells along its side of 2 m, the clay 36 along 4 m: the meshes do not
-# match. The multipliers live on the foot, which is 300 times stiffer. So the clay has the smaller
-# cells: if the stiff surface had more nodes than the soft one below it, many different pressures
-# would have the same effect on the clay, and the iteration would be slow to choose among them.
+# exactly, whatever the accuracy of the solution, and the motions are found with the multipliers.
+# The foot has 16 cells along its side of 2 m, the clay 36 along 4 m: the meshes do not match. The
+# multipliers live on the foot, which is 300 times stiffer. So the clay has the smaller cells: if
+# the stiff surface had more nodes than the soft one below it, many different pressures would have
+# the same effect on the clay, and the iteration would be slow to choose among them.
 
 # %%
 import sys
@@ -276,7 +276,7 @@ for what, values, named in (  # load, place, pull, slip bound
     if comm.rank == 0:
         print(f"\n{what}\n{textwrap.indent(textwrap.fill(message, 96), '    ')}")
     assert named in message
-assert statics()[3] > side / 2  # as statics says of the last one
+assert statics()[3] > side / 2  # as statics says of the last scene
 
 # %% [markdown]
 # ## Draw

@@ -20,7 +20,8 @@
 #
 # y = 0 is a plane of symmetry, and half of the bodies is modelled. (x = 0 is not one: pressing is
 # symmetric about it, rubbing antisymmetric.) With 12 cells along the radius of the contact it takes
-# 11,946 nodes, 50 seconds and 500 MB; a number after the name of this script is another size.
+# 11,946 nodes, 50 seconds and 500 MB; a number after the name of this script sets another mesh
+# size.
 #
 # **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
 # outward normal $n$ of the plate, $[u] = u_{plate} - u_{ball}$, and the gap $d$,
@@ -96,7 +97,7 @@ radius = 5.0  # mm, of the ball
 young, poisson = 210_000.0, 0.3  # MPa, -
 friction_coefficient = 0.5
 about_a = 0.1  # mm, the radius of the contact, about
-cell = 1 / N  # size of the cells at the contact, over that
+cell = 1 / N  # size of the cells at the contact, divided by that radius
 RTOL = 1e-7
 
 shear_modulus = young / (2 * (1 + poisson))
@@ -276,12 +277,12 @@ if comm.rank == 0:
 # ## Check
 # Checked are the law of contact at each node, in each step; the normal force, which the shear must
 # not change; and the agreement with theory. A mesh smears the pressure at its steep edge over one
-# ring of cells: the root mean square of this error is some h/a of the traction.
+# ring of cells: the root mean square of this error is about h/a times the traction.
 #
 # Masing's rule needs no theory of half-spaces: the way back is the first loading, twice as large.
-# Its error is of the size of the changes of pressures and of directions of slip. And the area of
-# the loop is the energy that friction has dissipated, except for the corners that straight lines
-# between the steps cut off.
+# Its error is about as large as the relative changes of pressures and of directions of slip. And
+# the area of the loop is the energy that friction has dissipated, except for the corners of the
+# loop, which straight lines between the steps cut off.
 
 # %%
 for _, _, p, t, _ in snapshots:

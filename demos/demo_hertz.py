@@ -18,7 +18,7 @@
 #
 # With 10 cells along the radius of the contact the ball on the plane takes up to 7,300 nodes, the
 # two balls 16,000, the cylinder 1,500; all three, with linear and with quadratic elements, ten
-# seconds and 800 MB. A number after the name of this script is another size.
+# seconds and 800 MB. A number after the name of this script sets another mesh size.
 #
 # **Strong form.** In each body
 #
@@ -33,9 +33,10 @@
 #
 # There is no friction, so no tangential traction.
 #
-# **Theory.** With $1/R = 1/R_{upper} + 1/R_{lower}$ (a plane has no curvature), the modulus
-# $1/E = \sum (1 - \nu^2)/E_{young}$ of both bodies (a rigid one adds nothing), and the force $F$,
-# the pressure is $p = p_0 \sqrt{1 - r^2/a^2}$, and for balls and for cylinders
+# **Theory.** The bodies count as one with the radius $R$ and the modulus $E$, where $1/R =
+# 1/R_{upper} + 1/R_{lower}$ (a plane has no curvature) and $1/E = \sum (1 - \nu^2)/E_{young}$ (a
+# rigid body adds nothing). Under the force $F$ the pressure is $p = p_0 \sqrt{1 - r^2/a^2}$, with
+# the following values for balls (left) and for cylinders (right):
 #
 # $$a^3 = \frac{3 F R}{4 E}, \quad p_0 = \frac{3 F}{2 \pi a^2}, \qquad\qquad
 # a^2 = \frac{4 F R}{\pi E}, \quad p_0 = \frac{2 F}{\pi a}.$$
@@ -161,8 +162,8 @@ cylinder_on_plane = SimpleNamespace(
 # What may differ, and why? Hertz neglects a/R squared. On the mesh the edge of the contact lies
 # between two nodes, so the radius is uncertain by a cell. At the edge the pressure falls steeply,
 # like a square root, which the mesh smears over one ring of cells: the root mean square of this
-# error is some h/a of the pressure. In the middle the pressure is smooth, and a part of h/a is
-# allowed.
+# error is about h/a times the pressure. In the middle the pressure is smooth, and a smaller error
+# is allowed, a part of h/a.
 
 # %%
 panels = {}  # for the picture: name of the scene, degree -> distances and pressures of the nodes

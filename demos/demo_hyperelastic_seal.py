@@ -15,8 +15,8 @@
 # The cross-section is in plane strain, since the ring is long compared with its thickness. A
 # quarter of it is enough: x = 0 is a plane of symmetry, and so is the middle between lid and
 # groove. Here the groove rests, and the middle moves down by half as much as the lid. With 32 cells
-# along the arc it takes 1,687 nodes and 15 seconds; a number after the name of this script is
-# another size.
+# along the arc it takes 1,687 nodes and 15 seconds; a number after the name of this script sets
+# another mesh size.
 #
 # **Strong form.** $-\operatorname{Div} P = 0$ in the undeformed ring, with
 #
@@ -209,10 +209,10 @@ assert confined[-1] > 1.15 * between[-1]
 # %% [markdown]
 # ## A pressure as a further unknown
 # With $p\, (J - 1) - p^2 / (2 \kappa)$ in the energy the pressure $p$ is $\kappa (J - 1)$, but in a
-# space of its own, of degree 1. A part of $\kappa$, five shear moduli, stays with the displacement,
-# since these elements wrinkle without it. All other lines are as above: conditions and contact act
-# on the displacement. The force agrees within 1 % (on coarse meshes within 4 %), and each residual
-# is about the square of the previous one.
+# space of its own, of degree 1. A part of $\kappa$, five shear moduli, still multiplies $(J - 1)^2
+# / 2$ with the displacement's $J$, since without this part these elements wrinkle. All other lines
+# are as above: conditions and contact act on the displacement. The force agrees within 1 % (on
+# coarse meshes within 4 %), and each residual is about the square of the previous one.
 
 # %%
 pressures = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)

@@ -16,8 +16,8 @@
 #              |<---------- v0^2 / (2 F g) --------->|
 #
 # With 100 cells along the bar and 40 along the block it takes 404 and 861 nodes, 20 seconds and 250
-# MB; a number after the name of this script is another number of cells along the bar, and 2/5 of it
-# the number along the block.
+# MB; a number after the name of this script sets the number of cells along the bar; the block has
+# 2/5 of this number.
 #
 # **Strong form.** With the density $\rho$
 #
@@ -45,12 +45,12 @@
 # - p \cdot [u_1 - u_0]_n - t \cdot [u_1 - u_0]_t.$$
 #
 # For $\theta \ge 1/2$ no term is positive: where there is pressure at the end of the step, the gap
-# is closed then, and was not negative at the beginning; the last term is the work of friction. So
-# the energy cannot grow, whatever the length of the steps. (C. Kane, E. A. Repetto, M. Ortiz and J.
-# E. Marsden 1999 found this for Newmark's method, which is $\theta = 1/2$.) Newmark's method and
-# the HHT method with contact forces at their usual time have no such bound. $\theta = 1$ is the
-# backward Euler method, which damps waves; a little more than 1/2 damps the waves that the mesh
-# cannot carry.
+# is closed at the end, and it was not negative at the beginning; the last term is minus the energy
+# that friction dissipates. So the energy cannot grow, whatever the length of the steps. (C. Kane,
+# E. A. Repetto, M. Ortiz and J. E. Marsden 1999 found this for Newmark's method, which is $\theta =
+# 1/2$.) Newmark's method and the HHT method with contact forces at their usual time have no such
+# bound. $\theta = 1$ is the backward Euler method, which damps waves; a little more than 1/2 damps
+# the waves that the mesh cannot carry.
 #
 # **A surface without mass.** A node of mass $m$ that meets the wall loses $m v_0^2 / 2$ at once, an
 # error of the mesh; then its force jumps from step to step, here between 0.45 and 1.55 times the
@@ -107,7 +107,7 @@ units = Units("m", "Pa", force="N")
 # %% [markdown]
 # ## Forms of a step
 # The mass is lumped, by quadrature at the nodes; `density` is a function of degree 1, zero on the
-# side of the contact, and half as much again at the next layer of nodes.
+# side of the contact, and 1.5 times the density of the material at the next layer of nodes.
 
 
 # %%
@@ -146,7 +146,7 @@ def products_of_forms(body, density):
 
 
 def step_forms(mass, stiffness, u, v, tau, theta):
-    """Return a, and L without loads, of a step from displacement u and velocity v."""
+    """Return a, and L without loads, of a step that begins at displacement u, velocity v."""
     trial, test = ufl.TrialFunction(u.function_space), ufl.TestFunction(u.function_space)
     inertia = 1 / (theta * tau**2)
     a = inertia * mass(trial, test) + theta * stiffness(trial, test)
@@ -295,13 +295,14 @@ if comm.rank == 0:
 # %% [markdown]
 # Check: where and when the block stops; that it stays there and sticks everywhere in the end; and
 # that no node has slid back by more than a part of the block's shear $\rho F g h^2 / G$, which is
-# released when the block stops. Energy does not grow, and friction has dissipated all of it but the
-# little that theta took.
+# released when the block stops. Energy does not grow, and friction has dissipated all of it, except
+# for the small part that the time stepping with theta dissipated.
 
 # %%
 shear_modulus = block["young"] / (2 * (1 + block["poisson"]))
 shear = block["density"] * braking * block["height"] ** 2 / shear_modulus
-numerical = (theta - 0.5) * tau  # times a speed: of the distance; over a time: of the energy
+# times a speed: error of the distance; divided by a time: relative error of the energy
+numerical = (theta - 0.5) * tau
 moved = motion[:, 0] - motion[0, 0]
 stopped = block_times[np.nonzero(motion[:, 1] < 0.01 * sliding_speed)[0][0]]
 energy = block_energies.sum(axis=1)

@@ -20,7 +20,7 @@
 #     x = -25 mm                              x = 25
 #
 # y = 0 is a plane of symmetry; half of it is modelled. With 20 cells round the half hole it takes
-# 4,660 nodes, 13 seconds and 560 MB; a number after the name of this script is another size.
+# 4,660 nodes, 13 seconds and 560 MB; a number after the name of this script sets another mesh size.
 #
 # **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
 # outward normal $n$ of the hole and $[u] = u_{bone} - u_{stem}$,
@@ -41,9 +41,9 @@
 # mean pressure.
 #
 # **The mesh.** Stem and bone are cut from one another with Gmsh's OpenCASCADE kernel and share no
-# nodes; hole and stem have 20 and 16 cells round the half, so their meshes do not match. The facets
-# of the stem are up to 0.03 mm below its surface, nearly as much as the overlap: `geometry=` tells
-# the pair where the curved surfaces are.
+# nodes; the half hole has 20 cells round it, the half stem 16, so their meshes do not match. The
+# facets of the stem are up to 0.03 mm below its surface, nearly as much as the overlap: `geometry=`
+# tells the pair where the curved surfaces are.
 
 # %%
 import sys

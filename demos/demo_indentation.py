@@ -16,23 +16,23 @@
 #                 |____________________
 #
 # **Material.** Small strains, von Mises' yield condition with the yield stress $Y$, perfectly
-# plastic but for a hardening of 0.1 % of Young's modulus. With the plastic strain
-# $\varepsilon^p_n$ of the last accepted step, the trial stress
-# $\sigma^* = C : (\varepsilon(u) - \varepsilon^p_n)$ and its von Mises stress $q^*$, the stress is
+# plastic except for a hardening modulus of 0.1 % of Young's modulus. With the plastic strain
+# $\varepsilon^p_n$ of the last accepted step, the trial stress $\sigma^* = C : (\varepsilon(u) -
+# \varepsilon^p_n)$ and its von Mises stress $q^*$, the stress is
 #
 # $$\sigma = \sigma^* - 2 \mu\, \gamma\, n, \qquad
 # n = \tfrac{3}{2} \operatorname{dev} \sigma^* / q^*, \qquad
 # \gamma = \frac{\langle q^* - Y - H \alpha_n \rangle}{3 \mu + H}.$$
 #
 # This is an expression of UFL, so `ufl.derivative` gives the consistent tangent. The plastic strain
-# and its amount $\alpha$ are Functions at the points of quadrature, and `accept()` moves them on.
+# and its amount $\alpha$ are Functions at the points of quadrature, and `accept()` updates them.
 #
 # **Axisymmetry.** The mesh is the meridian; forms carry $2 \pi r$ and the hoop strain, and
 # `axisymmetric=True` makes the contact's integrals those of rings.
 #
-# With 20,000 unknowns it takes a minute. A number after the name of this script is another number
-# of load steps; each step is 1.45 times as deep as the one before, so fewer steps press less deep.
-# The size of the cells goes with the number.
+# With 20,000 unknowns it takes a minute. A number after the name of this script sets the number of
+# load steps. Each step is 1.45 times as deep as the one before, so fewer steps press less deep. The
+# size of the cells is inversely proportional to the number of steps.
 
 # %%
 import sys
@@ -114,7 +114,7 @@ history = {
 
 
 def advance():
-    """Make the present state of the material its history."""
+    """Store the present state of the material as its history."""
     found = [fem.Function(old.function_space) for old in history]
     for new, expression in zip(found, history.values(), strict=True):
         new.interpolate(expression)
@@ -182,7 +182,7 @@ mises_expression = fem.Expression(mises, points)
 
 
 def indent(friction, writer=None):
-    """Press the ball down step by step, and lift it; return both lists and the last solution."""
+    """Press the ball down in steps, lift it; return both lists and the solution at the bottom."""
     for function in (u, *history):
         function.x.array[:] = 0.0
     ball = RigidSphere(center=(0.0, radius), radius=radius)

@@ -26,7 +26,8 @@
 # $$\psi = \tfrac{\mu}{2} (I_1 - 2 - 2 \ln J) + \tfrac{\lambda}{2} (\ln J)^2.$$
 #
 # With 60 cells along the foundation and 27 load steps it takes about 10 seconds; a number after the
-# name of this script is another number of cells, and the number of load steps goes with it.
+# name of this script sets the number of cells, to which the number of load steps is about
+# proportional.
 
 # %%
 import sys

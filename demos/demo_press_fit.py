@@ -19,8 +19,8 @@
 #                     |<-- 20 --->|
 #
 # A quarter of it is enough; x = 0 and y = 0 are planes of symmetry. With 16 cells round a quarter
-# of the hole it takes 5,995 nodes, 10 seconds and 550 MB; a number after the name of this script is
-# another size.
+# of the hole it takes 5,995 nodes, 10 seconds and 550 MB; a number after the name of this script
+# sets another mesh size.
 #
 # **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
 # outward normal $n$ of the hole and $[u] = u_{plate} - u_{pin}$,
@@ -185,9 +185,9 @@ expression = fem.Expression(ufl.sqrt(1.5 * ufl.inner(ufl.dev(stress), ufl.dev(st
 
 # %% [markdown]
 # ## Solve
-# Step 0 is the assembly. Each step is accepted, so that the next one knows where the nodes have
-# slipped to. In step 0 the force is not zero: the pin is squeezed and so grows longer, and its top
-# is held.
+# Step 0 is the assembly. Each step is accepted, so the slip of the next step is measured from where
+# the nodes have slipped to. In step 0 the force is not zero: the pin is squeezed and so grows
+# longer, and its top is held.
 #
 # Each step is written as soon as it is solved: ParaView shows a film, whose time is the number of
 # the step. In each step the law of contact holds at all nodes.

@@ -18,7 +18,7 @@
 # In the second part the block is rubbed on a plate whose grooves lead it aside; in the third part a
 # ring takes the place of the ball, given by a function that the user writes: the distance of points
 # from the ring. With 32 cells along the block, 9,801 nodes, all three parts take half a minute and
-# 700 MB; a number after the name of this script is another size.
+# 700 MB; a number after the name of this script sets another mesh size.
 #
 # **Strong form.** In the block
 #
@@ -36,8 +36,8 @@
 # **Friction.** Tresca's bound $g$ does not depend on the pressure, and where it is positive it
 # drags open nodes as well. So it should be zero where no contact is expected. Here it is a
 # coefficient of friction times the pressure that Hertz found for a ball on a half-space: a guess
-# that costs nothing, good as long as the contact is small compared with the block. Here it is a
-# fifth too low.
+# that costs nothing, good as long as the contact is small compared with the block. In this scene
+# the guess is a fifth too low.
 
 # %%
 import math
@@ -144,8 +144,9 @@ assert (traction <= bound.x.array * (1 + 1e-9) + 1e-12).all()
 # %% [markdown]
 # ## Check the balance of forces
 # The force of the ball on the block, by pressure and friction, and the force of the clamp at the
-# top must balance. The former is an integral over the contact, in which the traction is the one
-# that acts on the ball. The latter is the work of the stresses on a unit displacement of the top.
+# top must balance. The force of the ball is an integral over the contact; `traction` acts on the
+# ball, so it is subtracted. The force of the clamp is the work of the stresses on a unit
+# displacement of the top.
 
 # %%
 vectors = fem.functionspace(solution.surface.mesh, ("Lagrange", 1, (3,)))
@@ -206,7 +207,7 @@ coefficients = np.array([along_grooves, across_grooves])
 pressure = solution.pressure.x.array
 traction = solution.traction.x.array.reshape(-1, 3) @ frame
 slip = solution.slip.x.array.reshape(-1, 3) @ frame
-used = np.linalg.norm(traction / coefficients, axis=1)  # of the pressure
+used = np.linalg.norm(traction / coefficients, axis=1)  # relative to the pressure
 assert (used <= pressure * (1 + 1e-6) + 1e-9).all()
 normal_to_ellipse = traction / coefficients**2
 turned = np.cross(np.pad(slip, ((0, 0), (0, 1))), np.pad(normal_to_ellipse, ((0, 0), (0, 1))))[:, 2]
@@ -233,7 +234,7 @@ def distance_from_ring(x):
     to_axis = np.hypot(x[0], x[1])
     outwards, upwards = to_axis - ring_radius, x[2] + tube_radius
     to_middle_line = np.hypot(outwards, upwards)
-    # on the axis all directions are alike: take x
+    # on the axis no radial direction is given: take x
     along = np.where(to_axis > 0.0, x[:2] / np.maximum(to_axis, 1e-300), [[1.0], [0.0]])
     return to_middle_line - tube_radius, np.vstack([along * outwards, upwards]) / to_middle_line
 

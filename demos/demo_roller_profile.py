@@ -16,9 +16,9 @@
 #         |<------------- L ------------->|        -L/2                L/2
 #
 # **Model.** As in the theory of bearings both bodies are taken for one half-space with their common
-# modulus $1/E^* = \sum (1 - \nu^2)/E$, and the shape of the roller is the gap between its plane
-# surface and a rigid plane: $x^2/2R + z(y)$, with the unknown profile $z$. The half-space is a
-# block, a quarter of it by symmetry, which is held far away.
+# modulus $1/E^* = \sum (1 - \nu^2)/E$, and the shape of the roller is the gap between the plane
+# surface of the half-space and a rigid plane: $x^2/2R + z(y)$, with the unknown profile $z$. The
+# half-space is a block, a quarter of it by symmetry, which is held far away.
 #
 # **The optimum.** The peak is not a smooth function of the profile: its derivative jumps when the
 # peak moves from one point to another. The norm of the pressure in $L^8$ is smooth, and is
@@ -36,10 +36,10 @@
 # E^*}$ and the peak $p_0 = 2Q/\pi L a$. *An even line load is not an even pressure*: at its ends
 # the half-space beyond helps to carry, the strip of contact becomes narrower, and an even pressure
 # has a smaller line load there. So the profile that is found must be a little higher than
-# Lundberg's, and without its infinite end.
+# Lundberg's, but finite at the end.
 #
 # With 5 cells over the half width of the contact it takes 9,600 nodes and 40 seconds; a number
-# after the name of this script is another number of cells.
+# after the name of this script sets another number of cells.
 
 # %%
 import math
@@ -90,7 +90,7 @@ unit = line_load / (math.pi * common_modulus)  # mm, of Lundberg's profile
 
 # %%
 def growing(places, end, growth=1.5):
-    """Return the coordinates, followed by further ones up to the end, at growing distances."""
+    """Return coordinates, continued up to an end by further ones at growing distances."""
     places = list(places)
     while places[-1] < end:
         places.append(places[-1] + growth * (places[-1] - places[-2]))
@@ -194,7 +194,7 @@ def slope(goal, values):
 
 # %%
 def loaded(profile):
-    """Return the heights of a profile (stations,) [mm] after the approach for the load."""
+    """Return the heights of a profile (stations,) [mm], less the approach that gives the load."""
     values = profile - half_width**2 / (2 * radius)
     while abs(excess := 4 * value(force, values) - load) > 1e-6 * load:
         values = values - excess / (4 * slope(force, values).sum())
@@ -202,7 +202,7 @@ def loaded(profile):
 
 
 def along():
-    """Return the pressure over the middle of the contact at each station, and the line load."""
+    """Return for each station the pressure in the middle of the contact, and the line load."""
     space = solution.pressure.function_space
     owned = space.dofmap.index_map.size_local
     places = np.round(space.tabulate_dof_coordinates()[:owned, :2] / tiny) * tiny
@@ -267,8 +267,9 @@ if comm.rank == 0:
 # ## Check
 # The pressure is even, as far as $L^8$ distinguishes an even pressure from a peak: five percent
 # more on a tenth of the area are half a percent of the norm. The peak is below the peak of
-# Lundberg's profile, and the profile a little above Lundberg's, up to a half width before the end.
-# The straight roller has a sharp edge: its peak grows without limit as cells become smaller.
+# Lundberg's profile, and the profile is a little above Lundberg's, except within a half width of
+# the end. The straight roller has a sharp edge: its peak grows without limit as cells become
+# smaller.
 
 # %%
 even = pressures["optimal"] / pressures["optimal"][:-1].mean()

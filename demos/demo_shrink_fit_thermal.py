@@ -17,7 +17,7 @@
 #
 # A quarter of the cross-section is modelled, in plane strain: the shaft is long and held at its
 # ends. With 32 cells round the quarter of the ring and 24 round the quarter of the shaft it takes
-# 795 nodes and 4 seconds; a number after the name of this script is another size.
+# 795 nodes and 4 seconds; a number after the name of this script sets another mesh size.
 #
 # **Strong form.** In each body, with the temperature $T$, conductivity $k$, expansion $\alpha$,
 #
@@ -83,7 +83,7 @@ comm = MPI.COMM_WORLD
 # %% [markdown]
 # ## Data
 # Lengths in mm, stresses in MPa, temperatures in degrees Celsius, heat in mW (N mm/s). So
-# conductivities have the numbers of W/(m K), and 1 mW/(mm^2 K) is 1000 W/(m^2 K).
+# conductivities have the same numbers as in W/(m K), and 1 mW/(mm^2 K) is 1000 W/(m^2 K).
 
 # %%
 N = int(sys.argv[-1]) if sys.argv[-1].isdigit() else 32  # cells round a quarter of the ring
@@ -94,7 +94,7 @@ materials = {  # MPa, 1, 1/K, mW/(mm K)
     "shaft": {"E": 210_000.0, "nu": 0.3, "alpha": 12e-6, "k": 45.0},
 }
 h0, p0 = 5.0, 20.0  # mW/(mm^2 K) at MPa
-T0 = 20.0  # where nothing is strained
+T0 = 20.0  # temperature without thermal strain
 bores = (20.0, 80.0, 140.0, 200.0)  # temperatures of the bore
 tolerance = 1e-8  # change of pressure and temperature in the last round, relative
 
@@ -196,7 +196,7 @@ def solve_heat(h):
     solver.setOperators(K + C)
     solver.solve(b, T.x.petsc_vec)
     T.x.scatter_forward()
-    flow = C * T.x.petsc_vec  # what leaves each node
+    flow = C * T.x.petsc_vec  # heat that leaves each node
     return [-comm.allreduce(flow.array[dofs[dofs < owned]].sum()) for dofs in contact_nodes]
 
 
@@ -220,7 +220,7 @@ ring, shaft = materials["ring"], materials["shaft"]
 
 
 def compliance(body, free):
-    """Return how far R moves for each unit of pressure at R [mm/MPa]; `free` has no pressure."""
+    """Return how far R moves by a unit pressure at R [mm/MPa]; radius `free` has no pressure."""
     ratio = ((1 - 2 * body["nu"]) * radius**2 + free**2) / abs(radius**2 - free**2)
     return radius * (1 + body["nu"]) / body["E"] * ratio
 
@@ -237,7 +237,7 @@ def profile(r, heat, at_bore):
 
 
 def growth(body, r, temperature):
-    """Return how far R moves [mm] by temperatures of a body at r, the points of Gauss's rule."""
+    """Return how far R moves [mm] if a body has temperatures at r, the points of Gauss's rule."""
     mean = gauss @ (r * (temperature - T0)) / (gauss @ r)
     return (1 + body["nu"]) * body["alpha"] * radius * mean
 

@@ -18,7 +18,7 @@
 #       x = 0         x = 2
 #
 # With 16 cells along each brick it takes 8,704 nodes, a few seconds and 600 MB; a number after the
-# name of this script is another size.
+# name of this script sets another mesh size.
 #
 # **Strong form.** In each brick, with the strain $\varepsilon$ of the displacement $u$,
 #
@@ -98,8 +98,8 @@ strain_u, strain_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
 a = (2 * mu * ufl.inner(strain_u, strain_v) + lame * ufl.div(u) * ufl.div(v)) * ufl.dx
 
 # %% [markdown]
-# The paper's text allows two readings of where the second load acts; with "lower_free_end" in place
-# of "upper_free_end" other nodes stick.
+# The paper's text allows two readings of where the second load acts: with "lower_free_end" in place
+# of "upper_free_end" different nodes stick.
 
 # %%
 ds = ufl.Measure("ds", domain=mesh, subdomain_data=facets)

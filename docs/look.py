@@ -64,7 +64,7 @@ class Browser:
         return message.get("result", {})
 
     def value(self, script: str) -> Any:
-        """Return the value of an expression on the page, None where it fails."""
+        """Return the value of an expression on the page; None if its evaluation fails."""
         answer = self.call(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
@@ -111,7 +111,7 @@ def window(profile: Path) -> str:
     """Return the address of Chromium's window, once it has one.
 
     Raises:
-        TimeoutError: it has not in 30 seconds.
+        TimeoutError: Chromium has no window after 30 seconds.
     """
     for _ in range(60):
         time.sleep(0.5)
@@ -126,12 +126,12 @@ def window(profile: Path) -> str:
 
 
 def main(site: Path, folder: Path) -> int:
-    """Open all pages of a site, and leave pictures in a folder; 1 if something is wrong."""
+    """Open all pages of a site, and write pictures to a folder; return 1 if something is wrong."""
     folder.mkdir(parents=True, exist_ok=True)
     pages = [page for page in sorted(site.rglob("*.html")) if page.name != "search.html"]
     wrong = 0
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        # its sandbox wants more than root may in a container; all pages are our own
+        # Chromium's sandbox needs rights that root lacks in a container; all pages are our own
         options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
         options += ["--remote-debugging-port=0", f"--user-data-dir={profile}"]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

@@ -15,7 +15,7 @@ class InputError(ContactError, ValueError):
 
 
 class MechanismError(InputError):
-    """Contact forces cannot balance the loads on bodies, or do not resist one of their motions.
+    """Contact forces cannot balance the loads on bodies, or do not resist a motion of the bodies.
 
     The bodies move as a mechanism.
 

@@ -18,11 +18,11 @@ class NewtonProgress:
 
     Attributes:
         number: number of the step since the solve began, from 1 on.
-        fraction: part of the change of load for which this step solves, in (0, 1]; it falls if the
-            method failed for a larger part.
+        fraction: fraction of the whole change of load at which this step seeks the equilibrium, in
+            (0, 1]. The fraction is reduced if the method has failed for a larger fraction.
         residual: residual of the previous step, as in `NewtonStep`; infinite in the first step.
         ended: whether Newton's method has converged.
-        applied: part of the change of load for which the problem has been solved.
+        applied: fraction of the change of load for which the problem has been solved so far.
     """
 
     number: int
@@ -48,8 +48,8 @@ class Iteration:
         newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
         configuration: number of the configuration in which the surfaces of linear bodies are
             paired with finite sliding, from 1 on; None with small sliding.
-        ended: True in a further call at the end of a solve with finite sliding, when the
-            configurations have converged; False in all other calls.
+        ended: True in an additional call of the observer at the end of a solve with finite sliding,
+            when the configurations have converged; False in all other calls.
         stalled: how long the solve has made no progress, in words; empty while it makes progress.
     """
 
@@ -71,10 +71,12 @@ Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 
 
 class ProgressBar:
-    """An observer that shows which part of the requested digits a solve has reached.
+    """An observer that shows the progress of a solve.
 
-    In a terminal it rewrites one line, in a notebook it is a bar; elsewhere, as in log files, it
-    shows nothing. The same bar serves any number of solves::
+    The progress is the fraction of the requested digits that are reached; for nonlinear bodies, it
+    is the fraction of the change of load. The progress bar rewrites one line in a terminal, is a
+    graphical bar in a notebook, and shows nothing elsewhere, as in log files. The same object
+    serves any number of solves::
 
         bar = ProgressBar(comm)
         solution = problem.solve(observer=bar)

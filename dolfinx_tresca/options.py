@@ -13,7 +13,7 @@ from dolfinx_tresca.errors import InputError, shown
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
 
-#: Method -> default of `rho_sigma`, where it is not 1: the values of benchmarks/README.md.
+#: Defaults of `rho_sigma` by method, from benchmarks/README.md; 1 for the other methods.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
 
@@ -23,17 +23,18 @@ class SolverOptions:
 
     Attributes:
         method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
-        accuracy: largest error of the iteration, in the energy norm and relative to the
-            displacement, in (0, 1): the solve stops when `ContactSolution.energy_error_bound` is
-            at most this. The error of the mesh is not included. With "balanced" the solve stops
-            when the bound is at most `mesh_part` times the estimated error of the mesh
+        accuracy: largest accepted error of the iteration relative to the displacement, both in the
+            energy norm; in (0, 1). The solve stops when `ContactSolution.energy_error_bound` is at
+            most this number. The error of the mesh is not included. With "balanced", the solve
+            stops when the bound is at most `mesh_part` times the estimated error of the mesh
             (`ContactSolution.discretisation_error`) and `local_accuracy` is met.
         mesh_part: ratio of the iteration's error to the error of the mesh if `accuracy` is
-            "balanced", in (0, 1). Two orthogonal errors of 1 and 0.1 have the sum 1.005.
-        local_accuracy: largest change of a node's multiplier in one projected gradient step of that
-            node alone, relative to the largest traction, if `accuracy` is "balanced"; in (0, 1).
-            With the default, peak pressure, greatest slip and forces are within 1 % of the discrete
-            solution (benchmarks/README.md); the number of nodes in a state may differ by
+            "balanced", in (0, 1). The two errors are orthogonal: errors of 1 and 0.1 have the sum
+            1.005.
+        local_accuracy: largest accepted `ContactSolution.local_error`, which is approximately the
+            relative error of nodal pressures, if `accuracy` is "balanced"; in (0, 1). With the
+            default, peak pressure, greatest slip and forces are within 1 % of the discrete solution
+            (benchmarks/README.md); the number of nodes in a state may differ by
             `ContactSolution.counts.undecided`.
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
             surface and relative to its value at lambda = 0; in (0, 1). If a value is given, the
@@ -48,9 +49,10 @@ class SolverOptions:
             paper), in (0, 1).
         c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1 of the paper), in
             (0, 1); projected Newton does not use it.
-        geometry_accuracy: with finite sliding, the largest error that may result from pairing the
-            surfaces in another configuration than the solution's: the relative error of contact
-            forces, and the error of gaps relative to the displacement of the load step; in (0, 1).
+        geometry_accuracy: with finite sliding, the largest accepted error that results from pairing
+            the surfaces in a configuration that differs from the solution. This is the relative
+            error of contact forces, or the error of gaps relative to the displacement of the load
+            step, whichever is larger; in (0, 1).
 
     Example:
         `ContactProblem(..., options=options)` sets the options of all solves; the arguments of

@@ -2,7 +2,7 @@
 
 `ContactProblem` takes the place of `dolfinx_tresca.ContactProblem`, as the `LinearProblem` of
 dolfinx-adjoint takes the place of DOLFINx's. `pyadjoint.ReducedFunctional`, `pyadjoint.minimize`
-and `pyadjoint.taylor_test` then work through contact. This module needs dolfinx-adjoint 0.4.
+and `pyadjoint.taylor_test` then differentiate contact solves. This needs dolfinx-adjoint 0.4.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ContactProblem(_ContactProblem):
     was accepted before it. Other Constants and Functions count as data, with the values that they
     have in each solve.
 
-    Solves on the tape raise an error if they fail, and K is assembled again where coefficients of
+    Solves on the tape raise an error if they fail, and K is assembled again when coefficients of
     the form `a` have changed. Solve accurately, with `rtol=1e-8` or less, since derivatives are
     evaluated at the computed solutions.
 
@@ -266,7 +266,7 @@ class _Solved(pyadjoint.OverloadedType):  # type: ignore[misc]
 
 
 class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
-    """The value of a goal."""
+    """The step on the tape that computes the value of a goal from a contact state."""
 
     def __init__(self, goal: Goal, solved: _Solved) -> None:
         super().__init__()
@@ -287,7 +287,10 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
 
 
 class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
-    """A solve: from its inputs and the accepted step to the displacement and the contact state."""
+    """A solve on the tape.
+
+    It maps its inputs and the accepted step to the displacement and the contact state.
+    """
 
     def __init__(
         self,

@@ -33,11 +33,11 @@ class ContactSolution(Evaluation, Tabulated):
 
     Attributes:
         u: displacement [length] in the user's space; for a mixed space, on the component's space.
-        w: all unknowns, in the space of the forms. In a mixed space these are u and the pressure,
-            `u, p = solution.w.split()`; in other spaces w is u.
+        w: all unknowns, in the space of the forms. In a mixed space, these are u and the pressure,
+            `u, p = solution.w.split()`; in other spaces, w is u.
         contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
-            bodies, in the space of u. At free degrees of freedom their work with v is
-            a(u, v) - L(v); at prescribed ones a(u, v) - L(v) also contains the reactions of the
+            bodies, in the space of u. At free degrees of freedom, their work with v is
+            a(u, v) - L(v); at prescribed ones, a(u, v) - L(v) also contains the reactions of the
             supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
@@ -45,9 +45,9 @@ class ContactSolution(Evaluation, Tabulated):
         status: the reason why the iteration ended.
         options: the options of the solve.
         units: names of units in tables and pictures; None if the problem has none.
-        axisymmetric: whether forces, areas and energies are those of rings about the axis x = 0;
-            the radial component of a resultant is the sum of the radial components round the ring;
-            as vectors in space these forces balance each other.
+        axisymmetric: whether forces, areas and energies are those of rings about the axis x = 0.
+            The radial component of a resultant is then the sum of the radial components round the
+            ring, although radial forces round a ring cancel as vectors in space.
         iterations: number of outer iterations.
         sliding: explanation of the status `NO_FIXED_POINT` if friction cannot hold a body: the
             body, its motion, and by how much the loads exceed friction. If the configurations of
@@ -57,12 +57,12 @@ class ContactSolution(Evaluation, Tabulated):
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
-        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. The last
-            -q is the difference of `dual_energy` and the dual energy of a reference state. This
-            state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies it is the
-            smallest lambda that balances the loads.
+        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration. The
+            `dual_energy` is the dual energy of a reference state minus the last value of q. The
+            reference state is lambda = 0, with the dual energy -1/2 f'K^-1 f; with floating bodies,
+            it is the smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
-            an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
+            an upper bound of the minimum, since u may penetrate slightly. In a process, T u stands
             for the slip since the last accepted step.
         dual_energy: lower bound of the minimum of the primal energy, from the multipliers [energy];
             proven if `bound_is_rigorous`. If both energies are equal and nothing penetrates, the
@@ -74,23 +74,25 @@ class ContactSolution(Evaluation, Tabulated):
             discrete problem: the error of the iteration in the energy norm, see
             `dual/bounds/certificate.py`. Infinite if constraints are dependent.
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
-            factored. Else it includes an estimate of the error of iterative solves, from the
-            smallest eigenvalue of the preconditioned K that conjugate gradients have found so far.
-        local_error: largest change of the tractions of a node if they alone moved to the minimum of
-            the dual energy, relative to the largest traction: approximately the relative error of
-            nodal pressures.
-        bound_error: largest change of a slip bound after each node's tractions have moved in this
-            way, relative to the largest bound: the distance from the fixed point if bounds depend
-            on the pressure, else 0. All other errors are for the present bounds.
+            factored. If K is not factored, the bound includes an estimate of the error of iterative
+            solves, from the smallest eigenvalue of the preconditioned K that conjugate gradients
+            have found so far.
+        local_error: largest change of the tractions of a node if this node alone took the state
+            that minimises the energy, with its neighbours fixed, relative to the largest traction:
+            approximately the relative error of nodal pressures.
+        bound_error: largest change of a slip bound that such changes of all nodes' tractions would
+            cause, relative to the largest bound: the distance from the fixed point if bounds depend
+            on the pressure, else 0. All other errors are those of Tresca's problem with the present
+            bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
             [energy^(1/2)]; see `dual/bounds/estimate.py`. None if an `rtol`, or a number as
-            `accuracy`, was requested, as mixed spaces and matrices require.
+            `accuracy`, was requested. Mixed spaces and matrices always need such a request.
         discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K; None
             without `cell_errors`.
         counts: numbers of nodes in each state.
         peak_pressure: largest pressure of all nodes [stress].
-        greatest_slip: largest slip of a pressed node [length], in a process during this step; zero
-            for nodes that stick.
+        greatest_slip: largest slip of a pressed node [length]; in a process, the slip in this step.
+            Nodes that stick count with zero.
         greatest_total_slip: longest path of a pressed node over the other side: the sum of the
             lengths of its slips in all steps [length].
         normal_force: integral of the pressure [force].
@@ -104,7 +106,8 @@ class ContactSolution(Evaluation, Tabulated):
             weighted by the sizes of the forces; i and j count from 0 in the order of
             `body_resultants`. See `resultants_between`.
         body_names: name of each body: the name of the tag of its cells in the mesh file (see
-            `read_gmsh`), with the number of the body if several bodies share it; or the number.
+            `read_gmsh`), with the number of the body if several bodies share this tag. Bodies
+            without such a tag have their number as name.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -194,11 +197,11 @@ class ContactSolution(Evaluation, Tabulated):
         return self.surface.on_mesh(name)
 
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
-        """Return force and moment of each pair on its secondary side. Not collective.
+        """Return force and moment of contact on the secondary side of each pair. Not collective.
 
         The forces are -N'lambda_nu - T'lambda_tau: they act against the normals and against the
-        tractions. The forces on the primary side are the opposite ones. `body_resultants` has the
-        sums of all pairs on each body.
+        tractions. The forces on the primary side are equal and opposite. `body_resultants` has the
+        sums over all pairs for each body.
 
         Args:
             point: (d,) reference point of the moments [length]; the origin by default.

@@ -9,7 +9,8 @@ from dolfinx_tresca.errors import InputError, shown
 
 Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 
-#: Names of common units, to detect exchanged arguments.
+#: Names of common units of length and of stress. If one is given for the other quantity, the two
+#: arguments were exchanged.
 LENGTHS = ("m", "km", "cm", "mm", "um", "µm", "μm", "nm", "in", "inch", "ft")
 STRESSES = ("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi", "N/m²", "N/m^2", "N/mm²", "N/mm^2")
 
@@ -21,9 +22,9 @@ class Units:
     Attributes:
         length: unit of coordinates, displacements, slips and gaps.
         stress: unit of moduli, pressures, tractions and slip bounds.
-        force: unit of resultant forces in 3D and of axisymmetric bodies; in plane strain forces and
-            energies are per unit of thickness. The default is composed of stress and length, as in
-            "MPa mm²".
+        force: unit of resultant forces in 3D and of axisymmetric bodies; in plane strain, forces
+            and energies are per unit of thickness. The default is composed of stress and length, as
+            in "MPa mm²".
 
     Example:
         >>> from dolfinx_tresca import Units
@@ -61,7 +62,7 @@ class Units:
 
         Args:
             quantity: quantity whose unit is returned, such as "stress".
-            dim: dimension of space; in 2D forces and energies are per unit of thickness.
+            dim: dimension of space; in 2D, forces and energies are per unit of thickness.
         """
         if quantity == "length":
             return self.length

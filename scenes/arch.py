@@ -20,7 +20,7 @@ from scenes.scene import Scene
 #: Radius of the centre line [m].
 RADIUS = 1.0
 
-#: Of stone: Young's modulus [MPa], Poisson's ratio, weight [MN/m^3], coefficient of friction.
+#: Stone: Young's modulus [MPa], Poisson's ratio, weight [MN/m^3], coefficient of friction.
 YOUNG, POISSON, WEIGHT, FRICTION = 1e4, 0.2, 0.025, 0.7
 
 #: Tags of the left and the right springing, and of all joints.
@@ -37,16 +37,16 @@ def arch(
 ) -> Scene:
     """Return an arch on a rigid floor, of equal voussoirs with radial joints. Collective.
 
-    The pairs are the springings on the floor, left and right, and one for all joints, which are
-    found by contact of a surface with itself. Bodies are numbered from the left to the right.
-    `data.joints` are the angles (voussoirs + 1,) of springings and joints from the crown,
-    ascending, and `data.by_hand` the pairs with one for each joint.
+    One pair is for the left springing on the floor, one for the right springing, and one for all
+    joints, which are found by contact of a surface with itself. Bodies are numbered from the left
+    to the right. `data.joints` has the angles (voussoirs + 1,) of springings and joints from the
+    crown, ascending. `data.by_hand` has pairs for the same scene, with one pair for each joint.
 
     Args:
-        comm: of the mesh.
-        thickness: of the arch [m].
-        voussoirs: their number.
-        divisions: of a voussoir along the arch and across it.
+        comm: communicator of the mesh.
+        thickness: thickness of the arch [m].
+        voussoirs: number of voussoirs.
+        divisions: numbers of cells of a voussoir along the arch and across it.
         friction: coefficient of friction.
     """
     joints = np.linspace(-0.5 * np.pi, 0.5 * np.pi, voussoirs + 1)
@@ -88,12 +88,12 @@ def bent(x: np.ndarray) -> np.ndarray:
 def thrusts(solution: ContactSolution, joints: np.ndarray) -> np.ndarray:
     """Return normal force, shear force and moment (voussoirs + 1, 3) of springings and joints.
 
-    They act on what is left of a joint (of the left springing: on the floor), the normal force
-    positive in compression, the shear outwards, the moment about the centre line, positive where
-    the resultant passes outside of it.
+    They act on the voussoir to the left of a joint (at the left springing: on the floor). The
+    normal force is positive in compression, the shear force outwards. The moment is about the
+    point on the centre line, positive if the resultant passes outside of this point.
 
     Args:
-        solution: of an arch.
+        solution: solution for an arch.
         joints: angles (voussoirs + 1,) from the crown.
     """
     normal = np.column_stack([np.cos(joints), -np.sin(joints)])  # towards the right springing

@@ -1,4 +1,4 @@
-"""A scene's dual problem, put together by hand, and PETSc's own solver for comparisons."""
+"""The dual problem of a scene, assembled without the package's problem, and a solver by PETSc."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from scenes.scene import Scene
 def dual_program(
     scene: Scene, stiffness: str = "cholesky", **petsc_options: Any
 ) -> Iterator[DualProgram]:
-    """Put A, b and Lambda together, and free all of it afterwards. Collective.
+    """Assemble A, b and Lambda of a scene with one pair, and free them afterwards. Collective.
 
-    Multigrid solves to 1e-12, unless its options say something else.
+    Multigrid solves to a relative residual of 1e-12, unless `petsc_options` have `ksp_rtol`.
     """
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
@@ -55,8 +55,8 @@ def dual_program(
 
 
 def dense_matrix(dual: DualProgram) -> np.ndarray:
-    """Return A from its products with unit vectors, of a scene on one rank."""
-    A = np.column_stack([dual.apply(unit) for unit in np.eye(len(dual.b))])
+    """Return A from its products with unit vectors, for a scene on one rank."""
+    A = np.column_stack([dual.operator.apply(unit) for unit in np.eye(len(dual.b))])
     return 0.5 * (A + A.T)
 
 
@@ -66,13 +66,13 @@ def on_one_rank(matrix: PETSc.Mat) -> csr_array:
 
 
 def points_of(scene: Scene, operators: PairOperators) -> np.ndarray:
-    """Return where the contact nodes of this rank are, (n, 3)."""
+    """Return the points (n, 3) of the contact nodes of this rank."""
     points: np.ndarray = scene.V.tabulate_dof_coordinates()[operators.nodes]
     return points
 
 
 def linear_solution(a: Any, L: Any, bcs: list[Any], *, axisymmetric: bool = False) -> fem.Function:
-    """Return the displacement of bodies that nothing touches. Collective."""
+    """Return the displacement of bodies without contact. Collective."""
     with LinearSystem(a, L, bcs, axisymmetric=axisymmetric) as system:
         u = fem.Function(system.space)
         system.assemble_stiffness()
@@ -84,7 +84,7 @@ def linear_solution(a: Any, L: Any, bcs: list[Any], *, axisymmetric: bool = Fals
 
 
 def direct_solver(matrix: PETSc.Mat) -> PETSc.KSP:
-    """Return MUMPS as PETSc runs it, nothing of the package in it. The caller destroys it."""
+    """Return PETSc's solver with MUMPS, without code of the package. The caller destroys it."""
     ksp = PETSc.KSP().create(matrix.comm)
     ksp.setOperators(matrix)
     ksp.setType("preonly")

@@ -53,21 +53,22 @@ def block(
     """Return a block whose lower face may touch the floor. Collective.
 
     Args:
-        comm: of the mesh.
-        n: cells along each axis: two or three, for triangles or tetrahedra.
-        size: of the block; unit if not given.
-        degree: of the displacement.
-        load: traction on the upper face, of three components.
-        held: faces that are clamped.
-        across: faces that cannot move across themselves.
-        moved: displacements (dim, n) of points (3, n) at clamped faces; zero if not given.
-        young: modulus, of cells if a function of points (3, n).
-        poisson: ratio.
-        spring: elastic foundation of the whole body [MPa/m^2].
-        friction: `Tresca(BOUND)` if not given.
-        obstacles: faces and what they may touch; the lower one and the floor if not given.
-        boxes: whether cells are quadrilaterals or hexahedra.
-        pull: traction on the right face, along the first axis.
+        comm: communicator of the mesh.
+        n: cells along each axis: two numbers for a block in 2D, three in 3D.
+        size: length of the block along each axis; None: 1.
+        degree: degree of the displacement.
+        load: traction (3,) [MPa] on the upper face; in 2D the second component is left out.
+        held: tags of faces that are clamped.
+        across: tags of faces that cannot move along their normals.
+        moved: function from points (3, n) to the displacements (dim, n) of clamped faces; None:
+            zero.
+        young: Young's modulus [MPa]; a function of points (3, n) gives one value for each cell.
+        poisson: Poisson's ratio.
+        spring: stiffness [MPa/m^2] of springs at all points of the body.
+        friction: law of friction; None: `Tresca(BOUND)`.
+        obstacles: pairs of the tag of a face and its obstacle; None: the lower face and the floor.
+        boxes: whether cells are quadrilaterals or hexahedra, not triangles or tetrahedra.
+        pull: traction on the right face along the first axis [MPa].
     """
     dim = len(n)
     size = [1.0] * dim if size is None else list(size)
@@ -125,14 +126,14 @@ def block(
 def rubbing_blocks(
     comm: MPI.Comm, kind: str, *, amount: float = 1.0, scale: float = 1.0, **arguments: Any
 ) -> Scene:
-    """Two blocks of `patch`, the upper one pressed, dragged and tilted. Collective.
+    """Return the two blocks of `patch`, the upper one pressed, dragged and tilted. Collective.
 
     Args:
-        comm: of the mesh.
-        kind: of the cells.
-        amount: of the motion.
-        scale: of the whole scene, the motion included.
-        arguments: others of `patch`.
+        comm: communicator of the mesh.
+        kind: type of the cells.
+        amount: factor of the motion of the upper block.
+        scale: factor of the whole scene and of the motion.
+        arguments: further arguments of `patch`.
     """
     arguments.setdefault("friction", Tresca(BOUND))
     scene = patch(comm, kind, scale=scale, **arguments)

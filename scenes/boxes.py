@@ -1,4 +1,4 @@
-"""Several bodies whose facets are tagged as a user may do it: a face, or all of them."""
+"""Several bodies in one mesh, with tags on single faces or on all facets, as users may tag them."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from scenes.patches import block
 
-#: Points (n, dim) -> (n,) bool, or points (n, dim).
+#: Functions of points (n, dim): `Where` selects some, (n,) bool; `Map` moves them, (n, dim).
 Where: TypeAlias = Callable[[np.ndarray], np.ndarray]
 Map: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Body:
-    """A box of cells: divisions across and along the last axis, from and to along each axis.
+    """A box of cells, from which cells may be left out, and whose points may be moved.
 
     Attributes:
-        divisions: across and along the last axis.
-        box: from and to along each axis.
-        keep: says of middles of cells whether the body has them.
-        move: maps points (n, dim).
+        divisions: number of cells along each axis but the last, and along the last axis.
+        box: start and end along each axis.
+        keep: selects the cells of the body by their midpoints; None: all.
+        move: moves the points of the box to those of the body; None: not at all.
     """
 
     divisions: tuple[int, int]
@@ -47,11 +47,11 @@ class Boxes:
     """Bodies in one mesh.
 
     Attributes:
-        mesh: all of them.
-        V: the space.
+        mesh: mesh of all bodies.
+        V: space of the displacement.
         facets: (n,) exterior facets of this rank.
-        body: (n,) the body of each.
-        middles: (n, dim) of the facets, before bodies are moved.
+        body: (n,) index of the body of each facet.
+        middles: (n, dim) midpoints of the facets before bodies are moved.
     """
 
     mesh: Any
@@ -61,7 +61,7 @@ class Boxes:
     middles: np.ndarray
 
     def tags(self, *marks: tuple[int, Sequence[int], Where | None]) -> Any:
-        """Return facet tags: of each mark a tag, bodies, and which middles of facets get it."""
+        """Return facet tags. A mark is a tag, bodies, and a selection by midpoints (None: all)."""
         values = np.zeros(len(self.facets), dtype=np.int32)
         for tag, bodies, where in marks:
             some = np.isin(self.body, bodies)
@@ -72,7 +72,7 @@ class Boxes:
         )
 
     def operators(self, pair: ContactPair) -> PairOperators:
-        """Return N, T and the gap of a pair; nothing is prescribed."""
+        """Return N, T and the gap of a pair, without prescribed degrees of freedom."""
         owned = self.V.dofmap.index_map.size_local * self.V.dofmap.index_map_bs
         return pair_surfaces(self.V, np.zeros(owned, dtype=np.bool_), pair)
 
@@ -85,7 +85,7 @@ def boxes(
     *,
     turn: np.ndarray | None = None,
 ) -> Boxes:
-    """Return bodies in one mesh; `turn` is a rotation (dim, dim) of all of it. Collective."""
+    """Return bodies in one mesh; `turn` is a rotation (dim, dim) of the whole mesh. Collective."""
     dim = len(bodies[0].box)
     points, cells, sizes, first = [], [], [], 0
     moved = []
@@ -98,7 +98,7 @@ def boxes(
         x = x[used]
         cells.append(connected.reshape(shape) + first)
         after = x if body.move is None else body.move(x)
-        # a body that is bent round until its ends meet is whole
+        # merge the nodes of a body that is bent round until its ends meet
         _, unique, merged = np.unique(
             np.round(after, 9) + 0.0, axis=0, return_index=True, return_inverse=True
         )

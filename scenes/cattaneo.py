@@ -2,8 +2,8 @@
 
 C. Cattaneo 1938, R. D. Mindlin 1949; K. L. Johnson, Contact Mechanics, sections 7.2 and 7.3. Equal
 bodies do not slip while they are pressed, and shear does not change the pressure: so the pressure
-is that of Hertz, and it does not matter whether both come one after the other. In 3D tractions are
-exactly parallel only for a Poisson's ratio of zero.
+is that of Hertz, and the bodies may be pressed and drawn aside at once or one after the other. In
+3D tractions are exactly parallel only for a Poisson's ratio of zero.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ POISSON = {2: 0.3, 3: 0.0}  # by dimension
 RADIUS = 1000.0  # mm, of each face: slopes are small enough for the theory of half-spaces
 WIDTH = 1.0  # mm, half of each body; and its height
 
-#: How much smaller cells are in the middle than at the ends: widths go with cosh.
+#: Grading by dimension: widths of cells are proportional to cosh(grading x), x from -1 to 1.
 GRADING = {2: 5.5, 3: 3.5}
 
-#: How much farther a unit force shifts one of the bodies in 3D than a half-space [mm/N], since its
-#: sides are free and its end is held; `tests/validation/test_far_compliance.py` computes it.
+#: Shift of one of the bodies in 3D by a unit force, less the shift of a half-space [mm/N]: sides of
+#: the body are free, its end is held; `tests/validation/test_far_compliance.py` computes this.
 FAR = 0.106 / (YOUNG * WIDTH)
 
 UPPER, LOWER, TOP, BOTTOM, FRONT = 1, 2, 3, 4, 5
 
 
 def cell_size(dim: int, n: int, r: float) -> float:
-    """Return the width of cells along x at a distance from the middle [mm]."""
+    """Return the width of cells along x [mm] at a distance r [mm] from the middle."""
     end = float(np.sinh(GRADING[dim]))
     return 2.0 / n * GRADING[dim] * WIDTH / end * float(np.hypot(1.0, r / WIDTH * end))
 
 
 def cattaneo(comm: MPI.Comm, dim: int, n: int, degree: int = 1, *, approach: float) -> Scene:
-    """Return the scene. Collective.
+    """Return the scene of the two bodies. Collective.
 
     Args:
-        comm: of the mesh.
-        dim: 2, plane strain; or 3, the half with y > 0.
-        n: cells along x, and half as many upwards.
-        degree: of the displacement.
-        approach: of the ends [mm].
+        comm: communicator of the mesh.
+        dim: 2: plane strain; 3: the half of the bodies with y > 0.
+        n: cells along x; each body has half as many along its height.
+        degree: degree of the displacement.
+        approach: how much the ends of the bodies approach each other [mm].
 
     Returns:
-        The scene; in its data the `end`, the displacement [mm] of the upper end.
+        The scene; `data.end` is the displacement [mm] of the upper end.
     """
 
     def moved(side: float) -> Any:
@@ -98,13 +98,13 @@ def cattaneo(comm: MPI.Comm, dim: int, n: int, degree: int = 1, *, approach: flo
 
 @dataclass(frozen=True)
 class Cattaneo:
-    """What theory says of forces on the whole contact.
+    """The theory for given forces on the whole contact.
 
     Attributes:
         dim: 2 or 3.
-        normal: P [N], in 2D [N/mm].
-        tangential: Q.
-        peak_tangential: the largest Q before it was reduced to the present one; None: the same.
+        normal: normal force P [N], in 2D [N/mm].
+        tangential: present tangential force Q, in the same unit.
+        peak_tangential: largest tangential force, if it was then reduced to Q; None: Q.
     """
 
     dim: int
@@ -114,7 +114,7 @@ class Cattaneo:
 
     @property
     def radius(self) -> float:
-        """Of the contact, a [mm]."""
+        """Radius a of the contact, in 2D its half width [mm]."""
         modulus = 0.5 * YOUNG / (1.0 - POISSON[self.dim] ** 2)
         if self.dim == 2:
             return float(np.sqrt(4.0 * self.normal * 0.5 * RADIUS / (np.pi * modulus)))
@@ -128,7 +128,7 @@ class Cattaneo:
         return 1.5 * self.normal / (np.pi * self.radius**2)
 
     def stick_radius(self, tangential: float) -> float:
-        """Of what sticks [mm], for a part of the tangential force."""
+        """Return the radius (in 2D half width) [mm] of the stick zone for a tangential force."""
         part = 1.0 - abs(tangential) / (COEFFICIENT * self.normal)
         return float(self.radius * max(part, 0.0) ** (1.0 / self.dim))
 
@@ -150,10 +150,10 @@ class Cattaneo:
         return COEFFICIENT * self.peak * (_dome(r, self.radius) - inner)
 
     def shift(self, *, finite: bool = False) -> float:
-        """Return how far the bodies move along each other [mm]; in 3D.
+        """Return the displacement of the bodies relative to each other [mm], in 3D only.
 
-        Half-spaces do; for the bodies of the scene, `finite`, all forces act at one point but near
-        the contact.
+        If `finite`, the bodies are those of the scene in place of half-spaces: far from the contact
+        they deform as if the whole force acted at one point.
         """
         nu = POISSON[3]
         shear = YOUNG / (2.0 * (1.0 + nu))

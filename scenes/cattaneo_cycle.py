@@ -1,8 +1,8 @@
-"""Two bodies pressed together and rubbed to and fro, and what theory says of every step.
+"""Two bodies pressed together and rubbed to and fro, compared with theory in every step.
 
 R. D. Mindlin and H. Deresiewicz 1953. By Masing's rule a whole cycle follows from the shift s(Q)
-under a force that grows: it dissipates 4 Q s(Q) - 8 times the integral of s from 0 to Q, to which
-what is linear in s adds nothing.
+under a force that grows: it dissipates 4 Q s(Q) - 8 times the integral of s from 0 to Q. A linear
+part of s adds nothing to this.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from scenes.cattaneo import COEFFICIENT, POISSON, YOUNG, Cattaneo, cattaneo, cel
 #: Approach [mm], which makes the contact some 12 cells wide on the coarsest mesh.
 APPROACH = {2: 1.25e-6, 3: 1e-5}
 
-#: Amplitude of the shift over the approach.
+#: Amplitude of the shift, divided by the approach.
 AMPLITUDE = {2: 0.5, 3: 0.3}
 
 
 @dataclass
 class Found:
-    """A solution on one rank.
+    """Nodal values of a solution on one rank.
 
     Attributes:
         r: (n,) distances of nodes from the middle [mm].
-        areas: (n,) of nodes, those of the other half too [mm^2, in 2D mm].
-        pressure: (n,) [MPa].
-        traction: (n,) along x [MPa].
-        touching: (n,) pressed nodes.
-        sticking: (n,) those of them that stick.
+        areas: (n,) areas of nodes [mm^2, in 2D mm]; in 3D doubled for the half that is not meshed.
+        pressure: (n,) pressures [MPa].
+        traction: (n,) tractions along x [MPa].
+        touching: (n,) whether nodes are pressed.
+        sticking: (n,) whether nodes are pressed and stick.
         dim: 2 or 3.
     """
 
@@ -50,7 +50,7 @@ class Found:
 
     @classmethod
     def of(cls, solution: ContactSolution, dim: int) -> Found:
-        """Read it off a solution that has converged."""
+        """Return the values of a solution, which must have converged."""
         solution.raise_if_failed()
         surface = solution.surface
         assert surface.traction is not None
@@ -65,30 +65,30 @@ class Found:
         )
 
     def force(self, stress: np.ndarray) -> float:
-        """Return the resultant."""
+        """Return the resultant of a nodal stress."""
         return float(self.areas @ stress)
 
     def difference(self, one: np.ndarray, other: np.ndarray) -> float:
-        """Return the root mean square of the difference, over that of the pressure."""
+        """Return the L2 norm of a difference of stresses, divided by that of the pressure."""
         return float(np.sqrt(self.areas @ (one - other) ** 2 / (self.areas @ self.pressure**2)))
 
     def radius(self, nodes: np.ndarray) -> float:
-        """Return that of the strip or disc which is as large as the area of nodes."""
+        """Return the radius of the disc (in 2D half width) with the area of the given nodes."""
         area = float(self.areas[nodes].sum())
         return 0.5 * area if self.dim == 2 else float(np.sqrt(area / np.pi))
 
     def dome_radius(self, stress: np.ndarray) -> float:
         """Return the radius of the dome sqrt(1 - r^2/radius^2) that has the moment of a stress.
 
-        Unlike `radius` it does not jump when an edge passes a node. A pressure is such a dome; what
-        tractions fall short of it, times F, is another one, whose radius is that of what sticks.
+        Unlike `radius` it does not jump when an edge passes a node. The pressure is such a dome.
+        F times the pressure minus the traction is another dome, as wide as the stick zone.
         """
         mean_square = float(self.areas @ (stress * self.r**2) / (self.areas @ stress))
         return float(np.sqrt(mean_square * (4.0 if self.dim == 2 else 2.5)))
 
 
 def cycle_work(theory: Cattaneo) -> float:
-    """Return what a cycle with the amplitude `theory.tangential` dissipates [N mm, in 2D N]."""
+    """Return the energy [N mm, in 2D N] dissipated by a cycle of amplitude `theory.tangential`."""
     bearable = COEFFICIENT * theory.normal
     end = theory.tangential / bearable
     if theory.dim == 2:
@@ -109,26 +109,26 @@ def cycle_work(theory: Cattaneo) -> float:
 def cycle_errors(
     comm: MPI.Comm, dim: int, n: int, rtol: float, loads: Sequence[float] = (1.0,)
 ) -> dict[str, float]:
-    """Press, rub once to and fro, and return relative errors on a mesh, with its size.
+    """Press two bodies, rub them once to and fro, and return relative errors and the cell size.
 
-    What an error is depends on where the edges of contact and stick zone lie between nodes: errors
+    An error depends on where the edges of contact and stick zone lie between nodes. So the errors
     are root mean squares over several loads.
 
     Args:
-        comm: of one rank.
+        comm: communicator of one rank.
         dim: 2 or 3.
-        n: see `cattaneo`.
+        n: cells, see `cattaneo`.
         rtol: requested residual.
-        loads: approaches over `APPROACH`.
+        loads: approaches, divided by `APPROACH`.
 
     Returns:
-        `cell`, the size of cells at the edge of the contact over its radius; `slipping`, the width
-        of what slips at the end of the way there over that radius; errors there of `pressure` and
-        `traction` (root mean squares over the contact, over that of the pressure and of what it can
-        bear), of the radii of `contact` and `stick`; in 3D of the `shift`, and `half_space`, the
-        same without what finite bodies add; of the `dissipation` of a cycle; by how much tractions
-        are off by `masing`'s rule half-way back, and by how much the loop is `open`, as that of
-        `traction`.
+        `cell` is the size of cells at the edge of the contact, and `slipping` the width of the slip
+        zone at the end of the first stroke, both divided by the radius of the contact. Errors at
+        this end: `pressure` and `traction` (L2 norms, divided by those of the pressure and of F
+        times the pressure), `contact` and `stick` (the radii), in 3D `shift`, and `half_space`, the
+        error of the shift if bodies were half-spaces. `dissipation` is the error of the energy of a
+        cycle. `masing` is the deviation of tractions from Masing's rule half-way back, and `open`
+        their change over a whole cycle; both are measured like `traction`.
     """
     scene = cattaneo(comm, dim, n, approach=APPROACH[dim])
     with scene.problem(stiffness="cholesky") as problem:
@@ -141,7 +141,7 @@ def cycle_errors(
 def _cycle(
     problem: ContactProblem, end: Any, dim: int, n: int, rtol: float, load: float
 ) -> dict[str, float]:
-    """Return the errors under one load."""
+    """Return the errors under one load, which is an approach divided by `APPROACH`."""
     approach = load * APPROACH[dim]
     amplitude = AMPLITUDE[dim] * approach
 

@@ -27,15 +27,16 @@ def clamped_square(
 ) -> tuple[Any, fem.Function, float]:
     """Return the bilinear form, the displacement, and its energy norm. Collective.
 
-    By Galerkin's orthogonality what a mesh has too much in the square of that is its squared error.
+    By Galerkin's orthogonality the squared energy norm of a solution minus the squared norm of the
+    exact one is the square of the error.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         cell: "triangle" or "quadrilateral".
         n: cells along each side.
-        degree: of the displacement.
+        degree: degree of the displacement.
         poisson: ratio; Young's modulus is 1.
-        grading: power with which nodes gather at the sides.
+        grading: exponent with which nodes gather at the sides; 1: a uniform mesh.
     """
     mesh = dolfinx.mesh.create_unit_square(comm, n, n, dolfinx.mesh.CellType[cell])
     x = 2.0 * mesh.geometry.x[:, :2]

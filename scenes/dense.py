@@ -55,7 +55,7 @@ class OneRank:
 
 @dataclass
 class DenseProblem(OneRank):
-    """The protocol of optimise/problem.py on one matrix; keeps the arguments of `apply`."""
+    """A dense problem with the protocol of optimise/problem.py; keeps the arguments of `apply`."""
 
     A: np.ndarray
     b: np.ndarray
@@ -66,10 +66,15 @@ class DenseProblem(OneRank):
     is_load_step: bool = False
 
     def __post_init__(self) -> None:
-        """No constraints, if none are given, and no products."""
+        """Begin without products, and without constraints if none are given."""
         if self.constraints is None:
             self.constraints = EqualityConstraints.none(len(self.b), OneRank())
         self.forget()
+
+    @property
+    def operator(self) -> DenseProblem:
+        """The problem itself, which has the methods of A."""
+        return self
 
     @property
     def response(self) -> DenseProblem:
@@ -78,7 +83,7 @@ class DenseProblem(OneRank):
 
     @property
     def reductions(self) -> OneRank:
-        """The problem itself."""
+        """The problem itself, which has the methods of the reductions."""
         return self
 
     @property
@@ -94,7 +99,7 @@ class DenseProblem(OneRank):
         return self if cones is self.cones else self._with(cones=cones)
 
     def section(self, x: np.ndarray) -> DenseProblem:
-        """The problem with the bounds at x; its products are counted here, and kept here."""
+        """The problem with the slip bounds at x; this problem counts and keeps the products."""
         if self.cones is None:
             return self
         return self._with(feasible_set=self.cones.section(x), cones=None)
@@ -105,7 +110,7 @@ class DenseProblem(OneRank):
         return self._with(cones=cones, constraints=self.constraints.softened(softness, c))
 
     def _with(self, **changes: Any) -> DenseProblem:
-        """The problem with other restrictions; its products are counted here, and kept here."""
+        """The problem with other restrictions; this problem counts and keeps the products."""
         changed = DenseProblem(
             **{
                 one.name: changes.get(one.name, getattr(self, one.name))
@@ -120,7 +125,7 @@ class DenseProblem(OneRank):
         return self.store
 
     def near_products(self) -> ProductStore | None:
-        """Return the store of known products with the near field."""
+        """Return the store of known products with the near field of A."""
         return self.near_store
 
     def forget(self) -> None:
@@ -150,41 +155,41 @@ class DenseProblem(OneRank):
 
     @property
     def exact(self) -> bool:
-        """Products are."""
+        """Whether products are exact."""
         return True
 
     @property
     def product_error(self) -> float:
-        """They have none."""
+        """Error of products: none."""
         return 0.0
 
     @property
     def b_error(self) -> float:
-        """Nor has b."""
+        """Error of b: none."""
         return 0.0
 
     def refine_b(self) -> None:
-        """It is exact."""
+        """Do nothing, since b is exact."""
 
     def near_field(self, x: np.ndarray) -> np.ndarray:
-        """Return diag(A) x: nothing better is known."""
+        """Return diag(A) x, since there is no better approximation."""
         return self.diagonal * x
 
     def gradient(
         self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
     ) -> tuple[np.ndarray, float]:
-        """Return A x - b, exactly, and its error."""
+        """Return A x - b and its error, which is zero."""
         return self.apply(x) - self.b, 0.0
 
     def local_error(self, x: np.ndarray, r: np.ndarray) -> float:
-        """How far nodes are from where they would go by themselves, over the largest multiplier."""
+        """Largest change of a multiplier by its own projected step, over the largest multiplier."""
         local = 1.0 / self.diagonal
         change = np.abs(x - brute_projection(self.feasible_set, x - local * r)).max(initial=0.0)
         largest = np.abs(x).max(initial=0.0)
         return float(change / largest if largest > 0.0 else change > 0.0)
 
     def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
-        """By the least lift: what closes, and lets stick, what should, node by node."""
+        """Bound by a displacement with the best gap and slip of each node, the others fixed."""
         lam = self.feasible_set
         inverse = np.linalg.inv(self.A)
         stiffness = np.diag(inverse)
@@ -206,15 +211,15 @@ class DenseProblem(OneRank):
         return float(np.sqrt(2.0 * max(gap, 0.0) + (lift + error) ** 2)) + error
 
     def energy_norm(self, x: np.ndarray, r: np.ndarray, error: float = 0.0) -> float:
-        """|A^-1 b|_A, whatever x: the displacement without contact."""
+        """|A^-1 b|_A for any x: a norm of the displacement without contact."""
         return float(np.sqrt(self.b @ np.linalg.solve(self.A, self.b)))
 
     def energy_resolution(self) -> float:
-        """Nothing is rounding."""
+        """Rounding error of energies, taken as zero."""
         return 0.0
 
     def discretisation_error(self, x: np.ndarray, rho: float) -> float:
-        """Return what a mesh may have."""
+        """Return a fixed number in place of the estimated error of a mesh."""
         return 0.05
 
     def q(self, x: np.ndarray) -> float:
@@ -222,9 +227,9 @@ class DenseProblem(OneRank):
         return float(0.5 * x @ self.A @ x - x @ self.b)
 
     def natural_residual(self, x: np.ndarray, rho: float) -> float:
-        """|x - P(x - rho r)| / rho over its value at zero, unless that is zero; computed anew.
+        """|x - P(x - rho r)| / rho, divided by its value at zero unless this is zero; not cached.
 
-        Bounds that depend on the pressure are those at x, and at zero.
+        Bounds that depend on the pressure are taken at x, and at zero for the divisor.
         """
         here, none = (self.admissible.section(y) for y in (x, np.zeros_like(x)))
         at = np.linalg.norm(x - brute_projection(here, x - rho * (self.A @ x - self.b)))
@@ -246,7 +251,7 @@ def brute_projection(lam: FeasibleSet, y: np.ndarray) -> np.ndarray:
 
 
 def random_set(rng: np.random.Generator, nodes: int) -> FeasibleSet:
-    """Lambda of nodes with or without a normal, with 0, 1 or 2 tangentials, some radii zero."""
+    """Random Lambda: nodes have 0 or 1 normal and 0 to 2 tangential rows; some radii are zero."""
     normal, tangential, node = [], [], []
     size = 0
     for i in range(nodes):
@@ -298,9 +303,9 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
 
 
 def cones_over(lam: FeasibleSet, coefficient: float) -> FrictionCones:
-    """Cones with the bounds of the discs plus a coefficient times the pressure of their nodes.
+    """Cones with the radii of the discs plus a coefficient times the pressure of their nodes.
 
-    The first discs and the first normal multipliers belong together.
+    Disc i belongs to normal multiplier i, if there is one.
     """
     count = len(lam.radius)
     normal_of = np.full(count, -1)
@@ -324,7 +329,7 @@ def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float
 def random_balanced_problem(
     seed: int, nodes: int, motions: int, decades: float, softness: float
 ) -> DenseProblem:
-    """A strictly convex problem on multipliers that balance loads, some of them inside Lambda."""
+    """A strictly convex problem whose equality constraints hold at some point inside Lambda."""
     problem = random_problem(seed, nodes, decades)
     lam = problem.feasible_set
     rng = np.random.default_rng(seed + 1)
@@ -353,7 +358,7 @@ def run(
     keep: bool = False,
     **options: Any,
 ) -> DualSolution:
-    """Solve by a method from `start` (default zero), with the products of earlier runs or not."""
+    """Solve from `start` (default zero); `keep`: with the products of earlier runs."""
     if not keep:
         problem.forget()
     start = np.zeros_like(problem.b) if start is None else start

@@ -37,7 +37,7 @@ def no_load(V: Any) -> Any:
 
 
 def by_body(bodies: TaggedMesh, values: dict[str, float]) -> fem.Function:
-    """Return a function that has a value in each named body."""
+    """Return a function of degree 0 that has a given value in each named body."""
     function = fem.Function(fem.functionspace(bodies.mesh, ("DG", 0)))
     for name, value in values.items():
         function.x.array[bodies.cell_tags.find(bodies.tags[name])] = value

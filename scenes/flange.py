@@ -1,4 +1,4 @@
-"""A flange with 12 preloaded bolts: two rings and 12 bolts that only contact holds together."""
+"""A flange with 12 preloaded bolts: two rings and 12 bolts, held together by contact alone."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ YOUNG, POISSON, FRICTION = 2.1e5, 0.3, 0.2
 #: Cells along the circumference for each bolt: the hole is the second one, the head has three.
 CELLS = 4
 
-#: Cells along the radius: the hole is the third one, the head has three. As many along the axis of
-#: a bolt: the nut has one, the shank three, the head one.
+#: Cells along the radius: the hole is the third one, the head has three. A bolt has the same number
+#: of cells along its axis: the nut has one, the shank three, the head one.
 ACROSS = 5
 
 
 def flange(comm: MPI.Comm) -> Scene:
     """Return two rings that 12 bolts press together; the lower one is fixed. Collective.
 
-    Bolts are prisms of the section `data.section` [mm^2] in holes of their shape, whose walls they
-    do not touch. Their nuts are bonded to the lower ring. They shrink by `data.shrinkage`, a strain
-    along their axis, and `data.load` is a traction [MPa] that lifts the upper ring, on the part of
-    its upper face that is not near the heads, of the area `data.area` [mm^2].
+    Bolts are prisms of the section `data.section` [mm^2] in holes of the same shape, whose walls
+    the bolts do not touch. The nuts are bonded to the lower ring. The bolts shrink by
+    `data.shrinkage`, a strain along their axis. The traction `data.load` [MPa] lifts the upper
+    ring: it acts on the part of the upper face away from the heads, of the area `data.area` [mm^2].
     """
     width, sector = (OUTER - INNER) / ACROSS, 2.0 * np.pi / BOLTS
     hole = INNER + 2.0 * width, INNER + 3.0 * width
 
     def place(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cell along the radius and in the sector of points (radius, height, angle)."""
+        """Return the cells of points (radius, height, angle) along the radius and in a sector."""
         radial = np.floor((x[:, 0] - INNER) / width)
         return radial, np.floor((x[:, 2] % sector) / (sector / CELLS))
 

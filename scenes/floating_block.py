@@ -1,4 +1,4 @@
-"""A crane on clay that nothing but contact holds. Lengths in m, forces in kN, stresses in kPa."""
+"""A crane on clay, held by contact alone. Lengths in m, forces in kN, stresses in kPa."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ ADHESION = 25.0  # kPa, the slip bound
 def crane_on_clay(comm: MPI.Comm, N: int = 16, **parameters: float) -> Scene:
     """Return the scene with N cells along the foot, a multiple of 8. Collective.
 
-    `parameters` are others of the .geo file. In its data: the `load` [kN] on two cells of the arm,
-    at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound `adhesion` [kPa].
+    `parameters` are further parameters of the .geo file. `data` has the `load` [kN] on two cells of
+    the arm, the coordinate `x` [m] of their middle, the `pull` at the foot along y [kN], and the
+    slip bound `adhesion` [kPa].
     """
     M = 9 * N // 4  # cells along the clay
     if parameters.get("Hex") == 0:
@@ -39,12 +40,12 @@ def crane_on_clay(comm: MPI.Comm, N: int = 16, **parameters: float) -> Scene:
 
 
 def on_crane(crane: TaggedMesh, trolley: float, *, degree: int = 1) -> Scene:
-    """Return the same on any mesh of it, such as a refined one. Collective.
+    """Return the scene on any mesh of crane and clay, such as a refined one. Collective.
 
     Args:
-        crane: with the names of the .geo file.
-        trolley: length of the arm that is loaded [m].
-        degree: of the displacement.
+        crane: mesh with the names of the .geo file.
+        trolley: length of the loaded part of the arm [m].
+        degree: degree of the displacement.
     """
     mesh, facet_tags, tags = crane.mesh, crane.facet_tags, crane.tags
     V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))

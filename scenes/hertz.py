@@ -44,14 +44,14 @@ def sphere_on_plane(
 ) -> Scene:
     """Return a ball on a rigid plane: octant, cells of size h [mm] at the contact. Collective.
 
-    `parameters` are others of the .geo file. Of data, here and below:
+    `parameters` are further parameters of the .geo file. `data`, here and in the scenes below, has
 
     young, poisson: functions of the material.
-    bodies: their names.
+    bodies: names of the bodies.
     h: size of the largest cells at the contact [mm].
-    approach: of the middles of the bodies [mm].
-    share: so many of the parts that are meshed make the whole contact.
-    theory: force [N] -> what Hertz says.
+    approach: how much the middles of the bodies approach each other [mm].
+    share: number of meshed parts that make the whole contact.
+    theory: function from a force [N] to the solution by Hertz's theory.
     """
     zone = 1.4 * math.sqrt(RADIUS * approach)
     given = {"R": RADIUS, "h": h, "Zone": zone, **parameters}
@@ -62,7 +62,7 @@ def sphere_on_plane(
 def on_sphere(
     bodies: TaggedMesh, *, degree: int = 1, approach: float = 0.144, **data: Any
 ) -> Scene:
-    """Return the same on any mesh of it, such as a refined one; with more data. Collective."""
+    """Return the scene on any mesh of the ball; `data` is added to its data. Collective."""
     held = [("upper_x", 0, 0.0), ("upper_y", 1, 0.0), ("upper_cut", 2, -approach)]
     plane = RigidPlane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     return _scene(
@@ -154,7 +154,7 @@ def cylinder_on_plane(
 def on_cylinder(
     cylinder: TaggedMesh, *, degree: int = 1, approach: float = 0.2165, **data: Any
 ) -> Scene:
-    """Return the same on any mesh of it, such as a refined one; with more data. Collective."""
+    """Return the scene on any mesh of the cylinder; `data` is added to its data. Collective."""
     plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
     return _scene(
         cylinder,
@@ -170,7 +170,7 @@ def on_cylinder(
 
 
 def nearest_of_cylinder(x: np.ndarray) -> np.ndarray:
-    """Return the points (3, n) of the cylinder's surface that are nearest to others."""
+    """Return the points (3, n) of the cylinder's surface that are nearest to given points."""
     middle = np.array([[0.0], [RADIUS], [0.0]])
     return middle + RADIUS * (x - middle) / np.linalg.norm(x - middle, axis=0)
 
@@ -208,7 +208,7 @@ def _scene(
 
 @dataclass(frozen=True)
 class Comparison:
-    """Computed contact and what Hertz says to its force; the same on all ranks."""
+    """Computed contact, and Hertz's theory for its force; the same on all ranks."""
 
     theory: HertzSphere | HertzLine
     r: np.ndarray  # mm, distances of the contact nodes from the middle
@@ -216,11 +216,11 @@ class Comparison:
     contact_radius: float  # mm, of a disc as large as the area of the nodes that are pressed
     peak: float  # MPa, the largest pressure
     approach: float  # mm
-    difference: float  # root mean square of p - theory, relative to that of theory
+    difference: float  # L2 norm of p - theory, divided by that of theory
 
 
 def compare(scene: Scene, solution: ContactSolution) -> Comparison:
-    """Return the computed contact beside the theory of its force. Collective."""
+    """Return the computed contact, and the theory for its force. Collective."""
     comm, share = scene.mesh.comm, scene.data.share
     surface = solution.surface
     space = surface.pressure.function_space

@@ -1,4 +1,4 @@
-"""What Hertz says of balls and cylinders that are pressed together.
+"""Hertz's theory of balls and cylinders that are pressed together.
 
 K. L. Johnson, Contact Mechanics, sections 4.2 and 5.6. Lengths in mm, stresses in MPa, forces in N.
 """
@@ -18,9 +18,9 @@ def plane_strain_modulus(young: float, poisson: float) -> float:
 
 
 def far_compliance(radius: float, young: float, poisson: float) -> float:
-    """Return how far a unit force moves the opposite end of a ball [mm/N].
+    """Return how far a unit force moves the end of a ball opposite to the contact [mm/N].
 
-    The displacement of a half-space at the depth 2 R under a point load is a good guess of it
+    The displacement of a half-space at the depth 2 R under a point load is a good approximation
     (Y. Tatara, J. Eng. Mater. Technol. 113, 1991).
     """
     return ((1 + poisson) / 4 + (1 - poisson**2) / 2) / (math.pi * young * radius)
@@ -33,7 +33,7 @@ class HertzSphere:
     force: float  # N
     radius: float  # mm, R
     modulus: float  # MPa, E
-    far: float = 0.0  # mm/N, how far the load opposite to the contact drives it back
+    far: float = 0.0  # mm/N, `far_compliance`, or the sum of this for both balls
 
     @property
     def contact_radius(self) -> float:
@@ -75,7 +75,7 @@ class HertzLine:
 
     @property
     def approach(self) -> float:
-        """How much the axis of a cylinder between two planes approaches each [mm]; (5.57)."""
+        """How much the axis of a cylinder between two planes approaches each plane [mm]; (5.57)."""
         logarithm = 2 * math.log(4 * self.radius / self.contact_radius) - 1
         return self.force / (math.pi * self.modulus) * logarithm
 

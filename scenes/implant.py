@@ -27,7 +27,7 @@ COATED = -25.0  # mm, the coating ends at this height
 
 
 def slip_bound(x: np.ndarray) -> np.ndarray:
-    """Return g [MPa] at points x (3, n): rough above, smooth below, a change over some mm."""
+    """Return g [MPa] at points x (3, n): rough above, smooth below, changing over some mm."""
     bound: np.ndarray = SMOOTH + (ROUGH - SMOOTH) * 0.5 * (1 + np.tanh((x[2] - COATED) / 2.0))
     return bound
 
@@ -55,15 +55,15 @@ def implant(
     """Return the scene with N cells round the half hole. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         N: cells round the half hole.
-        degree: of the displacement.
-        smooth: whether the modulus of bone varies inside a cell as well.
-        parameters: others of the .geo file.
+        degree: degree of the displacement.
+        smooth: whether the modulus of bone varies inside a cell; otherwise it is constant there.
+        parameters: further parameters of the .geo file.
 
     Returns:
-        The scene; in its data the `motion` of the head [mm], at first none, `young`,
-        `poisson`, and the names of the `bodies`.
+        The scene; `data` has the `motion` of the head [mm], zero at first, `young`, `poisson`,
+        and the names of the `bodies`.
     """
     M = round(0.8 * N)  # cells round the stem
     file = MESHES / "implant.geo"
@@ -72,7 +72,7 @@ def implant(
 
 
 def on_implant(hip: TaggedMesh, *, degree: int = 1, smooth: bool = False) -> Scene:
-    """Return the same on any mesh of it, such as a refined one. Collective."""
+    """Return the scene on any mesh of bone and stem, such as a refined one. Collective."""
     facet_tags, tags = hip.facet_tags, hip.tags
     V = fem.functionspace(hip.mesh, ("Lagrange", degree, (3,)))
     motion = fem.Constant(hip.mesh, np.zeros(3))
@@ -105,7 +105,7 @@ def _modulus_of_cells(hip: TaggedMesh) -> fem.Function:
 
 
 def _smooth_modulus(hip: TaggedMesh) -> Any:
-    """Return Young's modulus [MPa] as a function of the place."""
+    """Return Young's modulus [MPa] as an expression of the coordinates."""
     is_bone = by_body(hip, {"bone": 1.0})
     x, y, _ = ufl.SpatialCoordinate(hip.mesh)
     depth = WIDTH / 2 - ufl.max_value(abs(x), abs(y))

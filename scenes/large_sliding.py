@@ -62,7 +62,7 @@ class Process:
         motion: displacement of the body that is moved, changed in place.
         u: the displacement.
         energy: the elastic energy, a compiled form.
-        sign: 1, or -1 if sides are exchanged: the secondary side belongs to the other body.
+        sign: 1 if the secondary side belongs to the body that is moved, otherwise -1.
         newton_steps: Newton steps of each load step.
     """
 
@@ -207,7 +207,7 @@ def half_ring(
     *,
     exchanged: bool = False,
 ) -> Process:
-    """Return a half ring of two layers that is pressed on a block by its ends. Collective.
+    """Return a half ring of two layers whose ends are moved to press it on a block. Collective.
 
     Code_Aster, manual of validation V6.03.165; K. Poulios and Y. Renard, Comput. Struct. 153, 2015.
     Plane strain, degree 2.
@@ -262,7 +262,7 @@ def iron(block: Process, steps: int, end: float = 2.0) -> dict[float, np.ndarray
     Args:
         block: from `ironing`.
         steps: load steps for the indentation, and for each 5 mm of the way.
-        end: time at which the way ends, a multiple of 0.5: the way is 10 mm from 1 to 2.
+        end: time at the end, a multiple of 0.5; from time 1 to time 2 the block moves by 10 mm.
 
     Returns:
         vertical and horizontal force (2,) at the times 1, 1.5 and 2 up to the end.
@@ -286,12 +286,12 @@ def there_and_back(
 
     Args:
         body: from `ironing` or `hemisphere`, without friction.
-        corners: displacements at the corners of the path, the first one is the last one, too.
-        step: length of a load step, about.
+        corners: displacements at the corners of the path; the path ends at the first corner.
+        step: approximate length of a load step.
 
     Returns:
-        largest change of the displacement over the largest displacement, and change of the elastic
-        energy over that energy.
+        largest change of the displacement divided by the largest displacement, and change of the
+        elastic energy divided by the elastic energy.
     """
     body.move(*corners[0])
     u, energy = body.u.x.array.copy(), body.elastic_energy()

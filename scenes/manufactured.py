@@ -1,7 +1,7 @@
 """Two blocks that slide on each other, with loads such that the solution is known and smooth.
 
-Chosen are pressure, slip and the displacements of the surfaces, the rest follows from the equations
-(a manufactured solution). Lengths in m, stresses in MPa.
+Pressure, slip and the displacements of the surfaces are chosen; loads and the displacements inside
+follow from the equations (a manufactured solution). Lengths in m, stresses in MPa.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from scenes.elasticity import lame_constants, strain
 from scenes.patches import block, mesh_of
 from scenes.scene import Scene
 
-#: Of the upper block, of the lower block.
+#: Young's modulus [MPa] and Poisson's ratio of the upper and of the lower block.
 YOUNG = (1000.0, 3000.0)
 POISSON = (0.3, 0.2)
 
 #: Tags of facets.
 UPPER_CONTACT, LOWER_CONTACT, HELD, SIDES = 1, 2, 3, 4
 
-#: Degree of quadrature for the smooth functions that are no polynomials.
+#: Degree of quadrature for smooth functions that are not polynomials.
 SMOOTH = 6
 
 
 def two_blocks(comm: MPI.Comm, cell: str, divisions: tuple[int, int]) -> Any:
-    """Return the mesh with so many cells along the upper and the lower block. Collective.
+    """Return the mesh with the given numbers of cells along upper and lower block. Collective.
 
-    The blocks have the height 1/2 and touch at height 0 in their last coordinate.
+    The blocks have the height 1/2, and touch where the last coordinate is 0.
     """
     sides = [(0.0, 1.0)] * (1 if cell in ("triangle", "quadrilateral") else 2)
     (x, upper), (y, lower) = (
@@ -99,7 +99,7 @@ class Exact:
     def displacement(self, body: int) -> Any:
         """Displacement [m] of the upper (0) or lower (1) body: linear in the height.
 
-        Its slope is such that both bodies have the stress vector of pressure and traction.
+        Its slope is such that the stress vector on the contact is pressure and traction.
         """
         x, last = self._x, self._dim - 1
         mu, lame = lame_constants(YOUNG[body], POISSON[body])
@@ -129,8 +129,8 @@ def stress(u: Any, mu: Any, lame: Any) -> Any:
 def blocks_scene(comm: MPI.Comm, cell: str, degree: int, divisions: tuple[int, int]) -> Scene:
     """Return the blocks with the loads of the exact solution. Collective.
 
-    In its data: `exact`, the displacement, and `energy`, which makes a form of a displacement:
-    twice its energy.
+    `data.exact` is the exact displacement; the function `data.energy` returns the form of twice the
+    energy of a displacement.
     """
     mesh = two_blocks(comm, cell, divisions)
     tags, dim = facet_tags(mesh), mesh.geometry.dim

@@ -1,4 +1,4 @@
-"""Values at nodes: of this rank, and of all ranks in an order that does not depend on them."""
+"""Values at the nodes of one rank, or of all ranks in an order that any number of ranks gives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def nodal(function: fem.Function) -> np.ndarray:
 
 
 def node_function(mesh: Any, values: Callable[[np.ndarray], np.ndarray]) -> fem.Function:
-    """Return a scalar function of degree 1, from `values` of points (3, n)."""
+    """Return a scalar function of degree 1; `values` maps points (3, n) to values (n,)."""
     function = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
     function.interpolate(values)
     return function

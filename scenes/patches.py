@@ -2,9 +2,9 @@
 
 Before they are moved the lower block is the unit square or cube and the upper one stands on it.
 Both are pressed along the last axis, and their sides are free: the stress is the same everywhere,
-so that the exact displacement is in every space. Only the outer ends are held, by its values, in
-all components; nothing depends on the axes then, and the scene may be turned, mirrored, moved and
-scaled.
+so the exact displacement is in every space. Only the outer ends are held: all components of their
+displacement have the exact values. So the scene does not depend on the axes, and may be turned,
+mirrored, moved and scaled.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ POISSON = 0.3
 #: Points (n, dim) -> (n,) bool.
 Where: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-# nodes of cells in another order that is one of a cell, mirrored
+# order of the nodes of a cell that gives the mirrored cell
 _MIRRORED = {
     "triangle": [0, 2, 1],
     "quadrilateral": [0, 2, 1, 3],
@@ -89,43 +89,43 @@ def patch(
     merge: Where | None = None,
     tear: Where | None = None,
 ) -> Scene:
-    """Return a scene. Collective.
+    """Return the scene of two blocks. Collective.
 
     Args:
-        comm: of the mesh.
-        kind: of the cells, see `KINDS`.
-        degree: of the displacement.
-        upper: divisions of the upper block across and along the last axis.
-        lower: those of the lower block.
-        distort: the largest shift of inner nodes across the last axis, over half a cell.
-        span: where the upper block is, from and to along each axis but the last.
+        comm: communicator of the mesh.
+        kind: type of the cells, see `KINDS`.
+        degree: degree of the displacement.
+        upper: divisions of the upper block along each axis but the last, and along the last axis.
+        lower: divisions of the lower block, in the same way.
+        distort: largest shift of inner nodes across the last axis, divided by half a cell.
+        span: start and end of the upper block along each axis but the last; None: 0 and 1.
         gap: distance of the blocks before they are pressed.
-        turn: an orthogonal matrix of as many rows as space has dimensions.
-        shift: added to all points after that.
-        scale: of the whole scene, before that.
-        warp: maps points (n, 3) of the mesh at last; exact values are those of the flat scene.
+        turn: orthogonal matrix (dim, dim) that turns or mirrors the scene.
+        shift: vector (3,) that is added to all points after the turn.
+        scale: factor of the whole scene, applied before the shift.
+        warp: map of points (n, 3), applied last; exact values stay those of the flat scene.
         geometry: degree of the geometry.
-        young: moduli of the upper and the lower block.
-        pressure: how hard the blocks are pressed.
-        friction: of the pair; none if not given.
-        pairing: of the pair.
-        search_distance: of the pair.
-        symmetry: hold also the sides against motion across them; for scenes that are not turned.
-        split: give each rank a part of the cells and points, else rank 0 gives all.
-        reverse: give every other cell with its nodes in mirrored order.
-        merge: says of points (n, dim) at the interface whether both blocks have them in common;
-            for blocks with the same divisions, without a gap.
-        tear: says of middles (n, dim) of cells of the upper block whether they have nodes of their
-            own, apart from those of the other cells.
+        young: Young's moduli of the upper and the lower block.
+        pressure: pressure between the blocks.
+        friction: law of friction of the pair; None: frictionless.
+        pairing: see `ContactPair`.
+        search_distance: see `ContactPair`.
+        symmetry: whether the sides are also held along their normals; for scenes without a turn.
+        split: whether each rank passes a part of cells and points to DOLFINx, or rank 0 all.
+        reverse: whether every other cell has its nodes in mirrored order.
+        merge: selects the points (n, dim) at the interface that both blocks share; for blocks with
+            the same divisions, without a gap.
+        tear: selects cells of the upper block, by their midpoints (n, dim), that share no nodes
+            with the other cells.
 
     Returns:
-        The scene, with the tags above; the upper block is the secondary side. In its data:
+        The scene, with the tags above; the upper block is the secondary side. `data` has
 
-        exact: displacement without friction, and with any where both moduli are the same.
-        pressure: exact contact pressure; None where it is not the same everywhere.
+        exact: displacement without friction; with friction too if both moduli are the same.
+        pressure: exact contact pressure; None if it is not the same everywhere.
         overlap: area that both contact faces have in common.
-        move: maps points (n, 3) of the blocks as described above to those of the mesh.
-        axis: (3,) where the last axis went: the upper block presses against it.
+        move: function that maps points (n, 3) of the blocks described above to points of the mesh.
+        axis: (3,) the last axis after the turn; the upper block presses against this direction.
     """
     dim = dim_of(kind)
     span = [(0.0, 1.0)] * (dim - 1) if span is None else list(span)
@@ -187,7 +187,7 @@ def block(
     distort: float,
     seed: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (n, dim) and cells of a box, with the nodes inside of it shifted."""
+    """Return points (n, dim) and cells of a box whose inner nodes are shifted at random."""
     dim = len(box)
     numbers = [divisions[0]] * (dim - 1) + [divisions[1]]
     axes = [np.linspace(*ends, n + 1) for ends, n in zip(box, numbers, strict=True)]
@@ -213,7 +213,7 @@ def block(
 
 
 def _torn(points: np.ndarray, cells: np.ndarray, tear: Where) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and cells, some of which have nodes of their own."""
+    """Return points and cells; the cells that `tear` selects share no nodes with others."""
     apart = tear(points[cells].mean(axis=1))
     return np.concatenate([points, points]), np.where(apart[:, None], cells + len(points), cells)
 
@@ -221,7 +221,7 @@ def _torn(points: np.ndarray, cells: np.ndarray, tear: Where) -> tuple[np.ndarra
 def _together(
     blocks: Sequence[tuple[np.ndarray, np.ndarray]], merge: Where | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and cells of all blocks, without points that no cell has."""
+    """Return points and cells of both blocks, with merged points and without unused points."""
     (points, cells), (lower_points, lower_cells) = blocks
     number = len(points) + np.arange(len(lower_points))
     if merge is not None:
@@ -308,7 +308,7 @@ def _tags(mesh: Any, gap: float, start: Sequence[float]) -> tuple[Any, Any]:
 def _exact(
     V: Any, cell_tags: Any, gap: float, young: tuple[float, float], pressure: float
 ) -> fem.Function:
-    """Return the displacement of blocks that are not moved, with ghosts."""
+    """Return the exact displacement of blocks that are not moved, also at ghosts."""
     dim = V.mesh.topology.dim
     x = V.tabulate_dof_coordinates()
     upper = np.zeros(len(x), dtype=bool)

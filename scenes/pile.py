@@ -1,4 +1,4 @@
-"""Random stacks and piles of stones that only contact holds, in 2D; units: m, MPa."""
+"""Random stacks and piles of stones, held by contact alone, in 2D; units: m, MPa."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from scenes.wall import POISSON, WEIGHT, YOUNG
 #: Tags of the sides on the floor, and of all others.
 FLOOR, SIDES = 1, 7
 
-#: Largest gap [m] of sides that may touch; stones that stand apart have at least four times that.
+#: Largest gap [m] of sides that may touch; stones that stand apart have at least four times this.
 SEARCH = 5e-3
 
 #: Largest size of cells [m].
@@ -94,9 +94,9 @@ def random_pile(seed: int) -> Pile:
     """Return a stack or a pile of 1 to `MOST` stones.
 
     Courses lie between straight lines that may be inclined. Stones of a course touch each other or
-    stand apart; loose ones lean against the end of a course, with nothing below them, and some of
-    them and of the uppermost stones have no weight. The weights act along a direction that may be
-    inclined, and a horizontal force may push one of the stones.
+    stand apart. Loose stones lean against the end of a course, with nothing below them. Some loose
+    stones, and some of the uppermost stones, have no weight. The weights act along a direction that
+    may be inclined, and a horizontal force may push one of the stones.
     """
     rng = np.random.default_rng(seed)
     number = int(rng.integers(1, MOST + 1))
@@ -119,7 +119,7 @@ def random_pile(seed: int) -> Pile:
         shift = (to - from_ - starts[-1] - widths[-1]) * rng.uniform(0.2, 0.8)
         starts += 0.0 if first else from_ + shift
         from_, to = starts[0], starts[-1] + widths[-1]
-        # nowhere less than half as high as in the middle, loose stones included
+        # limit the slope: a course is everywhere at least half as high as in its middle
         incline *= min(0.2, 0.5 * height / (0.5 * (to - from_) + LOOSE_LENGTH))
         above = line + np.array([height - incline * 0.5 * (from_ + to), incline])
         for x, width in zip(starts, widths, strict=True):
@@ -135,7 +135,7 @@ def random_pile(seed: int) -> Pile:
     number = len(corners)
     turned = np.array([_turned(one, rng.uniform(-TURN, TURN)) for one in corners])
     flat = np.array(on_floor)
-    turned[flat] = np.array(corners)[flat]  # tags of the floor are where y = 0
+    turned[flat] = np.array(corners)[flat]  # not turned: facets with y = 0 get a tag
     weightless = np.array(light) | ((np.arange(number) == number - 1) & (rng.random() < 0.2))
     angle = rng.uniform(-0.3, 0.3) if rng.random() < 0.5 else 0.0
     loads = WEIGHT * np.tile([np.sin(angle), -np.cos(angle)], (number, 1))
@@ -147,7 +147,7 @@ def random_pile(seed: int) -> Pile:
 
 
 def _stone(from_: float, to: float, below: np.ndarray, above: np.ndarray) -> np.ndarray:
-    """Return corners (4, 2) between two lines, each its height at x = 0 and its slope."""
+    """Return corners (4, 2) between two lines, given by the height at x = 0 and the slope."""
     return np.array(
         [
             [x, height + slope * x]

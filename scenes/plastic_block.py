@@ -24,12 +24,12 @@ from scenes.scene import Scene
 #: Young's modulus, yield stress, hardening modulus [MPa], Poisson's ratio.
 YOUNG, YIELD, HARDENING, POISSON = 70_000.0, 250.0, 5_000.0, 0.3
 
-#: Degree of the quadrature at whose points the material has its state.
+#: Degree of the quadrature; the history of the material is stored at its points.
 QUADRATURE = 2
 
 
 def uniaxial_path(strains: Sequence[float]) -> np.ndarray:
-    """Return stresses (n,) [MPa] of a bar that is compressed by strains, and cannot be pulled."""
+    """Return stresses (n,) [MPa] of a bar under compressive strains; tension is not possible."""
     plastic, hardening, result = 0.0, 0.0, []
     for e in strains:
         trial = YOUNG * (e - plastic)
@@ -41,18 +41,18 @@ def uniaxial_path(strains: Sequence[float]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PlasticBlock:
-    """A problem with a history, before it is put together.
+    """The parts of a problem with a history.
 
     Attributes:
         scene: space, tags and pairs; its forms are of an elastic block.
         u: the displacement.
         F: the residual form.
-        J: its derivative.
+        J: derivative of the residual.
         bcs: Dirichlet conditions.
         push: displacement of the top [mm], changed in place.
-        before_assembly: computes stress and tangent; None if they are in the forms.
-        on_accept: makes the present plastic strain the history.
-        history: plastic strain and equivalent plastic strain.
+        before_assembly: function that computes stress and tangent; None if the forms contain them.
+        on_accept: function that stores the present plastic strains as the history.
+        history: plastic strain and equivalent plastic strain of the last accepted step.
     """
 
     scene: Scene
@@ -91,12 +91,12 @@ def plastic_block(
     """Return a unit cube of a von Mises material whose top is displaced. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         n: cells along each of the three axes.
-        numeric: whether numpy computes stress and tangent at the points of quadrature; else they
-            are UFL expressions.
-        clamped: whether the top moves as a whole; else the state is uniaxial.
-        friction: none if not given.
+        numeric: whether numpy computes stress and tangent at the points of quadrature; otherwise
+            they are UFL expressions.
+        clamped: whether the top moves as a whole; otherwise the state is uniaxial.
+        friction: law of friction; None: frictionless.
     """
     scene = block(
         comm,
@@ -160,7 +160,7 @@ def plastic_block(
     growth = fem.Expression(hardening + amount, points)
 
     def on_accept() -> None:
-        # both depend on both: none is changed before the other is computed
+        # both new values depend on both old values, so both are computed before either is stored
         new = fem.Function(of_tensors), fem.Function(of_scalars)
         for function, expression in zip(new, (flow, growth), strict=True):
             function.interpolate(expression)
@@ -188,7 +188,7 @@ def radial_return(
     Simo and Hughes (1998), Computational inelasticity, box 3.2.
 
     Args:
-        strains: (n, 3, 3).
+        strains: (n, 3, 3) total strains.
         plastic: (n, 3, 3) plastic strains of the last step.
         hardening: (n,) equivalent plastic strains of the last step.
     """

@@ -18,7 +18,7 @@ YOUNG = {"plate": 70_000.0, "pin": 210_000.0}  # MPa
 POISSON = {"plate": 0.33, "pin": 0.3}
 FRICTION = 0.15  # coefficient of friction
 
-#: Displacements of the top of the pin [mm], downwards: out, and back. Load steps.
+#: Downward displacements of the top of the pin [mm] in the load steps: out of the hole, and back.
 PUSHES = (0.0, 0.001, 0.002, 0.003, 0.004, 0.006, 0.01, 0.008, 0.006, 0.004, 0.002, 0.0)
 
 
@@ -32,7 +32,7 @@ def lame_pressure() -> float:
 def press_fit(comm: MPI.Comm, N: int = 16) -> Scene:
     """Return the scene with N cells round a quarter of the hole. Collective.
 
-    In its data: `push`, the displacement of the top of the pin along z [mm].
+    `data.push` is the displacement of the top of the pin along z [mm].
     """
     fit = read_gmsh(
         MESHES / "press_fit.geo",

@@ -1,7 +1,7 @@
-"""Two blocks, or a section of them, pressed, dragged and tilted, on any mesh; in m and MPa.
+"""Two blocks in 2D or 3D, pressed, dragged and tilted, on any mesh; in m and MPa.
 
-The ends are clamped, so that there are singular corners; the upper block may be narrower, may have
-a stiffer square or cube inside, one block may be much stiffer, and both nearly incompressible.
+The ends are clamped, so there are singular corners. The upper block may be narrower, or have a
+stiffer square or cube inside; one block may be much stiffer; both may be nearly incompressible.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ def pressed_blocks(
     """Return the scene with n cells, a multiple of four, along each side. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         n: cells along the sides of a block.
-        cell: of what kind.
-        degree: see `on_blocks`, here and below.
+        cell: type of the cells.
+        degree: see `on_blocks`.
         narrow: whether the upper block has half the width, and presses with sharp corners.
-        poisson: ratio.
-        ratio: of moduli, here and below.
-        lower: modulus of the lower block over that of the upper one.
+        poisson: see `on_blocks`.
+        ratio: see `on_blocks`.
+        lower: see `on_blocks`.
     """
     dim = basix.cell.geometry(basix.CellType[cell]).shape[1]
     span = [(0.25, 0.75)] * (dim - 1) if narrow else None
@@ -81,15 +81,15 @@ def on_blocks(
     ratio: float = 1.0,
     lower: float = 2.0,
 ) -> Scene:
-    """Return the scene on any mesh of it, such as a refined one. Collective.
+    """Return the scene on any mesh of the blocks, such as a refined one. Collective.
 
     Args:
-        blocks: with the names of `TAGS`.
-        degree: of the displacement.
-        poisson: ratio, of all.
-        ratio: Young's modulus of the square or cube inside over that of the block round it.
-        lower: modulus of the lower block over that of the upper one; of the softer one is the bound
-            of friction a part.
+        blocks: mesh with the names of `TAGS`.
+        degree: degree of the displacement.
+        poisson: Poisson's ratio of all cells.
+        ratio: Young's modulus of the square or cube inside, divided by that of the upper block.
+        lower: Young's modulus of the lower block, divided by that of the upper one. The slip bound
+            is proportional to the modulus of the softer block.
     """
     dim = blocks.mesh.topology.dim
     V = fem.functionspace(blocks.mesh, ("Lagrange", degree, (dim,)))

@@ -16,8 +16,8 @@ from scenes.elasticity import lame_constants, strain
 from scenes.rubber_block import RubberBlock, neo_hookean
 from scenes.scene import Scene
 
-#: Measure whose points are the same in a form and its derivative, for which UFL estimates others:
-#: Newton's method would converge linearly.
+#: Measure with the same quadrature points in a form and in its derivative. Otherwise UFL estimates
+#: different degrees for the two, and Newton's method converges linearly.
 EVERYWHERE = ufl.dx(metadata={"quadrature_degree": 4})
 
 
@@ -27,10 +27,10 @@ def with_pressure(
     """Return a scene of degree 2 in displacement and pressure p = lambda div u. Collective.
 
     Args:
-        scene: of displacements alone; all of it gets one material.
-        young: modulus.
-        poisson: ratio, above 0 and up to 0.5.
-        element: of the pressure; Taylor-Hood's if not given.
+        scene: scene in the displacement alone; all bodies get one material.
+        young: Young's modulus.
+        poisson: Poisson's ratio, above 0 and up to 0.5.
+        element: family and degree of the pressure's element; the default is that of Taylor-Hood.
     """
     W = _mixed_space(scene.mesh, element)
     (u, p), (v, q) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
@@ -51,7 +51,7 @@ def strain_energy(w: fem.Function, young: float, poisson: float) -> Any:
 def with_mean_pressure(scene: Scene, young: float, poisson: float) -> Scene:
     """Return a scene of degree 2 whose pressures, constant in each simplex, are eliminated.
 
-    The divergence, of degree 1, has its mean in the middle of a cell.
+    The mean of the divergence, which is of degree 1, is its value in the middle of a cell.
     """
     mu, lame = (fem.Constant(scene.mesh, value) for value in lame_constants(young, poisson))
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
@@ -67,7 +67,7 @@ def _material(mesh: Any, young: float, poisson: float) -> tuple[fem.Constant, fe
 
 
 def _mixed_space(mesh: Any, pressure: tuple[str, int]) -> Any:
-    """Return displacements of degree 2 with pressures."""
+    """Return the mixed space of displacements of degree 2 and pressures."""
     cell, (family, degree) = mesh.basix_cell(), pressure
     u = basix.ufl.element("Lagrange", cell, 2, shape=(mesh.geometry.dim,))
     p = basix.ufl.element(family, cell, degree)
@@ -98,12 +98,12 @@ def rubber_with_pressure(
 ) -> RubberBlock:
     """Return a block of degree 2 in displacement and pressure p = ln J / compliance. Collective.
 
-    Its conditions have the values that those of the block have now.
+    Its Dirichlet conditions have the present values of the given block's conditions.
 
     Args:
-        rubber: block of displacements alone.
-        compliance: 1 / lambda; 0: it keeps its volume.
-        element: of the pressure; Taylor-Hood's if not given.
+        rubber: block with the displacement as the only unknown.
+        compliance: 1 / lambda; 0: the block keeps its volume.
+        element: family and degree of the pressure's element; the default is that of Taylor-Hood.
         dx: measure of the terms with the pressure.
     """
     W = _mixed_space(rubber.scene.mesh, element)

@@ -1,4 +1,4 @@
-"""Two blocks with moduli, widths, meshes, motion and friction that nobody chose; in m and MPa."""
+"""Two blocks with random moduli, widths, meshes, motion and friction; in m and MPa."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ YOUNG = 1000.0
 
 @dataclass(frozen=True)
 class RandomBlocks:
-    """What is drawn.
+    """Random parameters of the two blocks.
 
     Attributes:
-        dim: of space.
+        dim: dimension of space.
         upper: divisions of the upper block across and along the last axis.
-        narrow: whether it has half the width of the lower one, along the first axis.
-        young: its modulus [MPa].
-        poisson: ratio of both.
-        motion: of the upper end: drag along the first axis, pressing, and by how much more at
-            one side than at the other [m].
-        friction: of the pair.
+        narrow: whether the upper block has half the width of the lower one along the first axis.
+        young: Young's modulus of the upper block [MPa].
+        poisson: Poisson's ratio of both blocks.
+        motion: displacement of the upper end along the first axis, its downward displacement, and
+            the difference of the downward displacements of both sides [m].
+        friction: law of friction of the pair.
     """
 
     dim: int
@@ -65,7 +65,7 @@ class RandomBlocks:
 
     @classmethod
     def drawn(cls, seed: int, dim: int) -> RandomBlocks:
-        """Return the blocks of a number."""
+        """Return the blocks that belong to a seed."""
         rng = np.random.default_rng([seed, dim])
         laws: list[Friction] = [
             Frictionless(),
@@ -94,7 +94,7 @@ class RandomBlocks:
         return self.on(TaggedMesh(plain.mesh, plain.cell_tags, plain.facet_tags, tags), degree=1)
 
     def on(self, blocks: TaggedMesh, degree: int) -> Scene:
-        """Return the scene on any mesh of it, such as a refined one. Collective."""
+        """Return the scene on any mesh of the blocks, such as a refined one. Collective."""
         V = fem.functionspace(blocks.mesh, ("Lagrange", degree, (self.dim,)))
         moved = fem.Function(V)
         moved.interpolate(self._moved)
@@ -107,7 +107,7 @@ class RandomBlocks:
         return Scene(V, a, no_load(V), bcs, [pair], facets, blocks.cell_tags, blocks.tags)
 
     def goals(self) -> dict[str, Goal]:
-        """Return numbers of the scene by their names; patches are where the pressure is larger."""
+        """Return goals by name; the patches are at the side with the larger pressure."""
         *_, tilt = self.motion
         point = np.full(self.dim, 0.5)
         point[[0, -1]] = 0.5 - np.sign(tilt) * (0.15 if self.narrow else 0.3), 1.0

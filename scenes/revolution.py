@@ -1,4 +1,4 @@
-"""Bodies of revolution: two meridians in the plane of x[0], the radius. Lengths in mm, MPa, N."""
+"""Bodies of revolution: two meridians in a plane, x[0] is the radius. Lengths in mm, MPa, N."""
 
 from __future__ import annotations
 
@@ -77,13 +77,14 @@ def two_rings(
     """Return two bodies of revolution in contact. Collective.
 
     Args:
-        comm: of the mesh.
-        bodies: their meridians.
-        sides: where the first and the second body touch, of middles of facets (n, 2).
-        held: body, side, component of the displacement that is prescribed there, and its value.
-        friction: the law.
-        degree: of the displacement.
-        kind: of the cells.
+        comm: communicator of the mesh.
+        bodies: meridians of the bodies.
+        sides: select the facets of the first and of the second body that touch, by midpoints
+            (n, 2).
+        held: for each condition the body, its side, the prescribed component, and its value.
+        friction: law of friction.
+        degree: degree of the displacement.
+        kind: type of the cells.
         young: Young's modulus [MPa].
         poisson: Poisson's ratio.
         pairing: see `ContactPair`.
@@ -115,14 +116,14 @@ def ball_on_plane(
     """Return a ball on a rigid plane. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         h: size of the cells at the contact [mm].
-        degree: of the displacement.
-        growth: how much the size of the cells grows per distance from the contact.
-        scale: of the contact; the approach goes with its square.
+        degree: degree of the displacement.
+        growth: increase of the cell size per distance from the contact.
+        scale: factor of the radius of the contact; the approach is proportional to its square.
         poisson: Poisson's ratio.
 
-    In its data: `theory`, a function that returns Hertz's solution for a force [N].
+    `data.theory` is a function that returns Hertz's solution for a force [N].
     """
     ball = read_gmsh(
         MESHES / "half_disc.geo", comm, R=BALL, h=h, Zone=1.8 * scale, Arc=3.0, Growth=growth
@@ -147,8 +148,8 @@ def ball_on_plane(
 
 
 def contact_radius(comm: MPI.Comm, solution: ContactSolution) -> float:
-    """Return the radius [mm] of a contact under half an ellipsoid of pressure. Collective."""
+    """Return the radius [mm] of a contact whose pressure is half an ellipsoid. Collective."""
     x, fields = surface_nodes_of(solution)
     forces = fields["weights"] * fields["pressure"]
     second, force = comm.allreduce(np.array([forces @ x[:, 0] ** 2, forces.sum()]))
-    return math.sqrt(2.5 * second / force)  # the second moment is 2/5 a^2
+    return math.sqrt(2.5 * second / force)  # the second moment is 2/5 a^2 times the force

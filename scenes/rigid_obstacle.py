@@ -39,7 +39,7 @@ def distance_from_ring(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     to_middle_line = np.hypot(outwards, upwards)
     away = x[:2] / np.where(to_axis > 0.0, to_axis, 1.0)
     normal = np.vstack([away * outwards, upwards]) / to_middle_line
-    # on the axis all directions are alike: take x
+    # on the axis no radial direction is given: take x
     alone = to_axis == 0.0
     normal[0, alone] = outwards[alone] / to_middle_line[alone]
     return to_middle_line - TUBE, normal

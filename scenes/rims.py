@@ -28,10 +28,10 @@ class Rim:
     Attributes:
         span: start and end of the block along each axis across the load; the plate is the unit
             square or interval.
-        plate: cells of the plate, chosen by their middles; None: all.
-        move: map of the points of the block.
+        plate: selects the cells of the plate by their midpoints; None: all.
+        move: map of the points of the block; None: they stay.
         strip: whether the block is as wide as the plate along the second axis.
-        shift: distance by which the block is moved along the axes, in cells.
+        shift: distance by which the block is moved along the plate's axes, in cells.
     """
 
     span: tuple[float, float] = (1 / 3, 2 / 3)
@@ -42,7 +42,7 @@ class Rim:
 
 
 def _raised(height: Callable[[np.ndarray], np.ndarray]) -> Map:
-    """Return a map that raises the lower face by heights over distances from the middle."""
+    """Return a map that raises the lower face; the height depends on the distance to the middle."""
 
     def move(x: np.ndarray) -> np.ndarray:
         x = x.copy()
@@ -76,7 +76,7 @@ def block_on_plate(comm: MPI.Comm, kind: str, name: str, n: int, degree: int = 1
         kind: cells, see `scenes.patches.KINDS`.
         name: what bounds the overlap, of `RIMS`.
         n: cells along the plate.
-        degree: of the displacement.
+        degree: degree of the displacement.
     """
     rim, dim = RIMS[name], dim_of(kind)
     start, end = (one + rim.shift / n for one in rim.span)

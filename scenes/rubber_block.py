@@ -44,7 +44,7 @@ def uniaxial_stress(stretch: float, dim: int, mu: float = MU, lam: float = LAMBD
 
 @dataclass(frozen=True)
 class RubberBlock:
-    """A nonlinear contact problem before it is put together.
+    """The parts of a nonlinear contact problem.
 
     Attributes:
         scene: space, tags and pairs; its forms are of a linear block.
@@ -61,7 +61,7 @@ class RubberBlock:
     push: fem.Constant
 
     def but(self, **changes: Any) -> RubberBlock:
-        """Return the same with attributes of its pairs changed."""
+        """Return the block with attributes of its pairs changed."""
         return replace(self, scene=self.scene.but(**changes))
 
     def problem(self, **changes: Any) -> NonlinearContactProblem:
@@ -85,16 +85,16 @@ def rubber_block(
     """Return a block whose top is displaced. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         n: cells along each axis.
-        size: of the block; unit if not given.
-        degree: of the displacement.
-        clamped: whether the top moves as a whole; else it slides sideways, and the middle planes of
-            the block are planes of symmetry.
-        friction: none if not given.
-        obstacle: below; a plate that touches if not given.
-        turn: rotation (dim, dim) of all of it; with `clamped`.
-        boxes: whether cells are quadrilaterals or hexahedra; else triangles or tetrahedra.
+        size: length of the block along each axis; None: 1.
+        degree: degree of the displacement.
+        clamped: whether the top moves as a whole; otherwise it is free to move sideways, and two
+            sides of the block are planes of symmetry (in 2D one side).
+        friction: law of friction; None: frictionless.
+        obstacle: obstacle below the block; None: a plate that touches the block.
+        turn: rotation (dim, dim) of the whole scene; only with `clamped`.
+        boxes: whether cells are quadrilaterals or hexahedra, not triangles or tetrahedra.
     """
     dim = len(n)
     turn = np.eye(dim) if turn is None else turn

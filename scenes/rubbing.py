@@ -13,7 +13,7 @@ from dolfinx_tresca import Tresca
 from scenes.patches import dim_of, patch
 from scenes.scene import Scene
 
-#: Young's modulus of the upper block, and the slip bound over it.
+#: Young's modulus of the upper block, and the slip bound divided by Young's modulus.
 YOUNG, BOUND = 1000.0, 1e-3
 
 
@@ -31,14 +31,14 @@ def rubbing(
     """Return the scene: the lower end is clamped, the upper one is moved. Collective.
 
     Args:
-        comm: of the mesh.
-        kind: of the cells.
-        degree: of the displacement.
-        turn: see `patch`; displacements and all turn with it.
+        comm: communicator of the mesh.
+        kind: type of the cells.
+        degree: degree of the displacement.
+        turn: see `patch`; displacements are turned, too.
         shift: see `patch`.
-        scale: see `patch`; of displacements as well.
-        young: modulus of the upper block; the lower one is twice as stiff.
-        arguments: others of `patch`.
+        scale: see `patch`; displacements are scaled, too.
+        young: Young's modulus of the upper block; the lower one is twice as stiff.
+        arguments: further arguments of `patch`.
     """
     dim = dim_of(kind)
     given = {"friction": Tresca(BOUND * young), "young": (young, 2.0 * young), **arguments}
@@ -47,7 +47,7 @@ def rubbing(
     nodes = scene.V.tabulate_dof_coordinates() - np.asarray(shift)
     x = nodes[:, :dim] @ R / scale
     u = np.zeros_like(x)
-    upper = x[:, dim - 1] > 1.5  # the only values that matter are those at the ends
+    upper = x[:, dim - 1] > 1.5  # only the values at the ends are used
     u[upper] = moved_end(x[upper])
     scene.data.exact.x.array[:] = scale * (u @ R.T).ravel()
     return scene

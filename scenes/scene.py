@@ -1,4 +1,4 @@
-"""What a user of FEniCSx has, and the pairs of surfaces."""
+"""A scene: forms, Dirichlet conditions and tags, as users of FEniCSx have them, and the pairs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Map = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Scene:
-    """A contact problem before it is put together.
+    """The parts of a contact problem.
 
     Attributes:
         V: the space of the displacement.
@@ -32,12 +32,12 @@ class Scene:
         L: linear form.
         bcs: Dirichlet conditions.
         pairs: surfaces that may touch.
-        facet_tags: of the mesh.
-        cell_tags: of the mesh, if there are any.
-        tags: name -> tag, of scenes that are read from a file.
-        data: by name what may be changed in place (loads, motions, materials), and what a solution
-            is compared with (exact fields, theory).
-        geometry: that Gmsh made the mesh of, for refined ones.
+        facet_tags: tags of the facets of the mesh.
+        cell_tags: tags of the cells, if there are any.
+        tags: name -> tag, if the scene was read from a file.
+        data: values by name that may be changed in place (loads, motions, materials), or that a
+            solution is compared with (exact fields, theory).
+        geometry: Gmsh's geometry, on which refinement places new nodes; None: there is none.
     """
 
     V: Any
@@ -53,7 +53,7 @@ class Scene:
 
     @property
     def mesh(self) -> Any:
-        """All bodies."""
+        """The mesh of all bodies."""
         return self.V.mesh
 
     @property
@@ -73,7 +73,7 @@ class Scene:
         return found
 
     def fixed(self, name: str, value: Any = None, component: int | None = None) -> Any:
-        """Return the condition u = value (default zero), or one component, on a named surface."""
+        """Return the condition that u, or a component, is `value` (default 0) on a surface."""
         return fixed(self.V, self.facets(name), value, component)
 
     def problem(self, **changes: Any) -> ContactProblem:
@@ -91,7 +91,7 @@ class Scene:
         return replace(self, pairs=[replace(pair, **changes) for pair in self.pairs])
 
     def moved(self, to: Map, turn: np.ndarray | None = None) -> Scene:
-        """Map the points of the mesh, and turn `data.load` by a rotation (3, 3); return itself."""
+        """Map the points of the mesh, turn `data.load` by a rotation (3, 3); return the scene."""
         x = self.mesh.geometry.x
         x[:] = to(x.copy())
         if turn is not None:

@@ -35,16 +35,17 @@ def slot(
 ) -> Scene:
     """Return a block with a slot at mid height, open at one side, its top pressed down. Collective.
 
-    `data.halves` has the two pairs of the faces that are tagged by hand.
+    The pair has both faces on both sides. `data.halves` has two pairs of the lower and the upper
+    face, each with another secondary side.
 
     Args:
-        comm: of the mesh.
-        kind: of the cells.
+        comm: communicator of the mesh.
+        kind: type of the cells.
         gap: height of the slot; the block has the size 1.
-        angle: by which all is turned in the plane of the first and the last axis.
-        shift: by which nodes over the slot are moved along it at most: meshes do not match.
-        across: divisions across; seven are along the last axis.
-        degree: of the displacement.
+        angle: angle by which the scene is turned in the plane of the first and the last axis.
+        shift: largest shift along the slot of the nodes above it, so that meshes do not match.
+        across: divisions along each axis but the last, which has seven.
+        degree: degree of the displacement.
     """
     dim = dim_of(kind)
     low, high = 0.5 * (1.0 - HEIGHT), 0.5 * (1.0 + HEIGHT)

@@ -20,7 +20,7 @@ YOUNG = 50_000.0  # MPa, both bricks
 POISSON = {"upper": 0.277, "lower": 0.35}
 SLIP_BOUND = 0.09  # MPa
 
-#: The paper's text allows two readings of where the second load acts; they differ in what sticks.
+#: The two readings of the paper's text on where the second load acts; the sticking nodes differ.
 ENDS = {"free_end_1": "upper_free_end", "free_end_2": "lower_free_end"}
 
 
@@ -37,13 +37,13 @@ def two_bricks(
     """Return the scene with N cells along each brick. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         N: cells along each brick.
-        end: see `on_bricks`, here and below.
-        hexahedra: or tetrahedra.
-        degree: of the displacement.
-        slip_bound: of the pair [MPa].
-        parameters: others of the .geo file.
+        end: see `on_bricks`.
+        hexahedra: whether cells are hexahedra; otherwise tetrahedra.
+        degree: degree of the displacement.
+        slip_bound: slip bound of the pair [MPa].
+        parameters: further parameters of the .geo file.
     """
     bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=N, Hex=int(hexahedra), **parameters)
     return on_bricks(bricks, end=end, degree=degree, slip_bound=slip_bound)
@@ -56,16 +56,16 @@ def on_bricks(
     degree: int = 1,
     slip_bound: ScalarField = SLIP_BOUND,
 ) -> Scene:
-    """Return the scene on any mesh of it, such as a refined one. Collective.
+    """Return the scene on any mesh of the bricks, such as a refined one. Collective.
 
     Args:
-        bricks: with the names of the .geo file.
+        bricks: mesh with the names of the .geo file.
         end: where the second load acts, see `ENDS`.
-        degree: of the displacement.
-        slip_bound: of the pair [MPa].
+        degree: degree of the displacement.
+        slip_bound: slip bound of the pair [MPa].
 
     Returns:
-        The scene; in its data the `load` [MPa], `young`, `poisson`, and the names of the `bodies`.
+        The scene; `data` has the `load` [MPa], `young`, `poisson`, and the names of the `bodies`.
     """
     mesh, facet_tags, tags = bricks.mesh, bricks.facet_tags, bricks.tags
     V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
@@ -93,7 +93,7 @@ def bricks_problem(
 
 
 def floating(comm: MPI.Comm, body: str, N: int = 3) -> Scene:
-    """Return the scene with one brick that nothing holds. Collective."""
+    """Return the scene with one brick, `body`, held by contact alone. Collective."""
     scene = two_bricks(comm, N)
     held = "lower_fixed" if body == "upper" else "upper_fixed"
     return replace(scene, bcs=[scene.fixed(held)])

@@ -1,4 +1,4 @@
-"""Dry walls and towers: blocks that only contact holds, in 2D; lengths in m, stresses in MPa."""
+"""Dry walls and towers, held by contact alone, in 2D; lengths in m, stresses in MPa."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from scenes.scene import Scene
 #: Length and height of a brick [m].
 LENGTH, HEIGHT = 0.25, 0.1
 
-#: Of stone: Young's modulus [MPa], Poisson's ratio, weight [MN/m^3], coefficient of friction.
+#: Stone: Young's modulus [MPa], Poisson's ratio, weight [MN/m^3], coefficient of friction.
 YOUNG, POISSON, WEIGHT, FRICTION = 5e3, 0.2, 0.02, 0.6
 
 
@@ -38,12 +38,12 @@ def wall(
     """Return a wall in running bond on a rigid floor, under its weight. Collective.
 
     Args:
-        comm: of the mesh.
-        bricks: in a course; every second course has a half at each end.
-        courses: number of them.
-        loose: stones in a row beside the second course that nothing presses; `assembly` has them.
-        divisions: of a brick.
-        friction: `Coulomb(FRICTION)` if not given.
+        comm: communicator of the mesh.
+        bricks: number of bricks in a course; every second course has half a brick at each end.
+        courses: number of courses.
+        loose: number of stones in a row beside the second course, see `assembly`.
+        divisions: numbers of cells along the length and the height of a brick.
+        friction: law of friction; None: `Coulomb(FRICTION)`.
         one_pair: see `assembly`.
     """
     whole = LENGTH * np.arange(bricks + 1.0)
@@ -57,7 +57,7 @@ def wall(
 
 
 def tower(comm: MPI.Comm, blocks: int, width: float, friction: Friction | None = None) -> Scene:
-    """Return blocks [m wide] on each other and on a rigid floor, under their weight. Collective."""
+    """Return a tower of blocks [width in m] on a rigid floor, under their weight. Collective."""
     return assembly(comm, [np.array([0.0, width])] * blocks, friction=friction)
 
 
@@ -72,18 +72,19 @@ def assembly(
 ) -> Scene:
     """Return courses of blocks on a rigid floor, under their weight. Collective.
 
-    `data.push` is the traction [MPa] against the right end of the uppermost course, and
-    `data.bodies` the blocks (n, 2), from and to along the x axis, course by course;
-    `data.course` has the course of each, `data.weights` the weight [MN/m].
+    `data.push` is the traction [MPa] against the right end of the uppermost course.
+    `data.bodies` has both ends (n, 2) of each block along the x axis, course by course;
+    `data.course` has the course of each block, `data.weights` its weight [MN/m].
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         rows: for each course the ends of its blocks along the x axis, ascending.
-        loose: the first blocks of the second course have the weight `data.loose_weight`, zero at
-            first, and nothing below them.
-        divisions: of blocks as long as a brick; those of a part of that have fewer.
-        friction: `Coulomb(FRICTION)` if not given.
-        one_pair: one pair of all sides with themselves, instead of a pair for each joint.
+        loose: number of blocks at the beginning of the second course that have nothing below
+            them; their weight is `data.loose_weight`, zero at first.
+        divisions: numbers of cells along the length and the height of a block as long as a brick;
+            other blocks have cells of about the same length.
+        friction: law of friction; None: `Coulomb(FRICTION)`.
+        one_pair: whether one pair of all sides with themselves replaces a pair for each joint.
     """
     ends = [np.column_stack([row[:-1], row[1:]]) for row in rows]
     course = np.repeat(np.arange(len(rows)), [len(one) for one in ends])
@@ -143,5 +144,5 @@ def assembly(
 
 
 def _at(axis: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return whether points (n, 2) have a coordinate."""
+    """Return a function that tells which points (n, 2) have a value as coordinate."""
     return lambda x: np.isclose(x[:, axis], value, rtol=0.0, atol=1e-9 * HEIGHT)

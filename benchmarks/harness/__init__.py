@@ -1,4 +1,4 @@
-"""What benchmarks share: cases in processes of their own, rows that are kept, tables of them."""
+"""Shared parts of benchmarks: cases in processes of their own, stored rows, and tables."""
 
 from harness.benchmark import Benchmark, add_ranks
 from harness.process import Comm, restart_clock

@@ -1,4 +1,4 @@
-"""What a benchmark is, and its command line."""
+"""The description of a benchmark, and its command line."""
 
 from __future__ import annotations
 
@@ -16,28 +16,32 @@ from harness.process import Measure
 from harness.record import Record, Row, commit, is_known, read, this_run
 from harness.table import Column, Table
 
-#: The status of rows of which no more is to be said: ContactStatus.CONVERGED.name.
+#: Status that is not printed, since it is the usual one: ContactStatus.CONVERGED.name.
 WELL = "CONVERGED"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark:
-    """Cases, how one is measured, and how the rows are shown.
+    """Cases, the function that measures a case, and the columns and tables for its rows.
 
     Attributes:
-        script: its file; `benchmarks/data` keeps its rows by the same name.
-        about: the docstring of the script.
-        key: fields that tell rows from each other; rows have those of their case.
-        cases: of a command line, in the order in which they are run. A case is JSON; `ranks` in it
-            is the number of MPI ranks (else 1), everything else is for `measure`.
-        measure: yields figures of a case. Collective.
+        script: path of the benchmark's file; its rows are stored in `benchmarks/data`, in a file of
+            the same name.
+        about: docstring of the script.
+        key: fields that identify a row; a row gets the values of these fields from its case.
+        cases: function from the command line to the cases, in the order in which they are run. A
+            case can be written as JSON. Its entry `ranks` is the number of MPI ranks (1 without
+            it); its other entries are for `measure`.
+        measure: function that yields figures of a case. Collective.
         shown: columns on the terminal.
-        options: adds options for `cases`.
-        tables: in README.md.
-        small: what to change of a case for a first run, which loads what there is to load.
-        prepare: returns the case with what earlier rows tell of it; with a `status` it is not run.
-        summary: text below the rows on the terminal.
-        draw: saves a picture.
+        options: function that adds the options that `cases` uses.
+        tables: tables in README.md.
+        small: entries that replace those of the case in a first, small run, which loads code and
+            compiles forms before the case is measured; empty: no first run.
+        prepare: function from a case and the rows of earlier cases to the case with further
+            entries; a case with an entry `status` is not run.
+        summary: function from the rows to a text below the rows on the terminal.
+        draw: function that saves a picture of the rows.
     """
 
     script: str
@@ -54,7 +58,7 @@ class Benchmark:
     draw: Callable[[Path, list[Row]], None] | None = None
 
     def main(self) -> None:
-        """Read the command line; measure, print and keep, or draw what is kept."""
+        """Read the command line; then measure, print and store rows, or draw stored rows."""
         arguments = self.parser().parse_args()
         if arguments.work:
             process.work(self.measure, self.small, json.loads(arguments.work))
@@ -64,7 +68,7 @@ class Benchmark:
             self._measure(arguments)
 
     def parser(self) -> argparse.ArgumentParser:
-        """Return what reads the command line."""
+        """Return the parser of the command line."""
         parser = argparse.ArgumentParser(description=self.about.splitlines()[0])
         self.options(parser)
         parser.add_argument("--limit", type=float, default=0.0, help="seconds for a case (any)")
@@ -85,7 +89,7 @@ class Benchmark:
         return parser
 
     def _measure(self, arguments: argparse.Namespace) -> None:
-        """Run all cases. With `--here` on all ranks that run already; the first one prints."""
+        """Run all cases; with `--here` on the MPI ranks that run already. The first rank prints."""
         if arguments.json and not arguments.changed and not is_known(commit()):
             raise SystemExit(
                 "nobody could measure this again: the code is not committed. Commit it, or keep "
@@ -94,7 +98,7 @@ class Benchmark:
         first = MPI.COMM_WORLD.rank == 0
         record = Record(arguments.json if first else None, self.key)
         if first:
-            record.write()  # where that fails it fails before the work
+            record.write()  # if the file cannot be written, fail before the work
             print("        done     " + table.heads(self.shown), flush=True)
         run, start = this_run(), time.perf_counter()
         mine: list[Row] = []
@@ -132,7 +136,7 @@ class Benchmark:
             yield from process.in_new(self.script, case, arguments.limit)
 
     def _text(self, row: Row) -> str:
-        """Return a row for the terminal, with its status if all is not well."""
+        """Return a row for the terminal, with its status unless the status is `WELL`."""
         status = row.get("status", WELL)
         said = status == WELL or any(column.text == "{status}" for column in self.shown)
         return table.printed(self.shown, row) + ("" if said else f"  {status}")

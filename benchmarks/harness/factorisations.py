@@ -1,4 +1,4 @@
-"""How many matrices are factored, as PETSc itself counts."""
+"""The number of factorisations that PETSc counts."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from petsc4py import PETSc
 
 
 class Factorisations:
-    """Counts within a `with` block, in a stage of its own: after an error PETSc counts no more."""
+    """Counts factorisations in a `with` block.
+
+    The block is a new stage of PETSc's log, since PETSc does not count further in a stage in which
+    an error has occurred.
+    """
 
     def __enter__(self) -> Factorisations:
-        PETSc.Log.begin()  # of no effect if it counts already
+        PETSc.Log.begin()  # no effect if PETSc counts already
         self._stage = PETSc.Log.Stage("factorisations")
         self._events = [PETSc.Log.Event(name) for name in ("MatCholFctrNum", "MatLUFactorNum")]
         self._stage.push()
@@ -21,7 +25,7 @@ class Factorisations:
 
     @property
     def count(self) -> int:
-        """So far, each matrix as often as it was factored."""
+        """Number of factorisations since the block began."""
         return self._all() - self._before
 
     def _all(self) -> int:

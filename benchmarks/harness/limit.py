@@ -1,4 +1,4 @@
-"""An observer that stops a solve in time."""
+"""An observer that stops a solve after a time."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dolfinx_tresca import Iteration
 
 
 class TimeLimit:
-    """Stops a solve after some seconds of the processor, between two of its iterations."""
+    """Stops a solve at the end of an iteration, after some processor seconds."""
 
     def __init__(self, seconds: float) -> None:
         self._end = time.process_time() + seconds
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Say whether time is up."""
+        """Return whether time is up."""
         return time.process_time() > self._end

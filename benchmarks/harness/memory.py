@@ -1,4 +1,4 @@
-"""Peak memory of a part of a run, and what its ranks send each other."""
+"""Peak memory during a part of a run, and the data that ranks send each other."""
 
 from __future__ import annotations
 
@@ -26,22 +26,23 @@ def peak_memory(comm: MPI.Comm) -> float:
 
 
 def reset_peak_memory() -> None:
-    """Forget the peak so far, where Linux allows it; else the peak is that of the whole run."""
+    """Reset the peak, if Linux allows it; otherwise the peak is the peak of the whole run."""
     with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).malloc_trim(0)  # what was freed, but not yet given back
+        ctypes.CDLL(None).malloc_trim(0)  # give freed memory back to the system
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def resident_memory(comm: MPI.Comm) -> float:
-    """Return the memory [MB] that all ranks hold now: the peak of a moment. Collective."""
+    """Return the resident memory [MB] of all ranks at present. Collective."""
     reset_peak_memory()
     return peak_memory(comm)
 
 
 def peak_bytes(work: Callable[[], object]) -> int:
-    """Return the most bytes that Python and numpy hold on this rank while they do a work.
+    """Return the largest number of bytes that Python and numpy allocate on this rank during `work`.
 
-    What was there before does not count. Unlike resident memory this is the same in each run.
+    Memory allocated before does not count. Unlike resident memory the result is the same in each
+    run.
     """
     tracemalloc.start()
     result = work()
@@ -52,12 +53,13 @@ def peak_bytes(work: Callable[[], object]) -> int:
 
 
 class Traffic(logging.Handler):
-    """What this rank sends others in `exchange`.
+    """Counts the data that this rank sends to other ranks in `exchange`.
 
     Attributes:
-        bytes: of all rows.
-        messages: one for each rank that a round of exchange goes to.
-        rounds: each of them also tells all ranks how many rows they get, 4 bytes each.
+        bytes: number of bytes in all rows that are sent.
+        messages: number of messages; a round of exchange sends one to each rank that gets rows.
+        rounds: number of rounds of exchange. In each round, 4 further bytes tell each rank how many
+            rows it gets.
     """
 
     def __init__(self) -> None:
@@ -74,7 +76,7 @@ class Traffic(logging.Handler):
 
 @contextlib.contextmanager
 def traffic() -> Iterator[Traffic]:
-    """Count what is sent within a block."""
+    """Count the data that this rank sends within a `with` block."""
     logger, counted = logging.getLogger("dolfinx_tresca.exchange"), Traffic()
     logger.addHandler(counted)
     logger.setLevel(logging.DEBUG)

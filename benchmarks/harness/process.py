@@ -1,4 +1,4 @@
-"""A case of a benchmark in a process, or a group of MPI ranks, of its own."""
+"""Running a case of a benchmark in a process of its own, or in several processes with MPI."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from harness.record import Row
 
 Comm: TypeAlias = MPI.Comm
 
-#: Yields the figures of a case, some at a time. Collective.
+#: Function that yields rows with the figures of a case. Collective.
 Measure: TypeAlias = Callable[[Comm, Row], Iterator[Row]]
 
-#: How often the parent looks whether there are new rows [s].
+#: Interval at which the parent process looks for new rows [s].
 POLL = 0.05
 
-#: How a process ends when its time is up; mpirun tells it by the second number.
+#: Exit codes of a process whose time is up: without mpirun, and with mpirun.
 TIME_IS_UP = (-signal.SIGALRM, 128 + signal.SIGALRM)
 
-#: How the last line of a traceback begins.
+#: Beginning of the last line of a traceback.
 REASON = re.compile(r"[\w.]*Error\b")
 
 _limit = 0.0
 
 
 def restart_clock() -> None:
-    """Give the case its whole time again, if it has a limit."""
+    """Start the time limit of the case anew, if there is a limit."""
     signal.setitimer(signal.ITIMER_REAL, _limit)
 
 
 def free_memory() -> int:
-    """Return the bytes that are free now, or -1 where nothing tells."""
+    """Return the bytes of memory that are available now, or -1 if this is unknown."""
     info = Path("/proc/meminfo")
     lines = info.read_text().splitlines() if info.exists() else []
     sizes = (1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
@@ -50,15 +50,16 @@ def free_memory() -> int:
 
 
 def work(measure: Measure, small: Row, task: Row) -> None:
-    """Do what `in_new` asks of a new process. Collective.
+    """Measure a case in a process that `in_new` has started. Collective.
 
     Args:
-        measure: what to do.
-        small: what to change of the case for a first run, which loads what there is to load.
-        task: from the command line.
+        measure: function that measures the case.
+        small: entries that replace those of the case in a first run; see `Benchmark.small`.
+        task: the task that `in_new` wrote into the command line: the case, the file for its rows,
+            and the limits.
     """
     global _limit
-    # beyond this allocations fail, and the case with a message, before the machine runs dry
+    # beyond this limit allocations fail: the case ends with a message before memory runs out
     resource.setrlimit(resource.RLIMIT_AS, (task["memory"], task["memory"]))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # time is up: the process ends
     comm, case = MPI.COMM_WORLD, task["case"]
@@ -73,18 +74,19 @@ def work(measure: Measure, small: Row, task: Row) -> None:
                 if comm.rank == 0:
                     print(json.dumps(row), file=result, flush=True)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)  # neither traceback nor exit are of the case
+        signal.setitimer(signal.ITIMER_REAL, 0.0)  # the traceback and the exit have no time limit
 
 
 def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:
-    """Yield what a case finds in new processes, as many as `ranks` in it says.
+    """Yield the rows of a case, measured in as many new processes as its entry `ranks` says.
+
+    If the case fails, the last row has a `status` with the reason.
 
     Args:
-        script: that is started, with `--work TASK`.
-        case: of JSON.
-        limit: seconds that it may take, without what comes before it; 0: any.
-
-    What goes wrong is a last row with a `status`.
+        script: path of the script, which is started with `--work TASK`.
+        case: the case, which can be written as JSON.
+        limit: wall-clock limit for measuring the case [s], without start and first run; 0: no
+            limit.
     """
     ranks, cores = case.get("ranks", 1), len(os.sched_getaffinity(0))
     memory = free_memory()
@@ -93,7 +95,7 @@ def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:
     if ranks > 1:
         environment["OMP_NUM_THREADS"] = str(max(1, int(environment["OMP_NUM_THREADS"]) // ranks))
         environment["OMPI_MCA_mca_base_env_list"] = "OMP_NUM_THREADS"
-    if ranks > cores:  # those that wait give way to those that work
+    if ranks > cores:  # ranks that wait leave their core to ranks that work
         environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
     with tempfile.TemporaryDirectory() as folder:
         result, errors = Path(folder) / "rows", Path(folder) / "errors"
@@ -120,7 +122,7 @@ def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:
                     time.sleep(POLL)
                     yield from _new_rows(rows)
             finally:
-                process.terminate()  # which mpirun passes on
+                process.terminate()  # mpirun passes the signal on to the ranks
             yield from _new_rows(rows)
         if process.returncode in TIME_IS_UP:
             yield {"status": f"stopped after {limit:g} s"}
@@ -130,7 +132,7 @@ def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:
 
 
 def _new_rows(rows: TextIO) -> Iterator[Row]:
-    """Yield the rows that were written since: whole lines."""
+    """Yield the rows that were written since the last call, without an unfinished line."""
     start = rows.tell()
     while (line := rows.readline()).endswith("\n"):
         start = rows.tell()

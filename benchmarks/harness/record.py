@@ -1,7 +1,7 @@
-"""Measured rows, kept as JSON; each knows the run that measured it: code, date, machine, versions.
+"""Measured rows, stored as JSON with their runs: code, date, machine and versions.
 
-A file is `{"runs": [...], "rows": [...]}`; `run` of a row is the place of its run in the first
-list.
+A file is `{"runs": [...], "rows": [...]}`; the entry `run` of a row is the index, in the first
+list, of the run that measured the row.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Row = dict[str, Any]
 
 ROOT = Path(__file__).parents[2]
 
-#: What decides what is measured; what is kept, and the page with its tables, do not.
+#: Paths, for git, of the code on which measurements depend, without stored rows and Markdown pages.
 CODE = ("dolfinx_tresca", "scenes", "demos", "tests", "benchmarks", ":!benchmarks/data", ":!*.md")
 
 
@@ -32,18 +32,18 @@ def _git(*arguments: str) -> str:
 
 
 def commit() -> str:
-    """Return the commit of this checkout, with "+" behind it if its code was changed since."""
+    """Return the commit of this checkout, followed by "+" if its code has changed since then."""
     found = _git("rev-parse", "--short=7", "HEAD") or "unknown"
     return found + "+" * bool(_git("status", "--porcelain", "--", *CODE))
 
 
 def is_known(commit: str) -> bool:
-    """Return whether the code that measured can be had again."""
+    """Return whether a commit identifies the code that measured."""
     return commit != "unknown" and not commit.endswith("+")
 
 
 def cpu_name() -> str:
-    """Return what the processor calls itself."""
+    """Return the name of the processor."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -51,8 +51,8 @@ def cpu_name() -> str:
 
 
 def this_run() -> Row:
-    """Return what is to be known of measurements that are made now."""
-    # here, since those who read rows, and processes that find them, can do without
+    """Return the commit, date, machine and versions of the present measurements."""
+    # imported here, since reading rows does not need them
     from petsc4py import PETSc
 
     import dolfinx
@@ -70,27 +70,27 @@ def this_run() -> Row:
 
 
 class Record:
-    """Rows in the order in which they came, each with its run.
+    """Rows in the order in which they were first measured, each with its run.
 
     Attributes:
-        rows: each has its run under `run`, the object itself.
+        rows: the rows; the entry `run` of each is the dict of its run.
     """
 
     def __init__(self, path: Path | None, key: Sequence[str]) -> None:
-        """Begin with what the file has, if there is one.
+        """Begin with the rows of the file, if it exists.
 
         Args:
             path: the file; None: rows are kept in memory only.
-            key: fields that tell rows from each other.
+            key: fields that identify a row.
         """
         self._path, self._key = path, tuple(key)
         self.rows = read(path) if path is not None and path.exists() else []
 
     def add(self, row: Row, run: Row) -> Row:
-        """Keep a row and return it.
+        """Store a row and return it.
 
-        Figures that the same run has found for the same key stay beside the new ones; rows of other
-        runs with that key go.
+        If the same run has already stored a row with the same key, both rows are merged. Rows of
+        other runs with this key are dropped.
         """
         key = self._key_of(row)
         same = [place for place, old in enumerate(self.rows) if self._key_of(old) == key]
@@ -108,7 +108,7 @@ class Record:
         return tuple(row.get(field) for field in self._key)
 
     def write(self) -> None:
-        """Write the file, whole or not at all."""
+        """Write the file; it is complete or unchanged if writing fails."""
         if self._path is None:
             return
         runs: list[Row] = []

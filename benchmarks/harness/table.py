@@ -1,4 +1,4 @@
-"""Tables of rows: lines on a terminal while they are measured, Markdown for README.md."""
+"""Tables of rows: lines on the terminal during measurements, and Markdown for README.md."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, TypeAlias
 
 from harness.record import Row
 
-#: A template such as "{iterations}/{products}" for the one row of a cell, or a function of its
-#: rows, of which there may be several. Where there is no row or figure the cell is empty.
+#: Text of a cell: a template such as "{iterations}/{products}", filled from the last row of the
+#: cell, or a function from all rows of the cell to the text.
 Text: TypeAlias = str | Callable[[list[Row]], str]
 
-#: What cells have that nothing was measured for.
+#: Text of cells for which nothing was measured.
 DASH = "\N{EN DASH}"
 
 
@@ -22,10 +22,10 @@ class Column:
     """A column of a table.
 
     Attributes:
-        head: what stands above.
-        text: of a cell.
-        where: fields and values of the rows that a cell shows, of those of its line.
-        missing: what a cell without rows or figures has.
+        head: head of the column.
+        text: text of a cell.
+        where: fields with their values: a cell shows those rows of its line that have these values.
+        missing: text of a cell without rows or figures.
         width: least width on a terminal.
     """
 
@@ -40,7 +40,7 @@ class Column:
         return [row for row in line if all(row.get(k) == v for k, v in self.where.items())]
 
     def cell(self, line: Sequence[Row]) -> str:
-        """Return the text in a line."""
+        """Return the text of the column's cell in a line of rows."""
         rows = self.rows(line)
         if not rows:
             return self.missing
@@ -53,17 +53,17 @@ class Column:
 
 
 def krylov_iterations(rows: Sequence[Row]) -> str:
-    """Return those of a cell's row, for a column; a direct solver has none."""
+    """Return the Krylov iterations of a cell's last row; a dash for a direct solver."""
     return str(rows[-1].get("krylov_iterations") or DASH)
 
 
 def heads(columns: Sequence[Column]) -> str:
-    """Return the heads, for a terminal."""
+    """Return the heads of columns as a line for a terminal."""
     return "  ".join(column.head.rjust(column.width) for column in columns)
 
 
 def printed(columns: Sequence[Column], row: Row) -> str:
-    """Return a row below `heads`."""
+    """Return a row as a line for a terminal, aligned with `heads`."""
     return "  ".join(
         column.cell([row]).rjust(max(column.width, len(column.head))) for column in columns
     ).rstrip()
@@ -71,14 +71,15 @@ def printed(columns: Sequence[Column], row: Row) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """What a table in README.md shows of the rows of a benchmark.
+    """A table in README.md, made from rows of a benchmark.
 
     Attributes:
-        name: its name in README.md.
-        columns: from left to right.
-        chosen: which rows it shows.
-        line: fields that the rows of a line have in common; none: each row has its own line.
-        derived: makes other rows of those, each with the `run` of what it is made of.
+        name: name of the table in README.md.
+        columns: columns from left to right.
+        chosen: function that says whether the table uses a row.
+        line: rows with equal values of these fields share a line; empty: each row has its own line.
+        derived: function from the chosen rows to the rows of the table, each with the `run` of a
+            row from which it was made.
     """
 
     name: str
@@ -88,7 +89,7 @@ class Table:
     derived: Callable[[list[Row]], list[Row]] = lambda rows: rows
 
     def lines(self, rows: Sequence[Row]) -> list[list[Row]]:
-        """Return the rows of each line, lines in the order in which the first rows came."""
+        """Return the rows of each line; lines have the order of their first rows."""
         result: dict[Any, list[Row]] = {}
         for number, row in enumerate(self.derived([row for row in rows if self.chosen(row)])):
             key = tuple(row.get(name) for name in self.line) if self.line else number
@@ -96,7 +97,7 @@ class Table:
         return list(result.values())
 
     def markdown(self, rows: Sequence[Row]) -> str:
-        """Return the table, and below it which code measured which lines."""
+        """Return the table as Markdown, and below it the code that measured each line."""
         lines = self.lines(rows)
         texts = [
             [column.head for column in self.columns],
@@ -108,8 +109,9 @@ class Table:
         return "\n".join([*table, "", self._sources(lines)])
 
     def _sources(self, lines: list[list[Row]]) -> str:
-        """Return which run measured what is shown where."""
-        # columns without `where` show what all rows of a line have in common
+        """Return a text that says which run measured which lines and columns."""
+        # columns without `where` are left out: they show values that are equal in all rows of a
+        # line
         numbered = [(n, column) for n, column in enumerate(self.columns, 1) if column.where]
         cells: dict[str, set[tuple[int, int]]] = {}
         for i, line in enumerate(lines, 1):
@@ -130,7 +132,7 @@ class Table:
 
 
 def source(run: Row) -> str:
-    """Return by which code, when, and on what a run was."""
+    """Return the code, date, machine and versions of a run as text."""
     return (
         f"`{run['commit']}` of {run['date']} ({run['cpu']}, {run['cores']} cores, "
         f"threads: {run['threads']}, DOLFINx {run['dolfinx']}, PETSc {run['petsc']})"
@@ -138,7 +140,7 @@ def source(run: Row) -> str:
 
 
 def spans(name: str, numbers: Sequence[int]) -> str:
-    """Return ascending numbers of lines, say, shortly: "lines 1-3, 7"."""
+    """Return ascending numbers as a short text, such as "lines 1-3, 7"."""
     groups = itertools.groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])
     runs = [[number for _, number in group] for _, group in groups]
     text = ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)

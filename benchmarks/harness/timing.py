@@ -14,9 +14,10 @@ T = TypeVar("T")
 
 
 def timed(comm: MPI.Comm, work: Callable[[], T]) -> tuple[float, T]:
-    """Return the processor seconds of the rank that takes most, and the result. Collective.
+    """Return the processor seconds of the slowest rank, and the result of `work`. Collective.
 
-    Of all its threads, and also where it waits for others; what other programs do is not in them.
+    The seconds are those of all threads of the rank, and include the time in which it waits for
+    other ranks, but not the work of other programs.
     """
     gc.collect()
     comm.barrier()

@@ -1,1 +1,1 @@
-"""What one would take instead of dolfinx_tresca, for benchmarks/peers.py: a file for each kind."""
+"""Other solvers of contact problems for benchmarks/peers.py, with a file for each kind."""

@@ -1,15 +1,15 @@
-"""Conic solvers: Clarabel (interior points) and SCS (splitting), on two forms of the problem.
+"""Conic solvers, Clarabel (interior points) and SCS (splitting), for two forms of the problem.
 
-`primal`: over the displacement u and a bound t_i of each slip, sparse:
+`primal`: a sparse problem in the displacement u and a bound t_i of each node's slip:
 
     min 1/2 u'K u - f'u + sum of g_i t_i   subject to   N u <= d,   |(T u - s)_i| <= t_i
 
-`dual`: over the multipliers, with A as a dense matrix, which takes a product for each of them:
+`dual`: a problem in the multipliers; the dense matrix A takes one product for each multiplier:
 
     min 1/2 lambda'A lambda - b'lambda   subject to   lambda_nu >= 0,   |lambda_tau,i| <= g_i
 
-Both are solved in units of 1 MPa and of the scene's length over E / MPa, in which all numbers have
-a moderate size.
+Both are scaled so that all numbers have a moderate size: the unit of stress is 1 MPa, and the unit
+of displacements is the scene's unit of length times 1 MPa / E.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from scipy.sparse import csc_array, csr_array, diags_array, eye_array, hstack, t
 from peer_solvers.discrete import Answer, primal_problem, scipy_matrix
 from scenes.assembled import dual_program
 
-#: Columns of A computed at once.
+#: Number of columns of A that are computed at once.
 BLOCK = 64
 
 
 def primal(scene: Any, tolerance: float, solver: str) -> Answer:
-    """Solve the sparse form; the multipliers are those of its constraints."""
+    """Solve the sparse form; the answer has the multipliers of its constraints."""
     data = primal_problem(scene)
     n, m = len(data.f), len(data.gap)
     nodes = len(data.bound)
@@ -111,7 +111,7 @@ def _dense(problem: Any) -> np.ndarray:
 
 
 def _cone_order(node: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return an order of (one row a node, rows of T) by node, and where each node's rows begin."""
+    """Return an order, by node, of the rows of t and then of T; and the first row of each node."""
     owner = np.concatenate([np.arange(nodes), node])
     order = np.argsort(owner, kind="stable")
     return order, np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=nodes))])

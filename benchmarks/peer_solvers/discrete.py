@@ -1,6 +1,7 @@
-"""The discrete problem that all peers solve, made with the package's own assembly and pairing.
+"""The discrete problem that all peers solve, from the package's own assembly and pairing.
 
-Multipliers are stresses times sqrt(area of the node), rows of B accordingly: see `JumpOperator`.
+Multipliers are stresses times sqrt(area of the node), and the rows of B are scaled accordingly; see
+`JumpOperator`.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import dual_program
 
-#: Most iterations of anything: the limit of seconds comes first.
+#: Limit for all kinds of iterations, which the limit of seconds ends before.
 MANY = 1_000_000
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a peer returns.
+    """The answer of a peer.
 
     Attributes:
-        multipliers: (size,) lambda, or (steps, size) after each of several load steps; or with
-            points (k, 3) tractions of the upper on the lower body.
-        work: counts, such as products, factorisations, iterations.
-        note: the peer's own words on how it ended.
-        stresses: whether the multipliers are stresses, not times sqrt(area).
-        points: (k, 3) where the tractions are; other nodes have none.
+        multipliers: (size,) lambda, or (steps, size) after each of several load steps; or, if there
+            are `points`, (k, 3) tractions of the upper body on the lower body.
+        work: numbers of products, factorisations or iterations, by name.
+        note: message of the peer about the end of its iteration.
+        stresses: whether the multipliers are stresses, without the factor sqrt(area).
+        points: (k, 3) positions of the nodes with tractions.
     """
 
     multipliers: np.ndarray
@@ -48,14 +49,14 @@ class Answer:
 
 @dataclass(frozen=True)
 class Primal:
-    """min 1/2 u'K u - f'u + sum of g |T u - s| subject to N u <= d, over what is not prescribed.
+    """min 1/2 u'K u - f'u + sum of g |T u - s| subject to N u <= d, for free degrees of freedom.
 
     Attributes:
-        K: (n, n) sparse.
+        K: (n, n) sparse stiffness matrix.
         f: (n,) load.
-        N: (m, n) sparse, T: (2 m, n) sparse: rows times sqrt(area).
-        gap: (m,) d, less what prescribed values contribute to N u, times sqrt(area).
-        slip: (2 m,) s, less what they contribute to T u, times sqrt(area).
+        N: (m, n) sparse, T: (2 m, n) sparse: the jumps, with rows multiplied by sqrt(area).
+        gap: (m,) d minus the contribution of prescribed values to N u, times sqrt(area).
+        slip: (2 m,) s minus the contribution of prescribed values to T u, times sqrt(area).
         node: (2 m,) the node of each row of T.
         bound: (m,) g times sqrt(area).
         size: (m,) sqrt(area).
@@ -73,7 +74,7 @@ class Primal:
 
 
 def scipy_matrix(A: Any) -> Any:
-    """Return a PETSc matrix as one of scipy's."""
+    """Return a PETSc matrix as a sparse matrix of scipy."""
     pointers, columns, values = A.getValuesCSR()
     return csr_array((values, columns, pointers), shape=A.getSize())
 
@@ -136,12 +137,12 @@ def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.nd
 
 
 def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
-    """Return the size of a problem, and relative errors of an answer; K is factored for it alone.
+    """Return the size of a problem, and relative errors of an answer. K is factored anew for this.
 
     Args:
         scene: the scene.
         answer: what a peer returned.
-        exact: multipliers in stress units of an accurate solution, (size,) or (steps, size).
+        exact: result of `package.exact_stresses`, (size,) or (steps, size).
 
     Returns:
         The number n of unknowns that are not prescribed, the number m of contact nodes, the natural
@@ -167,7 +168,7 @@ def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
         }
         if x.ndim == 1:
             _, residual = residual_norm(dual)
-            found["residual"] = residual(x, dual.apply(x) - dual.b)
+            found["residual"] = residual(x, dual.operator.apply(x) - dual.b)
         return found
 
 

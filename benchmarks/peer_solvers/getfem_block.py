@@ -2,10 +2,10 @@
 
     PYTHONPATH=.:benchmarks/published_cases python3 benchmarks/peer_solvers/getfem_block.py 64
 
-prints the quantities of that case, and the shear stress at some nodes, with so many cells along the
-block. It needs Debian's python3-getfem beside DOLFINx. Displacements have degree 2; the multipliers
-of the plane have degree 1, and their conditions are integrals (Alart and Curnier's augmented
-Lagrangian). Newton's method begins with contact everywhere.
+This command prints the quantities of that case, and the shear stress at some nodes, with 64 cells
+along the block. It needs Debian's python3-getfem beside DOLFINx. Displacements have degree 2; the
+multipliers of the plane have degree 1, and their conditions are integrals (Alart and Curnier's
+augmented Lagrangian). Newton's method begins with contact everywhere.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from scenes.elasticity import lame_constants
 
 BOTTOM, TOP, LEFT = 1, 2, 3
 
-#: Outward normals of the sides that carry something.
+#: Outward normals of the sides with loads or contact.
 NORMALS = {BOTTOM: (0.0, -1.0), TOP: (0.0, 1.0), LEFT: (-1.0, 0.0)}
 
 #: Pressure that the law allows, and the law: pressure p and shear stress q are tractions of the
@@ -41,7 +41,7 @@ LAW = (
     f"(q-max(-F*{PRESSED},min(F*{PRESSED},q-c*u(1))))*Test_q/c",
 )
 
-#: Residual, over a force of order 100, and most Newton steps.
+#: Residual at which Newton's method ends, with forces of order 100, and limit for its steps.
 RESIDUAL, MOST = 1e-9, 60
 
 

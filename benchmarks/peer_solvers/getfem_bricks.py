@@ -1,4 +1,4 @@
-"""GetFEM, from its own assembly to its own Newton method (Debian's python3-getfem)."""
+"""GetFEM (Debian's python3-getfem), with its own assembly and its own Newton method."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from scenes.two_bricks import POISSON, SLIP_BOUND, YOUNG
 
 CONTACT, FIXED, LOADED = 1, 2, 3
 
-#: c over E / h, as in monolithic.py
+#: c divided by E / h, as in monolithic.py
 STEP = 0.1
 
-#: axis and place of each face that carries something
+#: Face with loads, conditions or contact -> its axis and position.
 FACES = {
     "upper_fixed": (0, 2.0),
     "upper_free_end": (0, 0.0),

@@ -2,9 +2,9 @@
 
     PYTHONPATH=.:benchmarks python3 benchmarks/peer_solvers/getfem_ironing.py CELLS STEPS
 
-prints the time t, the horizontal and the vertical force on the block [N] and the Newton steps of
-each load step. It needs Debian's python3-getfem beside DOLFINx. GetFEM's method differs in all that
-the problem leaves open: rays along the deformed normals of the block find the foundation,
+This command prints the time t, the horizontal and the vertical force on the block [N] and the
+Newton steps of each load step. It needs Debian's python3-getfem beside DOLFINx. GetFEM solves the
+same problem by another method: rays along the deformed normals of the block find the foundation,
 multipliers are integrated over the block's surface (Poulios and Renard 2015), and Newton's method
 solves for displacements and multipliers at once.
 """
@@ -47,10 +47,10 @@ VIRTUAL_WORK = (
     ":Grad_Test_{u}"
 )
 
-#: Length of the rays over the size of the cells, and augmentation over Young's modulus.
+#: Length of the rays divided by the cell size; augmentation parameter divided by Young's modulus.
 RAY, AUGMENTATION = 6.0, 10.0
 
-#: Most Newton steps of a load step, and the residual [N] at which they end.
+#: Limit for the Newton steps of a load step, and the residual [N] at which they end.
 MOST, RESIDUAL = 100, 1e-6
 
 
@@ -58,8 +58,8 @@ def forces(cells: int, steps: int) -> Iterator[tuple[float, np.ndarray, int]]:
     """Yield the time, the force (2,) on the block [N] and the Newton steps of each load step.
 
     Args:
-        cells: along the foundation, a multiple of 20.
-        steps: load steps from t = 0 to t = 2, as in `scenes.large_sliding.iron`.
+        cells: number of cells along the foundation, a multiple of 20.
+        steps: number of load steps from t = 0 to t = 2, as in `scenes.large_sliding.iron`.
     """
     import getfem
 

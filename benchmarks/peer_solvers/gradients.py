@@ -1,4 +1,4 @@
-"""First-order methods on the dual problem, each iteration a product or two with A."""
+"""First-order methods for the dual problem, with one or two products with A in each iteration."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from scenes.assembled import dual_program
 
 
 def fista(scene: Any, rtol: float) -> Answer:
-    """Accelerated projected gradients, restarted when they turn uphill.
+    """Solve by accelerated projected gradients, with a restart if a step leads uphill.
 
-    Beck, Teboulle (2009); the restart of O'Donoghue and Candes (2015), gradient scheme.
+    Method: Beck, Teboulle (2009); restart by the gradient scheme of O'Donoghue and Candes (2015).
     """
     with dual_program(scene) as dual:
         project = dual.feasible_set.project
@@ -31,18 +31,18 @@ def fista(scene: Any, rtol: float) -> Answer:
             gradient = product + beta * (product - product_before) - dual.b
             before, product_before = x, product
             x = project(y - rho * gradient)
-            product = dual.apply(x)
+            product = dual.operator.apply(x)
             t = 1.0 if (y - x) @ (x - before) > 0.0 else t_next
         _displacement(dual, x)
         return Answer(x, _work(dual, iterations))
 
 
 def mpgp(scene: Any, rtol: float) -> Answer:
-    """Modified proportioning with gradient projections, see `proportioning`; A is the Hessian."""
+    """Solve by modified proportioning with gradient projections (`proportioning`) for A."""
     with dual_program(scene) as dual:
         rho, residual = residual_norm(dual)
         x, _, iterations = proportioning(
-            dual.apply,
+            dual.operator.apply,
             np.zeros_like(dual.b),
             -dual.b,
             dual.feasible_set,
@@ -65,16 +65,16 @@ def proportioning(
 
     Dostal, Kozubek: "An optimal algorithm and superrelaxation for minimization of a quadratic
     function subject to separable convex constraints with applications" (2012); proportioning
-    constant 1. Multipliers on their bound are held in conjugate gradients, also those on their
-    circle; gradient projection moves and frees them.
+    constant 1. Conjugate gradients hold all multipliers that are on a bound or on their circle;
+    gradient projections move and free these multipliers.
 
     Args:
-        hessian: multiplies with the Hessian H.
+        hessian: function that multiplies a vector by the Hessian H.
         x: (size,) first point, in Lambda.
-        r: (size,) gradient there.
+        r: (size,) gradient at x.
         bounds: Lambda.
         alpha: step length, recommended 1.9 / |H|.
-        done: whether a point with its gradient is accurate enough.
+        done: function that says whether a point with its gradient is accurate enough.
 
     Returns:
         the last point, its gradient, and the number of iterations.
@@ -135,11 +135,11 @@ def _longest_step(bounds: Any, x: np.ndarray, p: np.ndarray) -> float:
 
 
 def _work(dual: Any, iterations: int) -> dict[str, int]:
-    return {"iterations": iterations, "products": dual.products, "factorisations": 1}
+    return {"iterations": iterations, "products": dual.operator.products, "factorisations": 1}
 
 
 def _displacement(dual: Any, x: np.ndarray) -> None:
-    """Compute the displacement, which the user wants in the end."""
+    """Compute the displacement, which belongs to the answer that a user wants."""
     u = dual.jump.system.f.x.petsc_vec.duplicate()
     dual.response.displacement(x, u)
     u.destroy()

@@ -1,4 +1,4 @@
-"""A monolithic semismooth Newton method on (u, lambda): what most finite element codes do."""
+"""A monolithic semismooth Newton method for (u, lambda), as in most finite element codes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, vstack
 
 from peer_solvers.discrete import Answer, Primal, load_steps
 
-#: Newton steps after which it counts as failed: it cycles.
+#: Number of Newton steps after which the method counts as failed, since it cycles.
 MOST = 100
 
-#: c over E / h: of 0.01, 0.1, 1, 10 and 100 the best one with the classical derivative.
+#: c divided by E / h: of 0.01, 0.1, 1, 10 and 100 the best value for the classical derivative.
 STEP = 0.1
 
 #: Sparse matrix and right side -> solution.
@@ -45,15 +45,17 @@ def newton(
 ) -> Answer:
     """Solve by Newton steps on K u + B'lambda = f, lambda = P(lambda + c (B u - d)).
 
-    Without friction that is the primal-dual active set strategy (Hintermueller, Ito, Kunisch 2002).
-    With friction the classical derivative of P is Alart and Curnier's (1991); the default is the
-    one that Hueeber, Stadler and Wohlmuth (2008) modify so that it converges from afar. Each step
-    factors one sparse unsymmetric matrix. It ends when |lambda - P(...)| is at most a part of
-    |lambda|; the first equation, which is linear, holds after each step. A load step starts from
-    lambda of the one before and, with the modified derivative, from the states of its nodes; with
-    the classical one from those at (u, lambda) of the one before. For each that is the better start
-    (press fit, N = 16: 19 factorisations instead of 31, and 30 instead of 60). Slip counts
-    from there.
+    Without friction this is the primal-dual active set strategy (Hintermueller, Ito, Kunisch 2002).
+    With friction the classical derivative of P is Alart and Curnier's (1991). The default is a
+    derivative that Hueeber, Stadler and Wohlmuth (2008) have modified so that the method converges
+    from remote starting points. Each step factors one sparse unsymmetric matrix. The iteration ends
+    when |lambda - P(...)| is at most `tolerance` times |lambda|; the first equation, which is
+    linear, holds after each step.
+
+    A load step starts from the lambda of the last one. With the modified derivative, nodes first
+    have the states of the last step; with the classical one, those at the last u and lambda. For
+    each this is the better start (press fit, N = 16: 19 factorisations in place of 31, and 30 in
+    place of 60). Slip counts from the last step.
     """
     K, N, T = load_steps[0].K, load_steps[0].N, load_steps[0].T
     size, node = load_steps[0].size, load_steps[0].node
@@ -92,10 +94,10 @@ def newton(
 
 
 def projection(data: Primal, y: np.ndarray, x: np.ndarray | None) -> tuple[np.ndarray, Any]:
-    """Return P(y) and its derivative, a sparse matrix; modified where x is given.
+    """Return P(y) and its derivative, a sparse matrix.
 
-    On a circle the derivative is g / |y| (I - v y'/|y|) with v = y / |y|, in the modified one
-    v = x / max(g, |x|).
+    On a circle the derivative is g / |y| (I - v y'/|y|). The classical derivative has v = y / |y|;
+    if x is given, the derivative is modified, with v = x / max(g, |x|).
     """
     m, nodes = len(data.gap), len(data.bound)
 
@@ -112,7 +114,7 @@ def projection(data: Primal, y: np.ndarray, x: np.ndarray | None) -> tuple[np.nd
     rows, columns = data.node[slipping], m + slipping
 
     def by_node(v: np.ndarray, size: np.ndarray) -> Any:
-        """Return one row for each slipping node: its part of v, over its size."""
+        """Return one row for each slipping node: its part of v, divided by its entry in `size`."""
         return csr_array((v[columns] / size[rows], (rows, columns)), shape=(nodes, len(y)))
 
     outward = by_node(y, length)
@@ -121,7 +123,7 @@ def projection(data: Primal, y: np.ndarray, x: np.ndarray | None) -> tuple[np.nd
 
 
 def lu_solve(matrix: Any, right: np.ndarray) -> np.ndarray:
-    """Solve by one factorisation."""
+    """Solve a linear system by one sparse LU factorisation."""
     pointers, columns = (a.astype(PETSc.IntType) for a in (matrix.indptr, matrix.indices))
     A = PETSc.Mat().createAIJ(
         matrix.shape, csr=(pointers, columns, matrix.data), comm=PETSc.COMM_SELF

@@ -1,4 +1,4 @@
-"""The package itself: its default with both back ends, and the algorithms of the paper."""
+"""The package itself: its default method with both solvers for K, and the paper's algorithms."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from dolfinx_tresca import ContactProblem
 from peer_solvers.discrete import MANY, Answer, apply_load_steps
 
-#: Relative natural residual of the solution that counts as exact.
+#: Relative natural residual of the solution that counts as the exact discrete solution.
 REFERENCE = 1e-9
 
 
 def solve(scene: Any, rtol: float, method: str, stiffness: str) -> Answer:
-    """Solve from forms to fields, each load step from the one before."""
+    """Solve by a method of the package, from forms to fields, each load step from the last."""
     with ContactProblem(
         scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=stiffness
     ) as problem:

@@ -1,4 +1,4 @@
-"""Penalty and augmented Lagrangians: what tutorials of finite element codes do."""
+"""Penalty method and augmented Lagrangians, as in tutorials of finite element codes."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from scipy.sparse import diags_array, vstack
 from peer_solvers.discrete import Answer, Primal, load_steps
 from peer_solvers.monolithic import lu_solve, projection
 
-#: Newton steps of a load step after which it counts as failed, and where they end: residual over
-#: the load.
+#: Number of Newton steps after which a load step counts as failed, and the residual, divided by the
+#: load, at which it ends.
 MOST, EQUILIBRIUM = 200, 1e-8
 
-#: Shortest part of a Newton step, halved until the energy falls.
+#: Shortest part of a Newton step: steps are halved until the energy falls.
 SHORTEST = 1e-3
 
-#: The penalty of augmented Lagrangians, over E / h.
+#: The penalty of augmented Lagrangians, divided by E / h.
 AUGMENTED = 10.0
 
 
 def penalty(scene: Any, tolerance: float) -> Answer:
     """Solve K u + B'P(c (B u - d)) = f with c = E / (h tolerance), by damped Newton steps.
 
-    Kikuchi, Oden (1988). Penetration and stick are as wrong as c is small.
+    Method: Kikuchi, Oden (1988). The errors of penetration and stick are proportional to 1 / c.
     """
     return _solve(scene, 1.0 / tolerance, np.inf)
 
 
 def augmented(scene: Any, tolerance: float) -> Answer:
-    """Uzawa's method: the same, and lambda = P(lambda + c (B u - d)) after each solve.
+    """Solve by Uzawa's method: penalty solves with multipliers lambda, updated after each solve.
 
-    Alart, Curnier (1991), Simo, Laursen (1992). It ends when lambda changes by less than a part.
+    The update is lambda = P(lambda + c (B u - d)) (Alart, Curnier 1991; Simo, Laursen 1992). The
+    iteration ends when lambda changes by at most a part of its norm.
     """
     return _solve(scene, AUGMENTED, tolerance)
 

@@ -3,11 +3,11 @@
     tools/fenicsx python3 benchmarks/published_cases/ball.py 0.04
 
 K. L. Johnson, Contact Mechanics, section 4.2; the compliance far from the contact is an estimate of
-Tatara 1991. The ball is pressed by 0.144 mm, and by 1/256 of that, which makes the contact 1/16 as
-wide: theory is right for small contacts. It has no tangential displacements, which on the inclined
-parts of the contact change the gap by a part of the order of pressure over modulus; with Poisson's
-ratio 0.48 there are hardly any. Hertz's values are those for the computed force. The argument is
-the cell size at the larger contact [mm].
+Tatara 1991. The ball is pressed by 0.144 mm, and by 1/256 of this distance, which makes the contact
+1/16 as wide: the theory holds for small contacts. The theory neglects tangential displacements,
+which change the gap on the inclined parts of the contact, relatively by about pressure / modulus;
+with Poisson's ratio 0.48 tangential displacements are very small. Hertz's values are values for the
+computed force. The argument is the cell size at the larger contact [mm].
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from case import RTOL, Case, Result, exactly, peak_of
 from scenes.nodal import gathered, surface_nodes_of
 from scenes.revolution import APPROACH, BALL_POISSON, ball_on_plane, contact_radius
 
-#: Contact -> its size, and Poisson's ratio.
+#: Name of the contact -> its size relative to the larger contact, and Poisson's ratio.
 CONTACTS = {
     "": (1.0, BALL_POISSON),
     ", contact of 1/16": (1 / 16, BALL_POISSON),

@@ -3,15 +3,16 @@
     tools/fenicsx python3 benchmarks/published_cases/beam_gap.py 8
 
 Abaqus Benchmarks Guide, section 1.1.1, "Beam/gap example": three parallel beams, five gaps of 0.01
-between them, and two forces that bend the outer ones towards the middle one. Contact begins at the
-tips of the upper two, and ends there again when the forces have grown. The guide has a table of the
-forces in the gaps, to three digits, for ten loads. The lengths and the stiffness of the beams are
-in a figure that was not at hand. They follow from the table: with the gaps and the loads at the
-places below, in fifths of the length, and with this bending stiffness, beam theory finds 27 of the
-29 forces to the last digit, and 49.449 for the other two, 49.5. With a stiffness that differs by
-more than 3e-4, more of them are different. Here the beams are thin elastic strips with Poisson's
-ratio zero; at a gap one node of each may touch, and a gap of 1 is added at all others. A load is
-spread over two cells. The argument is the number of cells along a fifth of the length.
+between them, and two forces that bend the outer beams towards the middle beam. Contact begins at
+the tips of the two upper beams, and ends there again when the forces have grown. The guide has a
+table of the forces in the gaps, to three digits, for ten loads. The lengths and the stiffness of
+the beams are in a figure that was not at hand, but they follow from the table: with gaps and loads
+at the positions below, in fifths of the length, and with the bending stiffness below, beam theory
+gives 27 of the 29 forces to the last digit; for the other two it gives 49.449 instead of 49.5. With
+a stiffness that differs by more than 3e-4, more forces differ. Here the beams are thin elastic
+strips with Poisson's ratio zero. At each gap one node of each beam may touch; at all other nodes a
+gap of 1 is added. A load is spread over two cells. The argument is the number of cells along a
+fifth of the length.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, fixed
 from scenes.nodal import node_function
 
-#: Gap; bending stiffness and thickness, where a fifth of the length is 1.
+#: Gap, bending stiffness and thickness; the unit of length is a fifth of a beam.
 GAP, STIFFNESS, THICKNESS = 0.01, 2163.0, 0.02
 
-#: Length of the beams, and place of the loads.
+#: Length of the beams, and position of the loads.
 LENGTH, LOADED = 5, 2.0
 
-#: Beams above and below, from the top, and place of each gap.
+#: For each gap the numbers of the beams above and below it, from the top, and its position.
 GAPS = ((0, 1, 1.0), (0, 1, 3.0), (0, 1, 5.0), (1, 2, 1.0), (1, 2, 3.0))
 
-#: Load -> force in each gap; zero: open.
+#: Load -> force in each gap; zero if the gap is open.
 TABLE = {
     20.0: (0.0, 6.5, 0.732, 0.0, 7.97),
     40.0: (0.0, 18.3, 0.0, 0.0, 18.3),
@@ -54,7 +55,7 @@ TABLE = {
     200.0: (73.4, 90.4, 0.0, 73.4, 90.4),
 }
 
-#: Loads and gaps, counted from zero, of the forces that are compared.
+#: Forces that are compared: for each the load, and the number of the gap, counted from zero.
 SHOWN = ((20.0, 1), (20.0, 2), (20.0, 4), (120.0, 1), (140.0, 0), (200.0, 0), (200.0, 1))
 STATES = "gaps that are open or closed as in the table, of 50"
 
@@ -63,12 +64,12 @@ UPPER, LOWER, CLAMPED, PUSHED_DOWN, PUSHED_UP = 10, 20, 1, (2, 0, 0), (3, 2, 3)
 
 
 def quantity(load: float, gap: int) -> str:
-    """Return the name of a force."""
+    """Return the name of the force in a gap under a load."""
     return f"P = {load:g}: force in gap {gap + 1}"
 
 
 def theory(load: float) -> np.ndarray:
-    """Return the forces in the gaps (5,) by beam theory: the only state that all gaps allow."""
+    """Return the forces in the gaps (5,) by beam theory, in the only admissible contact state."""
 
     def deflection(x: float, y: float) -> float:
         """Return the deflection at x under a unit force at y."""
@@ -99,7 +100,7 @@ def theory(load: float) -> np.ndarray:
 def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n cells along a fifth of the length. Collective."""
     cells = int(n)
-    heights = THICKNESS * np.arange(3, -1, -1)  # gaps are added to the distance, zero
+    heights = THICKNESS * np.arange(3, -1, -1)  # without the added gaps the beams touch
     beams = [
         Body((LENGTH * cells, 1), [(0.0, LENGTH), (low, high)])
         for high, low in itertools.pairwise(heights)
@@ -107,7 +108,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     made = boxes(comm, "quadrilateral", beams, degree=2)
 
     def around(side: int, place: float):
-        """Return which points are next to a place on a side of a beam."""
+        """Return a function that says which points are near a position on a side of a beam."""
         return lambda x: np.isclose(x[:, 1], heights[side]) & (abs(x[:, 0] - place) < 1.0 / cells)
 
     marks = [(CLAMPED, [0, 1, 2], lambda x: np.isclose(x[:, 0], 0.0))]
@@ -141,7 +142,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
 
 
 def published(load: float, gap: int):
-    """Return the force in a gap, with half of its last digit."""
+    """Return Abaqus' force in a gap, uncertain by half of its last digit, and beam theory's."""
     known = TABLE[load][gap]
     digit = 10.0 ** -len(f"{known:g}".partition(".")[2])
     both = {"Abaqus": known, "beam theory": round(float(theory(load)[gap]), 5)}

@@ -1,13 +1,13 @@
-"""Fretting fatigue: partial slip between two cylinders, one of which is drawn along meanwhile.
+"""Fretting fatigue: partial slip between two cylinders, one of which is under tension.
 
     tools/fenicsx python3 benchmarks/published_cases/bulk_tension.py 48
 
 D. Nowell and D. A. Hills, Mechanics of fretting fatigue tests, Int. J. Mech. Sci. 29, 1987. Two
 equal cylinders are pressed together; then a shift and a tension sigma in the lower one grow
 together. The stick zone is as wide as without the tension (Cattaneo and Mindlin), but moves by
-sigma a / (4 mu p0), as long as it stays inside the contact. Its middle and its width are those of
-what the tractions fall short of mu p, which is half an ellipse in theory. The argument is the
-number of cells along a body.
+sigma a / (4 mu p0), as long as it stays inside the contact. The middle and the width of the stick
+zone are computed from mu p minus the traction, which in theory is half an ellipse over the stick
+zone. The argument is the number of cells along a body.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from scenes.cattaneo import BOTTOM, COEFFICIENT, POISSON, TOP, YOUNG, Cattaneo, 
 from scenes.cattaneo_cycle import APPROACH, Found
 from scenes.elasticity import fixed
 
-#: Tension over mu p0, approach [mm], and shift over the approach.
+#: Tension divided by mu p0; approach [mm]; shift divided by the approach.
 TENSION, DEPTH, SHIFT = 0.6, 4 * APPROACH[2], -0.3
 
-#: Half width of the stick zone over the contact's, for the shear force of this shift.
+#: Half width of the stick zone divided by that of the contact, for the shear force of this shift.
 STICK = 0.7015
 
 MODULUS = YOUNG / (1.0 - POISSON[2] ** 2)
@@ -41,7 +41,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n cells along a body; on one rank."""
     scene = cattaneo(comm, 2, int(n), approach=DEPTH)
     V, end = scene.V, scene.data.end
-    stretch = fem.Function(V)  # of the lower body, of height 1, without contact
+    stretch = fem.Function(V)  # displacement of the lower body, of height 1, without contact
     tension = fem.Constant(V.mesh, 0.0)
     x = ufl.SpatialCoordinate(V.mesh)
     side = ufl.conditional(ufl.lt(x[1], 0.0), ufl.sign(x[0]), 0.0)
@@ -82,7 +82,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
 
 
 def shear_stress(x: np.ndarray) -> np.ndarray:
-    """Return the shear stress over mu p0 at places over the half width of the contact (n,)."""
+    """Return shear stresses (n,) / (mu p0) at positions (n,) / (half width of the contact)."""
     full, stuck = (
         np.maximum(one, 0.0) for one in (1.0 - x**2, STICK**2 - (x - 0.25 * TENSION) ** 2)
     )

@@ -1,4 +1,4 @@
-"""A published case: quantities with their published values, and ours on three meshes."""
+"""The description of a published case: quantities, their published values, and our solve."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from mpi4py import MPI
 
 import numpy as np
 
-#: Residual of each solve, so small that errors are those of the mesh.
+#: Relative residual at which solves end, so small that only errors of the mesh remain.
 RTOL = 1e-8
 
 
 @dataclass(frozen=True)
 class Published:
-    """What others have published of a quantity.
+    """The published values of a quantity.
 
     Attributes:
-        low, high: lowest and highest value.
-        text: what the table shows.
-        source: where the values come from, if not from where the others of the case come.
+        low, high: lowest and highest published value.
+        text: text in the table.
+        source: source of these values; "": they have the source of the case.
     """
 
     low: float
@@ -37,17 +37,23 @@ def number(value: float) -> str:
 
 
 def exactly(value: float) -> Published:
-    """Return the value of a formula."""
+    """Return a single value, such as the value of a formula, as published."""
     return Published(value, value, number(value))
 
 
 def between(low: float, high: float) -> Published:
-    """Return a range."""
+    """Return a published range of values."""
     return Published(low, high, f"{number(low)} to {number(high)}")
 
 
 def by_group(values: Mapping[str, float], rounding: float = 0.0, source: str = "") -> Published:
-    """Return the values of several groups or programs, rounded to twice `rounding`."""
+    """Return the published values of several groups or programs, which were rounded.
+
+    Args:
+        values: name of the group -> value.
+        rounding: half of the last digit of the values.
+        source: see `Published.source`.
+    """
     texts = [f"{value:g} ({name})" for name, value in values.items()]
     return Published(
         min(values.values()) - rounding, max(values.values()) + rounding, ", ".join(texts), source
@@ -55,13 +61,14 @@ def by_group(values: Mapping[str, float], rounding: float = 0.0, source: str = "
 
 
 def peak_of(x: np.ndarray, pressure: np.ndarray) -> float:
-    """Return the pressure in the middle of the half ellipse that fits the inner half of a contact.
+    """Return the peak of the half ellipse that is fitted to the inner half of a contact.
 
-    Single nodes differ from their neighbours where the meshes of the bodies do not match.
+    The fit is used since pressures of single nodes differ from their neighbours if meshes do not
+    match.
 
     Args:
-        x: (n,) distances from the middle, over half the width.
-        pressure: (n,).
+        x: (n,) distances from the middle, divided by the half width of the contact.
+        pressure: (n,) pressures at these distances.
     """
     inside = x < 0.5
     _, square = np.polyfit(x[inside] ** 2, pressure[inside] ** 2, 1)
@@ -74,7 +81,7 @@ class Result:
 
     Attributes:
         values: quantity -> value.
-        space: of the displacement.
+        space: the space of the displacement.
         x, y: points of the curve that the picture shows, (n,) each.
     """
 
@@ -89,15 +96,15 @@ class Case:
     """A published case.
 
     Attributes:
-        name: of its script.
-        title: in tables and pictures.
+        name: name of the script.
+        title: title in tables and pictures.
         published: quantity -> published value.
         source: whether the values come from a formula, from other programs, or from tests of
             specimens.
-        argument: what the size is.
-        sizes: mesh sizes or numbers of cells, from coarse to fine, each the last one by a constant
-            factor.
-        solve: communicator and size -> result. Collective.
+        argument: meaning of the size, which is the argument of the script.
+        sizes: mesh sizes or numbers of cells, from coarse to fine; the ratio of successive sizes is
+            constant.
+        solve: function from a communicator and a size to the result. Collective.
         order: the power of the cell size with which errors fall in theory.
         resolution: relative error that does not depend on the mesh, such as that of a bisection.
         axes: labels of the picture's axes; None: there is no picture.

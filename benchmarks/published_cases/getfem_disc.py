@@ -4,11 +4,12 @@
 
 The program `demo_static_contact.py` of GetFEM (folder `interface/tests/python` of its sources) with
 its meshes of a disc: radius 20, plane strain, both of Lame's constants 1, a force of 0.05 per area,
-F = 0.4, its version 13. GetFEM keeps no values: those below are what its release 5.4.2 finds with
-cells of degree 2 and its mesh `disc_P2_h0_5.mesh`, of cells of size 0.5. Displacements of the nodes
-and the pressure at the lowest point change by 4e-5 of themselves or less between this mesh and the
-next coarser one. Strains are linear, though the disc is flattened by more than a third of its
-height. Nothing but contact holds the disc upwards. The argument is the cell size.
+F = 0.4, and the program's version 13 of the method. GetFEM stores no values: the values below were
+computed with its release 5.4.2, with cells of degree 2 and its mesh `disc_P2_h0_5.mesh`, whose
+cells have the size 0.5. From the next coarser mesh to this mesh the displacements of the nodes and
+the pressure at the lowest point change by at most 4e-5 of themselves. Strains are linear, although
+the disc is flattened by more than a third of its height. In the vertical direction only contact
+holds the disc. The argument is the cell size.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from scenes.nodal import gathered, nodal, surface_nodes_of
 RADIUS, WEIGHT, COEFFICIENT = 20.0, 0.05, 0.4
 YOUNG, POISSON = 2.5, 0.25  # both of Lame's constants are 1
 
-#: Quantity -> the node, component of the displacement and its sign, and GetFEM's value.
+#: Quantity -> node, component of its displacement, sign of this component, and GetFEM's value.
 NODES = {
     "displacement of the top, down": ((0.0, 2.0 * RADIUS), 1, -1.0, 15.1621),
     "displacement of the middle, down": ((0.0, RADIUS), 1, -1.0, 11.1822),
@@ -38,8 +39,8 @@ NODES = {
     "displacement of the side, across": ((RADIUS, RADIUS), 0, 1.0, 2.5691),
 }
 
-#: GetFEM's pressures at nodes, by their distance from the middle. Where nodes slip its multipliers
-#: are not the tractions: the tangential one is more than F times the normal one.
+#: GetFEM's pressures at nodes, by their distance from the middle. At nodes that slip GetFEM's
+#: multipliers are not the tractions: the tangential multiplier exceeds F times the normal one.
 PRESSURES = {
     0.0: 2.1207,
     3.3934: 2.0714,

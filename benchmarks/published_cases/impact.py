@@ -3,9 +3,10 @@
     tools/fenicsx python3 benchmarks/published_cases/impact.py 50
 
 Wave theory (K. L. Johnson, Contact Mechanics, section 11.1): the bar presses with rho c v for the
-time 2 l / c and flies off as fast as it came. Coulomb's law: the block stops after v / (F g) and
-v^2 / (2 F g). Both are those of `demos/demo_impact.py`, which the script runs. The argument is the
-number of cells along the bar; the numbers of cells and unknowns in the table are the block's.
+time 2 l / c and rebounds with its initial speed. By Coulomb's law the block stops after the time v
+/ (F g) and the distance v^2 / (2 F g). The script runs `demos/demo_impact.py`, which has both
+problems. The argument is the number of cells along the bar; the numbers of cells and unknowns in
+the table are the block's.
 """
 
 from __future__ import annotations

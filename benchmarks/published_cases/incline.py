@@ -4,9 +4,10 @@
 
 Q. Feng and N. K. Prinja, Benchmark tests for finite element modelling of contact, gapping and
 sliding, NAFEMS R0081, 2001. A block of weight G lies on a plane of slope 0.1 with F = 0.3; a
-horizontal force pushes it upwards. It holds up to G (tan(alpha) + F) / (1 - F tan(alpha)). Here
-the force is found by bisection between a load that has a solution and one that has none. The
-argument is the number of cells along the block.
+horizontal force pushes it upwards. The block holds up to the force G (tan(alpha) + F) / (1 - F
+tan(alpha)), where alpha is the angle of the slope. Here this force is found by bisection between a
+load with a solution and a load without a solution. The argument is the number of cells along the
+block.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ LENGTH, HEIGHT = 4.0, 1.0  # mm
 WEIGHT = 1.0  # N per mm of thickness
 LIMIT = (SLOPE + COEFFICIENT) / (1 - COEFFICIENT * SLOPE)
 
-#: Width of the interval at which the bisection ends, over the limit.
+#: Width of the interval at which the bisection ends, divided by the limit force.
 WIDTH = 1e-5
 
 
@@ -41,7 +42,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     tags = mesh.meshtags(block, 1, bottom, np.ones(len(bottom), dtype=np.int32))
     V = fem.functionspace(block, ("Lagrange", 1, (2,)))
     v = ufl.TestFunction(V)
-    along = np.array([1.0, SLOPE]) / math.hypot(1.0, SLOPE)  # the slope's direction
+    along = np.array([1.0, SLOPE]) / math.hypot(1.0, SLOPE)  # direction along the slope
     weight = WEIGHT / (LENGTH * HEIGHT) * np.array([-along[1], -along[0]])
     push = WEIGHT / (LENGTH * HEIGHT) * np.array([along[0], -along[1]])
     factor = fem.Constant(block, 0.0)

@@ -3,11 +3,11 @@
     tools/fenicsx python3 benchmarks/published_cases/indentation.py 8
 
 K. L. Johnson, Contact Mechanics, sections 3.4 and 6.2: by Hertz's stresses below the surface and
-von Mises' condition the first yield is at a pressure in the middle of 1.613 Y for Poisson's ratio
-0.3. W. C. Oliver and G. M. Pharr, J. Mater. Res. 7, 1992: when the ball begins to go up, the slope
-of force over depth is 2 E* a. Both are those of `demos/demo_indentation.py`, which the script runs.
-The argument is the number of load steps downwards, with which cells become smaller and the last
-depth grows.
+von Mises' condition, yield begins when the pressure in the middle is 1.613 Y, for Poisson's ratio
+0.3. W. C. Oliver and G. M. Pharr, J. Mater. Res. 7, 1992: when the ball begins to go up, the
+derivative of the force with respect to the depth is 2 E* a. The script runs
+`demos/demo_indentation.py`, which has both comparisons. The argument is the number of load steps
+downwards; with more steps cells are smaller and the last depth is larger.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ YIELD, SLOPE = "pressure in the middle at first yield, over Y", "slope of the wa
 
 
 def pressure_at_yield() -> float:
-    """Return the pressure in the middle over Y at first yield, by Hertz's stresses on the axis."""
+    """Return (pressure in the middle) / Y at first yield, by Hertz's stresses on the axis."""
 
     def negative_stress(z: float) -> float:
-        """Return minus the von Mises stress over the pressure, at a depth over the radius."""
+        """Return -(von Mises stress) / (pressure in the middle) at the depth z / (radius)."""
         axial = 1.0 / (1.0 + z**2)
         radial = (1.0 + POISSON) * (1.0 - z * np.arctan(1.0 / z)) - 0.5 * axial
         return -float(abs(axial - radial))
@@ -52,7 +52,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
                 found = runpy.run_path(str(DEMO))
     down, up, _ = found["smooth"]
     reduced, radius, limit = (found[name] for name in ("reduced", "radius", "yield_stress"))
-    last = [step for step in down if step.stress <= limit][-1]  # elastic: stresses go with pressure
+    last = [step for step in down if step.stress <= limit][-1]  # elastic: stress ~ pressure
     middle = (6 * last.force * reduced**2 / (np.pi**3 * radius**2)) ** (1 / 3)
     slope = (down[-1].force - up[0].force) / (down[-1].depth - up[0].depth)
     values = {YIELD: middle / last.stress, SLOPE: slope / (2 * reduced * down[-1].contact_radius)}
@@ -60,8 +60,8 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     return Result(values, found["V"], strain, mean)
 
 
-#: E* a / (Y R) and mean pressure over Y: first yield by Hertz's formulas; full plasticity, about,
-#: by Johnson, section 6.3.
+#: E* a / (Y R), and below the mean pressure divided by Y: at first yield, by Hertz's formulas, and
+#: approximately at full plasticity, by Johnson, section 6.3.
 STRAINS = (0.5 * np.pi * pressure_at_yield(), 40.0)
 PRESSURES = (2 / 3 * pressure_at_yield(), 3.0)
 

@@ -2,9 +2,10 @@
 
     tools/fenicsx python3 benchmarks/published_cases/ironing.py 60
 
-K. A. Fischer and P. Wriggers, Comput. Methods Appl. Mech. Eng. 195, 2006; data, and the figures of
-several groups, are those of `demos/demo_ironing.py`, which the script runs. The argument is the
-number of cells along the foundation, a multiple of 20; load steps go with it.
+K. A. Fischer and P. Wriggers, Comput. Methods Appl. Mech. Eng. 195, 2006. The script runs
+`demos/demo_ironing.py`, which has the data and the figures of several groups. The argument is the
+number of cells along the foundation, a multiple of 20; the number of load steps is proportional to
+it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from case import Case, Result, between, by_group
 
 DEMO = Path(__file__).parents[2] / "demos" / "demo_ironing.py"
 
-#: Forces [N]: at t = 1 the lowest and the highest of several groups, at t = 1.5 single ones.
+#: Forces [N]: the lowest and the highest value of several groups at t = 1, single values at t =
+#: 1.5.
 PUBLISHED = {
     "vertical force at t = 1 [N]": between(268.0, 332.0),
     "horizontal force at t = 1 [N]": between(55.0, 71.0),

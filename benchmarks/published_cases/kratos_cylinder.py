@@ -7,9 +7,9 @@ The test `hertz_simple_test` of Kratos Multiphysics (ContactStructuralMechanicsA
 flat side is loaded by a pressure of 0.2. The values are displacements of nodes of the round side,
 from `hertz_simple_test_results.json`; the coordinates of the nodes are in `hertz_simple_test.mdpa`.
 Cells are of degree 1, eleven along the half width of the contact. The flat side is held sideways:
-the parameters of the test do not say so, but with it the displacements downwards agree to 0.1 %,
-and without it those across would be 1.5 times as large. The argument is the cell size at the
-contact.
+the parameters of the test do not say so, but with this condition the displacements downwards agree
+to 0.1 %, and without it the displacements across would be 1.5 times as large. The argument is the
+cell size at the contact.
 """
 
 from __future__ import annotations

@@ -8,8 +8,9 @@ values are those of its files `half_symm_q8/gold/hertz_cyl_half_1deg_*.csv`, wit
 degree 2, eight along the half width of the contact, and `half_symm_q4`, of degree 1:
 `frictionless_kin_check2`, `frictionless_kin_check_cont_press_0035`, and `glued_pen_check2`, where
 nodes that touch are glued to the plane in each of ten load steps. Here they stick by Coulomb's law
-with a coefficient that no traction exceeds. The pressure in the middle is that of half an ellipse
-through MOOSE's vertices or its midpoints. The argument is the cell size at the contact.
+with a coefficient that no traction exceeds. The pressure in the middle is the peak of half an
+ellipse that is fitted to MOOSE's values at vertices or at midpoints of cells. The argument is the
+cell size at the contact.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     return Result(values, V, x[near], p[near])
 
 
-#: Half width of the contact for MOOSE's force, by Hertz's theory.
+#: Half width of the contact by Hertz's theory, for MOOSE's force.
 HALF_WIDTH = float(np.sqrt(4 * 716.811 * RADIUS * (1 - POISSON**2) / (np.pi * YOUNG)))
 CASE = Case(
     name="moose_cylinder",

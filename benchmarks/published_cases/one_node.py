@@ -6,10 +6,10 @@ A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasi
 problems with friction, Ing. Arch. 60, 1990; P. Hild, Non-unique slipping in the Coulomb friction
 model in two-dimensional linear elasticity, 2004. A triangle of which two nodes are held; the third
 is pressed on a plane by N and pulled along it by T. Its stiffness [K_tt, K_tn; K_tn, K_nn] couples
-both directions. F is beyond the critical coefficient K_tt / K_tn: where T / N is between both, the
-node may stick, slip, or be open. What was accepted before, N alone, is sticking; where T grows
-beyond F N the rate problem has no solution, and the next load step ends where the node is open.
-There is only one mesh.
+both directions. F exceeds the critical coefficient K_tt / K_tn. If T / N is between the critical
+coefficient and F, the node may stick, slip, or be open. Before T is applied, a load step with N
+alone was accepted, in which the node sticks. When T grows beyond F N, the rate problem has no
+solution, and after the next load step the node is open. There is only one mesh.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from scenes.patches import mesh_of
 YOUNG, POISSON, COEFFICIENT = 1.0, 0.3, 2.0  # -, -, -
 PRESSED = 1e-3  # N
 
-#: Nodes of the triangle; the first one is free. Area, and gradient of its shape function.
+#: Nodes of the triangle, of which the first one is free; then the triangle's area, and the gradient
+#: of the free node's shape function.
 NODES = np.array([[0.0, 0.0], [1.0, 0.0], [-0.873, 1.0]])
 AREA, GRADIENT = 0.5, np.array([-1.0, -1.873])
 
@@ -40,7 +41,8 @@ STIFFNESS = AREA * (
     MU * GRADIENT @ GRADIENT * np.eye(2) + (LAME + MU) * np.outer(GRADIENT, GRADIENT)
 )
 
-#: T/N where the node sticks, where it may do everything, and where it must be open.
+#: T/N at which the node sticks; at which it may stick, slip or be open; and at which it must be
+#: open.
 ONE, THREE, JUMP = 1.2, 1.75, 2.2
 
 #: T/N of the load steps that the picture shows.
@@ -48,7 +50,7 @@ PULLS = np.linspace(0.0, JUMP, 46)
 
 
 def slipping() -> float:
-    """Return the normal force over N of the solution that slips."""
+    """Return (normal force) / N of the solution that slips."""
     (tt, tn), _ = STIFFNESS
     return float(1.0 - tn * (COEFFICIENT - THREE) / (COEFFICIENT * tn - tt))
 
@@ -68,7 +70,7 @@ def solve(comm: MPI.Comm, _: float) -> Result:
     a = elasticity(V, YOUNG, POISSON)
 
     def force_at(problem: ContactProblem, pull: float) -> tuple[float, np.ndarray]:
-        """Return the normal force over N, and the displacement of the node."""
+        """Return (normal force) / N, and the displacement of the node."""
         load.value[:] = 3.0 / AREA * PRESSED * np.array([-pull, -1.0])
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()

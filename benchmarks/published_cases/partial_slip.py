@@ -3,7 +3,7 @@
     tools/fenicsx python3 benchmarks/published_cases/partial_slip.py 48
 
 K. L. Johnson, Contact Mechanics, section 7.2; the scene of `benchmarks/cattaneo.py`, which has more
-loads, a cycle, and 3D. The values of theory are those for the computed forces. The argument is the
+loads, a cycle, and 3D. The values of theory are values for the computed forces. The argument is the
 number of cells along a body.
 """
 
@@ -17,7 +17,7 @@ from case import RTOL, Case, Result, exactly
 from scenes.cattaneo import COEFFICIENT, Cattaneo, cattaneo
 from scenes.cattaneo_cycle import AMPLITUDE, APPROACH, Found
 
-#: Stick half width over the contact's, for the shear force of this shift.
+#: Half width of the stick zone divided by that of the contact, for the shear force of this shift.
 RATIO = 0.3554
 
 CONTACT, STICK = "contact half width over theory's", "stick half width over theory's"

@@ -2,9 +2,10 @@
 
     tools/fenicsx python3 benchmarks/published_cases/patch_test.py 4
 
-R. L. Taylor and P. Papadopoulos, On a patch test for contact problems in two dimensions, 1991. All
-kinds of cells, with matching meshes paired node to node and with others paired by mortar elements,
-degrees 1 and 2. The argument is the number of cells along the contact.
+R. L. Taylor and P. Papadopoulos, On a patch test for contact problems in two dimensions, 1991. The
+test has all kinds of cells, degrees 1 and 2, matching meshes that are paired node to node, and
+meshes that do not match, which are paired by mortar elements. The argument is the number of cells
+along the contact.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from case import Case, Result, exactly
 from scenes.nodal import gathered, surface_nodes_of
 from scenes.patches import KINDS, patch
 
-#: Residual: multipliers err by it times the condition number of A.
+#: Relative residual at which solves end: the error of multipliers is about this times the condition
+#: number of A.
 RTOL = 1e-12
 
 PAIRINGS = (("nodes", 1), ("mortar", 1), ("mortar", 2))
@@ -44,13 +46,13 @@ def solve(comm: MPI.Comm, n: float) -> Result:
             curve[kind] = x, ratios[-1]
         off = max(float(np.abs(one - 1.0).max()) for one in ratios)
         values[quantity(pairing, degree)] = 1.0 + off
-    x, ratio = curve["quadrilateral"]  # of the last pairing
+    x, ratio = curve["quadrilateral"]  # the picture shows the last pairing
     order = np.argsort(x)
     return Result(values, scene.V, x[order], ratio[order])
 
 
 def quantity(pairing: str, degree: int) -> str:
-    """Return the name of the worst pressure."""
+    """Return the name of the quantity: the pressure with the largest error."""
     how = {"nodes": "node to node", "mortar": "mortar"}[pairing]
     return f"worst nodal pressure over the exact one, {how}, degree {degree}"
 

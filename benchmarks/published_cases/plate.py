@@ -3,11 +3,11 @@
     tools/fenicsx python3 benchmarks/published_cases/plate.py 64
 
 A benchmark of the French working group GRECO (J. Méc. Théor. Appl. 7, suppl. 1, 1988). The
-published displacements are those of the Code_Aster manual V6.04.128: means of several programs, to
-three digits, whose uncertainty the manual calls important; and those of Code_Aster itself, in its
-test ssnv128a, with penalties in contact and friction and 32 cells along a side. The force of a node
-is Code_Aster's as well; here it is the integral of the pressure times the hat function of its mesh.
-The argument is the number of cells along a side of the plate.
+published displacements come from the Code_Aster manual V6.04.128. They are means of several
+programs, to three digits, whose uncertainty the manual calls important; and values of Code_Aster's
+test ssnv128a, with penalties in contact and friction and 32 cells along a side. The nodal force is
+Code_Aster's, too; here it is the integral of the pressure times the hat function of that node in
+Code_Aster's mesh. The argument is the number of cells along a side of the plate.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ YOUNG, POISSON, COEFFICIENT = 130_000.0, 0.2, 1.0  # MPa, -, -
 ABOVE, BESIDE = 50.0, 150.0  # MPa
 
 #: Distance from the loaded corner [mm] -> displacement towards the symmetry plane [µm]: the mean of
-#: several programs, and the value of Code_Aster, which its test compares with it to 5 %.
+#: several programs; and Code_Aster's value, which its test compares with the mean, to 5 %.
 DISPLACEMENTS = {
     0.0: (28.6, 28.649),
     1.25: (27.2, 27.269),
@@ -41,8 +41,8 @@ DISPLACEMENTS = {
 #: Half of the last digit of the means [µm].
 ROUNDING = 0.05
 
-#: Normal force [N per mm of thickness] of the node at a distance [mm] from the symmetry plane, with
-#: cells of that size.
+#: Normal force [N per mm of thickness] of a node, and the node's distance from the symmetry plane
+#: [mm], which is also the cell size.
 FORCE, BESIDE_SYMMETRY = 104.864, 1.25
 
 NODE = "force of the node at 38.75 mm [N/mm]"

@@ -3,10 +3,10 @@
     tools/fenicsx python3 benchmarks/published_cases/punch.py 0.008
 
 K. L. Johnson, Contact Mechanics, section 2.8: the stresses below the punch oscillate at its edges,
-and the pressure in the middle is 2 (1 - nu) / sqrt(3 - 4 nu) times the pressure without friction,
-P / (pi a). Nodes are bonded, since with a coefficient of friction of 5 slip at the edges changes
-the pressure in the middle by 0.2 %. The argument is the cell size at the edge of the punch, over
-its half width.
+and the pressure in the middle is 2 (1 - nu) / sqrt(3 - 4 nu) times the pressure without friction, P
+/ (pi a). Nodes are bonded, since with a coefficient of friction of 5 slip at the edges changes the
+pressure in the middle by 0.2 %. The argument is the cell size at the edge of the punch, divided by
+the half width of the punch.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scenes.elasticity import elasticity, fixed, no_load
 from scenes.nodal import gathered, surface_nodes_of
 
 YOUNG, POISSON = 1.0, 0.0
-DEPTH = 1e-3  # by which the far end is pressed on the punch, over the half width
+DEPTH = 1e-3  # motion of the far end towards the punch, divided by the half width
 
 
 def under_punch(comm: MPI.Comm, h: float, friction: Any) -> ContactProblem:
@@ -35,7 +35,7 @@ def under_punch(comm: MPI.Comm, h: float, friction: Any) -> ContactProblem:
 
     Args:
         comm: communicator of the mesh.
-        h: size of the cells at the edge of the punch, over its half width.
+        h: size of the cells at the edge of the punch, divided by the punch's half width.
         friction: the law.
     """
     half = read_gmsh(Path(__file__).with_name("punch.geo"), comm, h=h)
@@ -58,14 +58,14 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     order = np.argsort(x)
     frictionless = 2 * float(weights @ p) / math.pi  # P / (pi a)
     x, p = x[order], p[order] / frictionless
-    # an even function of x; single nodes differ from their neighbours
+    # fit an even function of x, since single nodes differ from their neighbours
     inside = x < 0.3
     middle = float(np.polyfit(x[inside] ** 2, p[inside], 2)[-1])
     return Result({"pressure in the middle": middle}, solution.u.function_space, x, p)
 
 
 def theory(x: np.ndarray) -> np.ndarray:
-    """Return the pressure over P / (pi a) at distances x from the middle, over a."""
+    """Return pressures divided by P / (pi a), at distances x from the middle, divided by a."""
     phase = math.log(3 - 4 * POISSON) / (2 * math.pi) * np.log((1 + x) / (1 - x))
     factor = 2 * (1 - POISSON) / math.sqrt(3 - 4 * POISSON)
     pressure: np.ndarray = factor * np.cos(phase) / np.sqrt(1 - x**2)

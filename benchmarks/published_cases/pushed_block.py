@@ -4,14 +4,14 @@
 
 J. T. Oden and E. B. Pires, Nonlocal and nonlinear friction laws and variational principles for
 contact problems in elasticity, J. Appl. Mech. 50, 1983; N. Kikuchi and J. T. Oden, Contact Problems
-in Elasticity, 1988: an elastic block with a pressure on its top and one on a side, held by nothing
-but a rigid plane with friction. Their dimensions, loads and figures were not at hand: those here
-are ours, plane strain, chosen so that a part of the contact opens, a part slips and a part sticks.
-The values of another program are those of GetFEM 5.4.4 (`benchmarks/peer_solvers/getfem_block.py`),
-with 128 cells along the block, multipliers whose conditions are integrals in place of nodal ones,
-and its own assembly and Newton method. With 64 cells its values differ by 7e-4 of themselves or
-less, and the lift by 3e-3. The argument is the number of cells along the block; they
-become smaller towards the corners on the plane.
+in Elasticity, 1988: an elastic block with a pressure on its top and a pressure on one side is held
+only by a rigid plane with friction. Their dimensions, loads and figures were not at hand. The data
+here are our own, in plane strain, chosen so that a part of the contact opens, a part slips and a
+part sticks. Our values are compared with values of GetFEM 5.4.4
+(`benchmarks/peer_solvers/getfem_block.py`), with 128 cells along the block, conditions of the
+multipliers that are integrals instead of nodal, and GetFEM's own assembly and Newton method.
+GetFEM's values with 64 cells differ by at most 7e-4 of themselves, the lift by 3e-3. The argument
+is the number of cells along the block; cells become smaller towards the corners on the plane.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ SHEAR = {
     3.8478: 57.205,
 }
 
-#: Place up to which the picture shows shear stresses, which grow without bound at the right corner.
+#: Position up to which the picture shows shear stresses, which are unbounded at the right corner.
 SHOWN = 3.9
 
 
 def graded(x: np.ndarray) -> np.ndarray:
-    """Return points (n, 2) of the block from those of the unit square."""
+    """Return points (n, 2) of the block from points (n, 2) of the unit square."""
     across = 0.5 * WIDTH * (1.0 - np.cos(np.pi * x[:, 0]))
     return np.stack([across, HEIGHT * x[:, 1] ** 2], axis=1)
 
@@ -75,19 +75,19 @@ def quantities(
     q: np.ndarray,
     on_left: tuple[float, float],
 ) -> dict[str, float]:
-    """Return the values of `GETFEM` of a solution.
+    """Return the values of the quantities in `GETFEM` for a solution.
 
     Args:
-        places: (n, 2) nodes.
+        places: (n, 2) positions of the nodes.
         u: (n, 2) displacements of the nodes.
-        x: (m,) places of the contact nodes from the left end, ascending.
+        x: (m,) distances of the contact nodes from the left end, ascending.
         p: (m,) pressures.
         q: (m,) shear stresses.
         on_left: parts of the normal force and of the friction force on the left half.
     """
 
     def at(*place: float) -> np.ndarray:
-        """Return the displacement of a node."""
+        """Return the displacement of the node at a position."""
         return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
 
     below = np.flatnonzero(places[:, 1] < 1e-9)
@@ -105,7 +105,7 @@ def quantities(
 
 
 def solve(comm: MPI.Comm, n: float) -> Result:
-    """Solve with n cells along the block and half as many above each other. Collective."""
+    """Solve with n cells along the block and n / 2 cells over its height. Collective."""
     body = Body((int(n), int(n) // 2), [(0.0, 1.0), (0.0, 1.0)], move=graded)
     made = boxes(comm, "quadrilateral", [body], degree=2)
     sides = {1: (1, 0.0), 2: (1, 1.0), 3: (0, 0.0)}  # bottom, top, left

@@ -3,10 +3,10 @@
     tools/fenicsx python3 benchmarks/published_cases/receding.py 0.05
 
 L. M. Keer, J. Dundurs and K. C. Tsai, Problems involving a receding contact between a layer and a
-half space, J. Appl. Mech. 39, 1972. As soon as there is a load, the layer lifts off but for a
-strip, whose width does not depend on the load. Width and pressure are those of the integral
-equation for a load on a narrow strip, solved below with the Fourier transforms of both bodies.
-The argument is the cell size at the contact, over the thickness of the layer.
+half space, J. Appl. Mech. 39, 1972. Under any load the layer lifts off, except on a strip whose
+width does not depend on the load. The width and the pressure of theory solve the integral equation
+for a load on a narrow strip, with the Fourier transforms of both bodies (`theory`). The argument is
+the cell size at the contact, divided by the thickness of the layer.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from scenes.nodal import gathered, surface_nodes_of
 
 YOUNG, POISSON, FORCE, LOADED = 1.0, 0.3, 1e-4, 0.05  # -, -, per thickness, half width of load
 
-#: Distance of the points of the integral equation, and where they end.
+#: Distance between the points of the integral equation, and position of the last point.
 STEP, END = 0.02, 1.8
 
-#: Wave numbers of its integrals: as many up to the first limit as from there to the last one.
+#: Number of wave numbers for the integrals up to the first limit, and again between both limits.
 WAVES, LIMITS = 10_000, (20.0, 40.0 / STEP)
 
 
 @cache
 def theory() -> tuple[np.ndarray, np.ndarray]:
-    """Return distances from the middle and pressures over the force.
+    """Return distances from the middle, and pressures divided by the force.
 
-    A layer of thickness 1 under waves of pressure p below and q on top is squeezed and bent: its
-    lower face moves by ((S + B) p - (B - S) q) / (E* s), s the wave number; the half-plane's face
-    by -2 p / (E* s). The pressure is a sum of hat functions, of which each carries a share of the
-    force, and both faces move alike where there is pressure.
+    A layer of thickness 1 under waves of pressure p below and q on top is squeezed and bent. With
+    the wave number s its lower face moves by ((S + B) p - (B - S) q) / (E* s), and the face of the
+    half-plane moves by -2 p / (E* s). The pressure is a sum of hat functions, each with a share of
+    the force; where the pressure is positive, both faces have the same displacement.
     """
     parts = np.array([LIMITS[0], LIMITS[1] - LIMITS[0]]) / WAVES
     middles = np.arange(WAVES) + 0.5
     s = np.concatenate([parts[0] * middles, LIMITS[0] + parts[1] * middles])
-    t = np.minimum(s, 300.0)  # where both factors are 1
+    t = np.minimum(s, 300.0)  # beyond this wave number both factors are 1
     squeezed = (np.cosh(t) - 1) / (np.sinh(t) + t)
     bent = (np.cosh(t) + 1) / np.where(t < 0.05, t**3 / 6 * (1 + t**2 / 20), np.sinh(t) - t)
     strip, hat = np.sinc(s * LOADED / np.pi), np.sinc(s * STEP / 2 / np.pi) ** 2
     x = STEP * np.arange(round(END / STEP))
     waves = np.cos(np.outer(x, s))
     relative = (waves - 1.0) / s * np.repeat(parts, WAVES)  # to the displacement of the middle
-    # the shares add up to 1, whose bending is infinite: what is left of each is finite
+    # subtract the infinite bending by the total of the shares, which is 1: the rest is finite
     matrix = relative @ ((squeezed + bent + 2) * (hat * waves - 1.0)).T
     gap = -relative @ (bent * (1 - strip) + squeezed * (1 + strip) + 2)
     for n in range(len(x), 0, -1):
@@ -67,7 +67,7 @@ def theory() -> tuple[np.ndarray, np.ndarray]:
 
 
 def half_width(x: np.ndarray, p: np.ndarray) -> float:
-    """Return where a line through the squares of small pressures ends, near the end of contact."""
+    """Return the end of contact: the zero of a line through the squares of small pressures."""
     edge = (p > 0.03 * p.max()) & (p < 0.3 * p.max())
     slope, square = np.polyfit(x[edge], p[edge] ** 2, 1)
     return float(-square / slope)

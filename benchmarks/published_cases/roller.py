@@ -3,12 +3,13 @@
     tools/fenicsx python3 benchmarks/published_cases/roller.py 0.25
 
 A. Konter, Advanced finite element contact benchmarks, NAFEMS R0094, 2006. Plane strain; the
-published values are those of Hertz for half-planes. With 1/256 of the force the contact is 1/16 as
-wide, and theory is nearer. Hertz has no tangential displacements; on the inclined parts of the
-contact those of unlike bodies change the gap by a part of the order of pressure over modulus. Two
-bodies of 105 GPa, which have the same compliance together, move alike along the contact. The
-displacement of the middle of the block is in Code_Aster's test `ssnp154a` (manual V6.03.154, with
-large strains), beside a reference, which the manual calls that of Abaqus and Marc.
+published values are Hertz's values for half-planes. With 1/256 of the force the contact is 1/16 as
+wide, and the theory is more accurate. Hertz neglects tangential displacements. If the bodies are of
+different materials, these displacements change the gap on the inclined parts of the contact,
+relatively by about pressure / modulus. Two bodies of 105 GPa have together the same compliance as
+the steel and the aluminium body, but equal displacements along the contact. The displacement of the
+middle of the block is compared with Code_Aster's test `ssnp154a` (manual V6.03.154, with large
+strains) and with a reference value, which the manual attributes to Abaqus and Marc.
 
 The argument is the cell size at the larger contact [mm].
 """
@@ -35,10 +36,11 @@ from scenes.nodal import gathered, nodal, surface_nodes_of
 FORCE, RADIUS, LOADED = 35_000.0, 50.0, 10.0  # N per mm of thickness, mm, mm
 YOUNG, POISSON = {"cylinder": 210_000.0, "block": 70_000.0}, 0.3  # MPa
 
-#: Young's modulus [MPa] of two equal bodies with the same compliance.
+#: Young's modulus [MPa] of two equal bodies with the same total compliance.
 EQUAL = dict.fromkeys(YOUNG, 105_000.0)
 
-#: Contact -> its size, and Young's moduli; the force goes with the square of the size.
+#: Name of the contact -> its relative size, and Young's moduli; the force is proportional to the
+#: square of the size.
 CONTACTS = {
     "": (1.0, YOUNG),
     ", contact of 1/16": (1 / 16, YOUNG),
@@ -47,7 +49,7 @@ CONTACTS = {
 
 
 def hertz(scale: float) -> HertzLine:
-    """Return the theory."""
+    """Return Hertz's theory for a contact of relative size `scale`."""
     compliance = sum((1 - POISSON**2) / young for young in YOUNG.values())
     return HertzLine(scale**2 * FORCE, RADIUS, 1 / compliance)
 
@@ -62,7 +64,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         half_width = 2 * math.sqrt(float(weights @ (p * x**2)) / float(weights @ p))
         values[f"peak pressure [MPa]{name}"] = peak_of(x / hertz(scale).contact_radius, p)
         values[f"half width [mm]{name}"] = half_width
-        values.setdefault(MIDDLE, down)  # of the whole force
+        values.setdefault(MIDDLE, down)  # for the whole force: the first contact
     return Result(values, V, *curves[0])
 
 
@@ -72,7 +74,8 @@ def pressed(
     """Solve with cells of size h [mm] at the contact. Collective.
 
     Returns:
-        The space; distances, pressures and weights of the nodes; the displacement of the middle.
+        The space of the displacement; distances from the middle, pressures and weights of the
+        contact nodes; and the displacement of the middle.
     """
     roller = read_gmsh(
         Path(__file__).with_name("roller.geo"),
@@ -85,7 +88,7 @@ def pressed(
     facets, tags = roller.facet_tags, roller.tags
     V = fem.functionspace(roller.mesh, ("Lagrange", 2, (2,)))
     top = ufl.Measure("ds", roller.mesh, subdomain_data=facets, subdomain_id=tags["top"])
-    # of the loaded arc of half the cylinder, which the mesh cuts short
+    # length of the loaded arc of half the cylinder: the mesh has chords of this arc
     length = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(roller.mesh, 1.0) * top)))
     load = fem.Constant(roller.mesh, (0.0, -0.5 * scale**2 * FORCE / length))
     pair = ContactPair(
@@ -105,7 +108,7 @@ def pressed(
         x, p, weights = gathered(comm, x[:, 0], fields["pressure"], fields["weights"])
         u = nodal(solution.u)
         middle = np.hypot(*V.tabulate_dof_coordinates()[: len(u), :2].T) < 1e-9
-        (down,) = gathered(comm, u[middle, 1])  # of both bodies: there is no gap between them
+        (down,) = gathered(comm, u[middle, 1])  # equal in both bodies
     order = np.argsort(x)
     return V, x[order], p[order], weights[order], -float(down.mean())
 

@@ -6,9 +6,9 @@ F. W. Carter, Proc. R. Soc. Lond. A 112, 1926; K. L. Johnson, Contact Mechanics,
 cylinder is pressed in by a constant depth and then rolls over several widths of the contact, in
 steps of one cell, until the tractions are steady. The surfaces stick at the leading edge; a
 creepage of xi leaves a stick zone of the half width c = a - xi R / mu, and the tangential force is
-mu P (1 - (c/a)^2). The half width a is that of Hertz for the computed force P. Without creepage all
-sticks, and without friction the force is a smooth function of the place: it is compared with the
-parabola that fits it. Sliding is finite.
+mu P (1 - (c/a)^2). The half width a of the contact is Hertz's value for the computed force P.
+Without creepage the whole contact sticks. Without friction the force is a smooth function of the
+position: it is compared with a fitted parabola. Sliding is finite.
 
 The argument is the cell size along the way, in half widths of the contact.
 """
@@ -41,16 +41,17 @@ from scenes.nodal import gathered, surface_nodes_of
 RADIUS, YOUNG, POISSON, COEFFICIENT = 1000.0, 1000.0, 0.499, 0.3
 MODULUS = YOUNG / (1.0 - POISSON**2)
 
-#: Depth to which the cylinder is pressed in: the half width of the contact is about 1.
+#: Depth to which the cylinder is pressed in, so that the half width of the contact is about 1.
 DEPTH = 0.0017
 
-#: Ends of the way; at the last one both sides of the block are as far away, as in theory.
+#: Start and end of the way. At the end both sides of the block are equally far away, as in theory.
 START, END = -8.0, 0.0
 
-#: Creepage over the one of full sliding, mu a / R.
+#: Creepage divided by the creepage of full sliding, mu a / R.
 CREEPAGE = 0.5
 
-#: Length whose creepage comes before the first step: the force is near the steady one at once.
+#: Length of rolling whose creepage is applied before the first step: with it the force is close to
+#: the steady force from the first step on.
 AHEAD = 6.0
 
 OPTIONS = SolverOptions(rtol=1e-6, geometry_accuracy=1e-5)
@@ -72,8 +73,8 @@ class Way:
         Args:
             block: mesh of the block.
             h: length of a step.
-            friction: between both.
-            creepage: velocity of sliding as a whole over the velocity of the cylinder.
+            friction: law of friction between cylinder and block.
+            creepage: mean sliding velocity divided by the velocity of the cylinder.
         """
         facets, tags = block.facet_tags, block.tags
         V = fem.functionspace(block.mesh, ("Lagrange", 2, (2,)))
@@ -94,11 +95,11 @@ class Way:
 
     @property
     def half_width(self) -> float:
-        """Half width of the contact by Hertz."""
+        """Half width of the contact by Hertz's theory, for the computed force."""
         return float(np.sqrt(4.0 * RADIUS * abs(self.forces[-1][1]) / (np.pi * MODULUS)))
 
     def stick_zone(self, comm: MPI.Comm) -> float:
-        """Return half the length in which nodes stick, over the half width. Collective."""
+        """Return half the length of the stick zone, divided by `half_width`. Collective."""
         _, fields = surface_nodes_of(self.last)
         sticks = (fields["pressure"] > 0.0) & (fields["state"] == ContactState.STICK)
         return 0.5 * comm.allreduce(float(fields["weights"][sticks].sum())) / self.half_width
@@ -130,7 +131,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
 
 
 def carter(x: np.ndarray) -> np.ndarray:
-    """Return the shear stress over mu p0 at places over the half width of the contact (n,)."""
+    """Return shear stresses (n,) / (mu p0) at positions (n,) / (half width of the contact)."""
     stick = 1.0 - CREEPAGE
     full, taken = (np.maximum(one, 0.0) for one in (1.0 - x**2, stick**2 - (x - CREEPAGE) ** 2))
     return np.asarray(np.sqrt(full) - np.sqrt(taken))

@@ -4,9 +4,9 @@
 
 D. A. Spence, An eigenvalue problem for elastic contact with finite friction, Proc. Camb. Phil. Soc.
 73, 1973: the part of the contact that sticks does not depend on the load. The values of theory are
-those of the integral equations of the half-plane (K. L. Johnson, Contact Mechanics, section 2.4),
-solved below with constant tractions on strips that become smaller towards the edge. The argument is
-the cell size at the edge of the punch, over its half width.
+solutions of the integral equations of the half-plane (K. L. Johnson, Contact Mechanics, section
+2.4) with constant tractions on strips that become smaller towards the edge (`theory`). The argument
+is the cell size at the edge of the punch, divided by the half width of the punch.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from scenes.nodal import gathered, surface_nodes_of
 
 COEFFICIENT = 0.5
 
-#: Part of the shear displacement that a pressure makes, (1 - 2 nu) / (2 (1 - nu)).
+#: Factor of the tangential displacement that a pressure causes, (1 - 2 nu) / (2 (1 - nu)).
 COUPLING = (1.0 - 2.0 * POISSON) / (2.0 * (1.0 - POISSON))
 
-#: Strips of half the contact; with twice as many the values change by 1e-5 of themselves or less.
+#: Number of strips on half the contact; with twice as many, values change by at most 1e-5 of
+#: themselves.
 STRIPS = 300
 
 STICK, INNER, SHEAR = (
@@ -44,18 +45,19 @@ def strip_ends() -> np.ndarray:
 
 
 def inside_of_strips() -> np.ndarray:
-    """Return the part (n,) of each strip that is in the inner half of the contact."""
+    """Return the part (n,) of each strip that lies in the inner half of the contact."""
     ends = strip_ends()
     return np.asarray(np.clip((0.5 - ends[:-1]) / np.diff(ends), 0.0, 1.0))
 
 
 @cache
 def theory() -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the end of the stick zone, and places, pressures and shear stresses of half of it.
+    """Return the end of the stick zone, and positions, pressures and shear stresses of the strips.
 
-    Displacements are over 2 (1 - nu^2) / E; the half width is 1 and the force of both halves is pi,
-    so that pressures are over P / (pi a). Pressures are even and shear stresses are odd in x. The
-    middle of a strip moves down as all others do; it sticks, or its shear stress is F p.
+    Displacements are divided by 2 (1 - nu^2) / E. The half width is 1 and the force is pi, so
+    pressures are divided by P / (pi a). Pressures are even and shear stresses are odd functions of
+    x. The middles of all strips move down by the same distance; each middle sticks, or its shear
+    stress is F p.
     """
     ends = strip_ends()
     x, width = 0.5 * (ends[1:] + ends[:-1]), np.diff(ends)
@@ -76,13 +78,13 @@ def theory() -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     right[STRIPS - 1] = 1.0
 
     def solved(sticks: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return pressures and shear stresses if so many strips stick."""
+        """Return pressures and shear stresses if the first `sticks` strips stick."""
         rows = np.vstack([down[1:] - down[0], load, aside[:sticks], law[sticks:]])
         p, q = np.split(np.linalg.solve(rows, right), 2)
         return p, q
 
     def slips(sticks: int) -> bool:
-        """Return whether the last of so many strips that stick exceeds its limit."""
+        """Return whether the last one of `sticks` sticking strips exceeds F p."""
         p, q = solved(sticks)
         return bool(q[sticks - 1] > COEFFICIENT * p[sticks - 1])
 
@@ -118,7 +120,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
 
 
 def within(x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return pressures and places of the inner half of the contact, and its end."""
+    """Return the nodes in the inner half of the contact: pressures and positions, with its end."""
     inside = x < 0.5
     return np.append(p[inside], np.interp(0.5, x, p)), np.append(x[inside], 0.5)
 

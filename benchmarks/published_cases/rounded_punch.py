@@ -3,11 +3,12 @@
     tools/fenicsx python3 benchmarks/published_cases/rounded_punch.py 0.5
 
 A. Konter, Advanced finite element contact benchmarks, NAFEMS R0094, 2006; solved as bodies of
-revolution, without friction and with F = 0.1. Published values are those of Code_Aster, manual
-V6.01.122 (SSNA122), in its tests `ssna122a` (cells of degree 1) and `ssna122b` (degree 2): the
-displacement of the middle of the foundation, and the axial stress there. The displacement is read
-where the axis meets the surface; the pressure is an even function that fits the inner half of the
-flat face. The argument is the cell size [mm] at the end of the flat face.
+revolution, without friction and with F = 0.1. Published values are those of Code_Aster's tests
+`ssna122a` (cells of degree 1) and `ssna122b` (degree 2), in the manual V6.01.122 (SSNA122): the
+displacement of the middle of the foundation, and the axial stress there. Our displacement is the
+value at the node where the axis meets the surface; our pressure is the value, in the middle, of an
+even function that is fitted to the inner half of the flat face. The argument is the cell size [mm]
+at the end of the flat face.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from scenes.nodal import gathered, nodal, surface_nodes_of
 from scenes.revolution import ring_elasticity
 
 YOUNG, POISSON, COEFFICIENT = {"punch": 210_000.0, "foundation": 70_000.0}, 0.3, 0.1  # MPa, -, -
-LOAD, STEPS = 100.0, 2  # MPa, load steps as Code_Aster has them
+LOAD, STEPS = 100.0, 2  # MPa, number of load steps as in Code_Aster
 
-#: Case -> displacement [mm] of the middle, and pressure [MPa] there; with cells of both degrees.
+#: Case -> displacements [mm] of the middle, and pressures [MPa] there, for degrees 1 and 2.
 PUBLISHED = {
     "": {"degree 1": (0.130734, 91.1006), "degree 2": (0.132941, 94.1221)},
     ", F = 0.1": {"degree 1": (0.128580, 88.6656), "degree 2": (0.130794, 95.4740)},
@@ -75,10 +76,10 @@ def solve(comm: MPI.Comm, h: float) -> Result:
 
 
 def middle(comm: MPI.Comm, V: fem.FunctionSpace, u: fem.Function) -> float:
-    """Return by how much the middle of the foundation's surface goes down. Collective."""
+    """Return the downward displacement of the middle of the foundation's surface. Collective."""
     x = V.tabulate_dof_coordinates()[: len(nodal(u))]
     at = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
-    (found,) = gathered(comm, nodal(u)[at, 1])  # of both bodies: there is no gap between them
+    (found,) = gathered(comm, nodal(u)[at, 1])  # equal in both bodies
     return float(-found.mean())
 
 

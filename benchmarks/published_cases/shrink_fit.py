@@ -1,4 +1,4 @@
-"""A ring shrunk on a hollow shaft, of meshes that do not match: Lamé's solution.
+"""A ring shrunk on a hollow shaft, with meshes that do not match: Lamé's solution.
 
     tools/fenicsx python3 benchmarks/published_cases/shrink_fit.py 32
 
@@ -24,7 +24,7 @@ YOUNG, POISSON = {"ring": 70_000.0, "shaft": 210_000.0}, 0.3  # MPa
 
 
 def lame_pressure() -> float:
-    """Return the contact pressure [MPa]."""
+    """Return the contact pressure [MPa] of Lamé's solution."""
     rigidity = {body: young / (1 - POISSON**2) for body, young in YOUNG.items()}
     effective = POISSON / (1 - POISSON)  # Poisson's ratio of plane strain
     ring = ((RIM**2 + RADIUS**2) / (RIM**2 - RADIUS**2) + effective) / rigidity["ring"]

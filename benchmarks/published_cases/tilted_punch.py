@@ -4,13 +4,13 @@
 
 K. L. Johnson, Contact Mechanics, section 2.8 (M. A. Sadowsky 1928); M. Ciavarella, The generalized
 Cattaneo partial slip plane contact problem, Int. J. Solids Struct. 35, 1998; J. Jäger, A new
-principle in contact mechanics, J. Tribol. 120, 1998. A tilt beta needs the moment pi E* a^2 beta/4
-as long as all of the punch, from -a to a, touches. Where the force P acts farther than a/2 from the
-middle, a part lifts off: the contact ends at the corner, and its width is l = 4 P / (pi E* beta),
-four times the distance of the force from the corner. A shear force Q that follows leaves a stick
-zone at the corner, as wide as the contact was under the force P - Q / F: (1 - Q / (F P)) l. The
-half-plane is incompressible, so that shear and pressure do not depend on each other. The argument
-is the cell size at the edges of the punch, over its half width.
+principle in contact mechanics, J. Tribol. 120, 1998. A tilt beta needs the moment pi E* a^2 beta /
+4 if the whole punch, from -a to a, touches. If the force P acts at a distance of more than a/2 from
+the middle, a part of the punch lifts off. The contact then begins at a corner, and its width is l =
+4 P / (pi E* beta), four times the distance of the force from the corner. A shear force Q, applied
+after P, leaves a stick zone at the corner. Its width is the width of the contact under the force P
+- Q / F: (1 - Q / (F P)) l. The half-plane is incompressible, so shear and pressure do not depend on
+each other. The argument is the cell size at the edges of the punch, divided by the half width a.
 """
 
 from __future__ import annotations
@@ -32,13 +32,15 @@ from scenes.nodal import gathered, surface_nodes_of
 YOUNG, POISSON, COEFFICIENT = 1.0, 0.4999, 0.5
 MODULUS = YOUNG / (1.0 - POISSON**2)
 
-#: By how much the far end of the block is pressed up, and moved aside then, over the half width.
+#: Distances by which the far end of the block is pressed up and then moved aside, divided by the
+#: half width.
 DEPTH, ASIDE = 1e-3, 2.5e-4
 
-#: Tilt with which all of the punch touches, and one with which a part lifts off.
+#: Tilt at which the whole punch touches, and tilt at which a part of it lifts off.
 SLIGHT, LARGE = 7e-5, 2.2e-4
 
-#: Width of the stick zone over the contact's, for the shear force that moves the end so far aside.
+#: Width of the stick zone divided by that of the contact, for the shear force of the motion
+#: `ASIDE`.
 STUCK = 0.616
 
 TILT, WIDTH, FORCE, STICK = (
@@ -64,7 +66,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         return ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs)
 
     def found(problem: ContactProblem) -> list[np.ndarray]:
-        """Return places, weights, pressures and shear stresses of the next step."""
+        """Return positions, weights, pressures and shear stresses of the next load step."""
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         problem.accept()
@@ -86,13 +88,14 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         x, weights, p, _ = found(problem)
         force = weights @ p
         width = 4.0 * (1.0 - weights * p @ x / force)
-        # p^2 (1 - x) is linear in x, but for the cells at the corner and at the end of the contact
+        # p^2 (1 - x) is linear in x, except in the cells at the corner and at the end of the
+        # contact
         inside = (x > 1.1 - width) & (x < 0.9)
         slope, start = np.polyfit(x[inside], p[inside] ** 2 * (1.0 - x[inside]), 1)
         end.value[0] = ASIDE
         x, weights, p, q = found(problem)
     q = q * np.sign(weights @ q)
-    short = weights * (COEFFICIENT * p - q)  # it is F times the pressure under P - Q / F
+    short = weights * (COEFFICIENT * p - q)  # F times the pressure under the force P - Q / F
     stick = 4.0 * (1.0 - short @ x / short.sum())
     values = {
         TILT: moment / (math.pi * MODULUS * SLIGHT / 4.0),
@@ -107,7 +110,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
 
 
 def shear_stress(x: np.ndarray) -> np.ndarray:
-    """Return the shear stress over 2 F P / (pi l) at distances from the corner over l (n,)."""
+    """Return shear stresses (n,) / (2 F P / (pi l)) at distances (n,) / l from the corner."""
     full, stuck = (np.sqrt(np.maximum(end - x, 0.0) / x) for end in (1.0, STUCK))
     return np.asarray(full - stuck)
 

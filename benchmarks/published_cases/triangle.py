@@ -6,18 +6,18 @@ P. Hild, An example of nonuniqueness for the continuous static unilateral contac
 friction, C. R. Acad. Sci. Paris 337, 2003; R. Hassani, P. Hild, I. R. Ionescu and N.-D. Sakki, A
 mixed finite element method and solution multiplicity for Coulomb frictional contact, Comput.
 Methods Appl. Mech. Eng. 192, 2003. One side of a triangle lies on a plane, one is held, and one is
-loaded. The angle between plane and loaded side is atan(1 / F_c), the one between plane and held
-side is 90 degrees less twice as much, where
+loaded. The angle between the plane and the loaded side is atan(1 / F_c), and the angle between the
+plane and the held side is 90 degrees minus twice the first angle, where
 
     F_c = sqrt((1 - nu) / nu)
 
-in plane strain. A displacement along the plane, in proportion to the distance from the held side,
-then needs no load: its stress is constant, zero on the loaded side, and on the plane the ratio of
-its shear stress and its pressure is F_c. What is prescribed here belongs to a constant stress with
-the pressure N and the shear stress T on the plane, so that sticking and slipping both are linear
-displacements, which every mesh has. Where T / N is between F_c and F the triangle may stick, slip
-or be open; below F_c there is one solution for each load. The argument is the number of cells along
-a side.
+in plane strain. A displacement along the plane that is proportional to the distance from the held
+side then needs no load: its stress is constant, zero on the loaded side, and on the plane the ratio
+of shear stress to pressure is F_c. The prescribed loads and displacements belong to a constant
+stress with the pressure N and the shear stress T on the plane. So the displacements of the sticking
+and of the slipping triangle are linear functions, which every mesh represents exactly. If T / N is
+between F_c and F, the triangle may stick, slip or be open; below F_c there is one solution for each
+load. The argument is the number of cells along a side.
 """
 
 from __future__ import annotations
@@ -44,27 +44,28 @@ PRESSED = 1e-3  # N, over Young's modulus
 
 CRITICAL = math.sqrt((1.0 - POISSON) / POISSON)
 
-#: Tangents of the angles at both ends of the side on the plane, of length 1; the third corner.
+#: Tangents of the angles at both ends of the side on the plane, whose length is 1; and the third
+#: corner.
 HELD, LOADED = (1.0 - 2.0 * POISSON) / (2.0 * math.sqrt(POISSON * (1.0 - POISSON))), 1.0 / CRITICAL
 TOP = np.array([LOADED, HELD * LOADED]) / (HELD + LOADED)
 
-#: F over F_c: below it, and beyond it.
+#: Coefficients of friction divided by F_c: one below and one above F_c.
 BELOW, BEYOND = 0.8, 1.2
 
-#: T / N over F_c, where the triangle slips with the smaller F; where it may do everything with the
-#: larger one; and where it must be open.
+#: T / N divided by F_c: where the triangle slips with the smaller F; where it may stick, slip or be
+#: open with the larger F; and where it must be open.
 SLIPS, THREE, JUMP = 0.9, 1.1, 1.3
 
-#: T / N over F_c of the load steps that the picture shows.
+#: T / N divided by F_c, in the load steps that the picture shows.
 PULLS = np.linspace(0.0, JUMP, 53)
 
 
 def slipping(pull: float, friction: float) -> float:
-    """Return the pressure over N where all of the triangle slips.
+    """Return the pressure divided by N if the whole side slips.
 
     Args:
-        pull: T / N over F_c.
-        friction: F over F_c.
+        pull: T / N divided by F_c.
+        friction: F divided by F_c.
     """
     return (pull - 1.0) / (friction - 1.0)
 
@@ -99,7 +100,7 @@ def scene(comm: MPI.Comm, n: int) -> SimpleNamespace:
     order = np.argsort(places)
     tags = meshes.meshtags(triangle, 1, places[order], values[order])
     V = fem.functionspace(triangle, ("Lagrange", 1, (2,)))
-    stretch = fem.Constant(triangle, np.zeros(2))  # what sticks has the displacement stretch y
+    stretch = fem.Constant(triangle, np.zeros(2))  # sticking: u = stretch y
     mu, lame = lame_constants(YOUNG, POISSON)
     gradient = ufl.outer(stretch, ufl.as_vector([0.0, 1.0]))
     stress = 2.0 * mu * ufl.sym(gradient) + lame * ufl.tr(gradient) * ufl.Identity(2)
@@ -109,7 +110,7 @@ def scene(comm: MPI.Comm, n: int) -> SimpleNamespace:
     bcs = [fem.dirichletbc(sticking, fem.locate_dofs_topological(V, 1, tags.find(2)))]
 
     def pull(part: float) -> None:
-        """Let T be a part of F_c N."""
+        """Set the loads such that T = `part` F_c N."""
         stretch.value[:] = PRESSED * np.array([part * CRITICAL / mu, -1.0 / (lame + 2.0 * mu)])
         sticking.interpolate(lambda x: np.outer(stretch.value, x[1]))
 
@@ -119,7 +120,7 @@ def scene(comm: MPI.Comm, n: int) -> SimpleNamespace:
 
 
 def problem_of(one: SimpleNamespace, friction: float, gap: float = 0.0) -> ContactProblem:
-    """Return the problem with a coefficient over F_c, and the plane below by a gap. Collective."""
+    """Return the problem with F = `friction` F_c, and a gap above the plane. Collective."""
     plane = RigidPlane(point=(0.0, -gap), normal=(0.0, 1.0))
     pair = ContactPair(one.tags, 1, plane, Coulomb(friction * CRITICAL))
     return ContactProblem(one.a, one.L, [pair], one.bcs)
@@ -130,7 +131,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     one = scene(comm, int(n))
 
     def after(problem: ContactProblem, pull: float) -> tuple[float, np.ndarray]:
-        """Return the mean pressure over N of the next load step, and the displacement."""
+        """Solve the next load step; return its mean pressure divided by N, and its displacement."""
         one.pull(pull)
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()

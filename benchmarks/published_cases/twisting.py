@@ -4,9 +4,10 @@
 
 J. L. Lubkin, The torsion of elastic spheres in contact, J. Appl. Mech. 18, 1951; H. Deresiewicz,
 Contact of elastic spheres under an oscillating torsional couple, J. Appl. Mech. 21, 1954. Equal
-bodies do not slip while they are pressed, and a twist does not change the pressure of Hertz. Slip
-begins at the edge of the contact; inside of the radius c both faces turn as rigid discs. Theory is
-that of half-spaces for the computed force. The argument is the number of cells along a body.
+bodies do not slip while they are pressed together, and a twist does not change Hertz's pressure.
+Slip begins at the edge of the contact; within the radius c both faces turn as rigid discs. The
+theory is for half-spaces, with the computed force. The argument is the number of cells along a
+body.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from scenes.nodal import surface_nodes_of
 YOUNG, POISSON, COEFFICIENT = 1000.0, 0.3, 0.4  # MPa, -, -
 RADIUS, WIDTH, APPROACH = 1000.0, 1.0, 2e-5  # mm; half width, and height, of each body
 
-#: How much smaller cells are in the middle than at the ends: widths go with cosh.
+#: Argument of cosh at the ends: the widths of cells grow with cosh from the middle to the ends.
 GRADING = 4.2
 
-#: Angles between both bodies, then one at which all of the contact slips; over F p0 / G.
+#: Angles between both bodies; then an angle at which the whole contact slips; divided by F p0 / G.
 ANGLES, FAR = np.linspace(0.0, 1.0, 9), 10.0
 
 UPPER, LOWER, TOP, BOTTOM = 1, 2, 3, 4
@@ -50,33 +51,36 @@ THERE, STICK, BACK, FULL = (
 
 
 def angle_of(c: float) -> float:
-    """Return the angle over F p0 / G at which a disc of the radius c, over a, sticks.
+    """Return the angle, divided by F p0 / G, at which a disc of the radius c, divided by a, sticks.
 
-    Turns of discs of all radii t from c to a, 4 G r / (pi sqrt(t^2 - r^2)) each, add up to the
-    traction F p0 sqrt(1 - r^2 / a^2) outside of c: an integral equation of Abel's kind. What turns
-    inside of c is the sum of all, by which both bodies turn alike.
+    The traction is a sum of tractions 4 G r / (pi sqrt(t^2 - r^2)) of discs that turn by an angle,
+    for all radii t from c to a. Outside of c the sum is F p0 sqrt(1 - r^2 / a^2): an integral
+    equation of Abel's kind for the angles. Inside of c each body turns by the sum of all angles.
     """
     return float(ellipk(1.0 - c**2) - ellipe(1.0 - c**2))
 
 
 def stick_radius(angle: float) -> float:
-    """Return the radius of what sticks over a, for an angle over F p0 / G."""
+    """Return the radius of the stick zone, divided by a, for an angle divided by F p0 / G."""
     return float(brentq(lambda c: angle_of(c) - angle, 1e-12, 1.0))
 
 
 def moment(angle: float) -> float:
-    """Return the moment over F P a, for an angle over F p0 / G, of discs: 16/3 G t^3 each."""
+    """Return the moment, divided by F P a, for an angle divided by F p0 / G.
+
+    A disc of the radius t that turns by the angle 1 contributes 16/3 G t^3.
+    """
     c = stick_radius(angle)
     inner, _ = quad(lambda t: t**2 * angle_of(t), c, 1.0)
     return float(4.0 / math.pi * (c**3 * angle + 3.0 * inner))
 
 
 def mean_square(angle: float) -> float:
-    """Return the mean square distance over a^2 of what shear falls short of F p: discs up to c."""
+    """Return the mean of r^2 / a^2, weighted with F p minus the shear stress, from discs."""
     c = stick_radius(angle)
 
     def of_discs(power: int) -> float:
-        """Return the integral of a power of the radius of discs over their angles."""
+        """Return the integral, over the angles of discs, of a power of their radii."""
         inner, _ = quad(lambda t: t ** (power - 1) * angle_of(t), 0.0, c)
         return float(power * inner - c**power * angle)
 

@@ -48,9 +48,9 @@ def collective(
 
     The body may then check values without communication, since all ranks get the same result. Data
     that differ between the ranks by design, such as the values of a Function, are not compared. The
-    comparison costs one reduction of five integers, and nothing on one rank. If the arguments of a
-    rank are wrong and have no communicator, the rank compares them with the processes of its last
-    collective call.
+    comparison costs one reduction of five integers, or nothing on a single rank. If the arguments
+    of a rank are wrong and have no communicator, the rank compares them with the processes of its
+    last collective call.
 
     Args:
         comm: function that is given a mapping name -> argument and returns the communicator, or

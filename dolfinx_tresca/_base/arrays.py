@@ -39,7 +39,7 @@ def scaled_rows(matrix: csr_array, factors: Array) -> csr_array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the cross products (..., 3); for few vectors np.cross takes three times as long."""
+    """Return the cross products (..., 3); for few vectors, np.cross takes three times as long."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=result[..., i])

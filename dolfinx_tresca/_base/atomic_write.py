@@ -34,9 +34,9 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
     """Yield a temporary path to write to; after the block, move the written files to `path`.
 
-    The temporary path has the same name, in a new folder beside `path`. At the end of the block all
-    files in the new folder are moved to the folder of `path`; after an exception no file is moved.
-    So files are always complete, and a run that fails keeps the files of earlier runs. Not
+    The temporary path has the same name, in a new folder beside `path`. At the end of the block,
+    all files in the new folder are moved to the folder of `path`; after an exception, no file is
+    moved. So files are always complete, and a run that fails keeps the files of earlier runs. Not
     collective.
 
     Args:

@@ -67,7 +67,7 @@ def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -
         comm: the communicator.
         cells: (n, k) geometry nodes of the cells that this rank contributes.
         x: coordinates of the geometry nodes that this rank contributes [length].
-        domain: coordinate element.
+        domain: coordinate element of the mesh.
         ghosts: whether each rank also gets the cells that share a facet with its own cells.
     """
     mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
@@ -82,9 +82,9 @@ EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return the submesh of `entities`, the numbers of its geometry nodes in `mesh`, and the maps.
+    """Return the submesh of `entities`, its geometry nodes' numbers in `mesh`, and entity maps.
 
-    Forms on the parent mesh that hold Functions on the submesh need these entity maps.
+    Forms on the parent mesh that contain Functions on the submesh need these entity maps.
     """
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     if not isinstance(cells, np.ndarray):
@@ -144,7 +144,7 @@ def prescribed_function(bc: Any, kind: type) -> Any:
 
     Args:
         bc: a Dirichlet condition.
-        kind: a subclass of `fem.Function`.
+        kind: class of the Function that is sought, a subclass of `fem.Function`.
     """
     value = bc.g
     # isinstance would import lazy modules, if there are any among the objects

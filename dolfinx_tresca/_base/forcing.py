@@ -9,8 +9,8 @@ from __future__ import annotations
 #: Largest accepted error of an inner problem, relative to the error or the change of the outer
 #: problem. The constant limits three ratios: the error of a product to the step, the error of the
 #: last gradient to the requested error, and the residual of a model's solution to the tolerance.
-#: With twice this value the scenes of benchmarks/ablation.py take 4 % more products and 3 % fewer
-#: Krylov iterations; with half of it they take 2 % fewer products and 4 % more Krylov iterations.
+#: With twice this value, the scenes of benchmarks/ablation.py take 4 % more products and 3 % fewer
+#: Krylov iterations; with half of it, they take 2 % fewer products and 4 % more Krylov iterations.
 FORCING = 0.1
 
 #: Relative error that is requested of quantities that only decide between alternatives, or scale

@@ -19,7 +19,7 @@ class PetscOwner(ABC):
     """Base class of PETSc owners: `destroy()`, or the end of a `with` block, frees the objects.
 
     A `ContactError` is raised on all ranks together, so the objects are freed after it, too. After
-    any other exception on several ranks the objects are left to petsc4py. Freeing them is
+    any other exception on several ranks, the objects are left to petsc4py. Freeing them is
     collective: it would wait for ranks that may not have raised the exception, and the exception
     would never be shown.
     """
@@ -44,7 +44,7 @@ class PetscOwner(ABC):
 def free_unused(comm: MPI.Comm) -> None:
     """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
-    On one rank petsc4py frees an object as soon as Python drops it. On several ranks freeing is
+    On one rank, petsc4py frees an object as soon as Python drops it. On several ranks, freeing is
     collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
 
     Args:

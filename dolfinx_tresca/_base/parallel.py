@@ -69,7 +69,7 @@ def log(
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     """Raise on every rank an exception that the enclosed block raised on any rank.
 
-    Without this the remaining ranks would wait for ever in their next collective call. The block
+    Without this, the remaining ranks would wait for ever in their next collective call. The block
     itself must not communicate, since a rank that has raised takes no part in communication.
 
     Collective: all ranks enter and leave together.
@@ -172,7 +172,7 @@ class RankReductions:
         return csr_array(vstack(self.comm.allgather(rows)))
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x on all ranks, since x may differ by rounding. Collective."""
+        """Return the x of the first rank on all ranks; ranks may differ by rounding. Collective."""
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:

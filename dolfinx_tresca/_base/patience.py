@@ -20,5 +20,5 @@ IDLE_STEPS = 8
 PATIENCE = 25
 
 #: Limit on the steps of an inner iteration. Most inner iterations end after a few steps. In
-#: benchmarks/ablation.py neither twice this limit nor a limit of 25 changes anything.
+#: benchmarks/ablation.py, neither twice this limit nor a limit of 25 changes anything.
 MOST_STEPS = 100

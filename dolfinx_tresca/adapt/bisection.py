@@ -27,7 +27,7 @@ MOVED = 1e-5
 
 @dataclass(frozen=True)
 class BisectedCells:
-    """Cells that bisection makes of this rank's cells of a mesh, and the nodes of these cells.
+    """The cells into which bisection cuts this rank's cells of a mesh, and the nodes of new cells.
 
     A node is a corner of the mesh, or the middle of an edge.
 
@@ -38,7 +38,7 @@ class BisectedCells:
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
         ends: (nodes, 2) the two ends of the edge of which the node is the middle; for a corner,
-            twice the corner itself. Numbers are those of the nodes at the mesh's creation.
+            twice the corner itself. Nodes have the numbers that they got when `mesh` was created.
         shared: numbering of the nodes over all ranks.
     """
 
@@ -173,7 +173,7 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
 
 
 def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Return the longest edge of each of some cells, without repetition. Not collective."""
+    """Return the longest edges of cells, each edge once. Not collective."""
     dim = mesh.topology.dim
     of_cell = mesh.topology.connectivity(dim, 1).array.reshape(-1, dim * (dim + 1) // 2)[cells]
     edges, position = np.unique(of_cell, return_inverse=True)

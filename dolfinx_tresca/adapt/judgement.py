@@ -26,8 +26,9 @@ class Judgement:
     Attributes:
         solution: solution on the mesh, accurate enough for the goal.
         error: relative error; infinite if unknown. It is the error of the goal, or the energy error
-            if there is no goal, or if the goal does not depend on the displacement. An example is
-            the pressure on a patch that is open on this mesh, and may close with smaller cells.
+            if there is no goal, or if the goal does not depend on the displacement. An example of
+            such a goal is the pressure on a patch that is open on this mesh, and may close with
+            smaller cells.
         cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
         products: total number of applications of A.
         goal_error: error of the goal, if there is one.

@@ -60,7 +60,7 @@ class Level:
         )
 
     def solved_again(self, solution: ContactSolution) -> Level:
-        """Return the level with a more accurate solution."""
+        """Return a copy of this level in which a more accurate solution replaces its solution."""
         return replace(self, solution=solution, products=self.products + solution.products)
 
     def __str__(self) -> str:

@@ -30,7 +30,7 @@ class Limits:
     Attributes:
         max_dofs: limit for the degrees of freedom that are not prescribed.
         max_levels: limit for the number of meshes.
-        max_seconds: wall-clock limit, counted from construction.
+        max_seconds: wall-clock limit [s], counted from the construction of this object.
         max_memory: limit for the memory of all ranks together [GiB].
     """
 
@@ -62,7 +62,7 @@ class Limits:
         Collective.
 
         Args:
-            comm: the ranks.
+            comm: communicator of the ranks.
             level: the level before the mesh.
             growth: `free_dofs` of the mesh, divided by `free_dofs` of the level.
         """
@@ -75,7 +75,7 @@ class Limits:
         """Return the first limit that a solve on a mesh would exceed; None if it fits. Collective.
 
         Args:
-            comm: the ranks.
+            comm: communicator of the ranks.
             number: number of the mesh; the first is 0.
             free_dofs: number of unknowns of the mesh.
             seconds: expected time of the solve [s].

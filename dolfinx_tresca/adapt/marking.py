@@ -22,7 +22,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     except that all cells whose errors equal the least marked error are marked, too.
 
     Args:
-        comm: the ranks.
+        comm: communicator of the ranks.
         squares: (n,) squared errors of this rank's cells, none negative; not all zero.
         fraction: part of the sum over all ranks, in (0, 1].
 

@@ -32,9 +32,9 @@ def with_node_in_patch(
 ) -> TaggedMesh:
     """Return a mesh with smaller cells if the patch of a goal has no contact node. Collective.
 
-    Without a node in the patch the goal has no value. Edges of the cells next to the middle of the
-    patch are halved; if the patch has a node, the mesh itself is returned. Call the function again
-    with a problem on the new mesh: its patch may still have no node.
+    Without a contact node in its patch the goal has no value. In this case the edges of the cells
+    next to the middle of the patch are halved; otherwise the mesh itself is returned. The patch may
+    have no node on the new mesh either: call the function again with a problem on the new mesh.
 
     Args:
         problem: the problem on the mesh.

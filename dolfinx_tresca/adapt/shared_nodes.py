@@ -26,7 +26,7 @@ class SharedNodes:
         """Number the nodes. Collective.
 
         Args:
-            comm: the ranks.
+            comm: communicator of the ranks.
             keys: (n,) keys of this rank's nodes, ascending, without repetition.
             limit: a number larger than all keys.
         """

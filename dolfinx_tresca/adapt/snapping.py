@@ -64,7 +64,7 @@ def snapped(
     next refinement tries again, with smaller cells.
 
     Args:
-        comm: the ranks.
+        comm: communicator of the ranks.
         cells: the cells.
         facets: (m, d) nodes of tagged facets, as positions in `cells.points`.
         tags: (m,) tags of the facets.

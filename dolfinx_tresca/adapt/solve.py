@@ -51,16 +51,17 @@ ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 
 #: `SolverOptions.mesh_part` of solutions that only choose the cells to refine, if solves with K are
 #: iterative: then the preconditioner depends on the number of ranks, and so do the error of the
-#: iteration and the marked cells. (On two bricks with multigrid and `ROUGH_PART`, estimates
-#: differed by 1e-2, and meshes by a tenth of the unknowns. With three times the part below,
-#: estimates differed by 4e-3, and the fourth mesh by a tenth of the unknowns. With this part, which
-#: takes twice the products on these meshes, estimates differed by 4e-5, and four meshes not at
-#: all.)
+#: iteration and the marked cells. (On two bricks with multigrid and `ROUGH_PART`, estimates on
+#: different numbers of ranks differed by 1e-2, and meshes by a tenth of the unknowns. With three
+#: times the part below, estimates differed by 4e-3, and the fourth mesh by a tenth of the unknowns.
+#: With the part below, which takes twice the products on these meshes, estimates differed by 4e-5,
+#: and four meshes were the same.)
 REPRODUCIBLE_PART = 0.003
 
 #: `local_accuracy` on the last mesh, relative to the mesh's error, and its largest value. (On two
 #: bricks with an error of 16 %, peak pressure, greatest slip and forces agreed with the discrete
-#: solution to 0.5 %, for 14 products; with the default 3e-3 to 0.1 %, for 20.)
+#: solution to 0.5 %, for 14 products; with the default of 3e-3 they agreed to 0.1 %, for 20
+#: products.)
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 

@@ -1,29 +1,29 @@
 """Tangent and adjoint of a solution at fixed contact states.
 
 With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
-along their circles, which grow with the pressure if the law says so) a solution obeys
+along their circles, which grow with the pressure if the law says so), a solution obeys
 
     K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
 where P projects onto the face, C is the curvature of the circles, and Q contains the slope of the
-slip bounds. If the load changes by df, the offsets (d; s), which are gaps and slip origins, by do,
-and the radii of the circles by dg along the unit vectors n of their multipliers, the tangent
-(du, dx) obeys
+slip bounds. Let the load change by df, the offsets (d; s) (gaps and slip origins) by do, and the
+radii of the circles by dg. With the unit vectors n along the multipliers on the circles, the
+tangent (du, dx) obeys
 
     K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
 
-For a goal q_u'u + q_x'x the adjoint (z, y) obeys
+For a goal q_u'u + q_x'x, the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-For Q = 0 both systems have the same matrix; slip bounds that follow the pressure make it
+For Q = 0, both systems have the same matrix; slip bounds that follow the pressure make it
 unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. Its discretisation error is
 a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
 estimation in finite element methods, 2001), plus a term from nodes that change their state. This
 term is of order h^2 for elements of any degree: at the distance r from the edge of a contact zone,
-y grows like r^(-1/2). If bodies float, K z + B'y = q_u has a solution if y balances q_u as contact
-forces balance the load: y satisfies the equations of equilibrium (`floating/equilibrium.py`) with
-other right-hand sides.
+y grows like r^(-1/2). If bodies float, K z + B'y = q_u has a solution only if y balances q_u in the
+way in which contact forces balance the load: y satisfies the equations of equilibrium
+(`floating/equilibrium.py`) with q_u in place of the load.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 #: adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
 
-#: The residual of GCR counts as rounding up to this multiple of the terms whose difference the
-#: right-hand side is.
+#: The right-hand side of the equations for GCR is a difference of two terms. The residual of GCR
+#: counts as rounding up to this multiple of the sum of the terms' absolute values.
 RESIDUAL_ROUNDING = 1e-10
 
 #: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this
@@ -65,8 +65,8 @@ UNMET = 1e-6
 #: the energy norm.
 SHARE = 0.03
 
-#: A node counts as at the edge of its contact state if the distance of its traction from another
-#: state is at most this multiple of the largest traction, even if the solution is more accurate.
+#: A node counts as about to change its contact state if a change of its traction by this multiple
+#: of the largest traction leads to another state, even if the solution is more accurate.
 EDGE = 1e-9
 
 #: State that is assumed for nodes that are about to change their state: as in the solution (None),
@@ -96,9 +96,9 @@ class LinearisedContact:
         """Return the contact state of multipliers x (size,) with gradient r (size,). Collective.
 
         Args:
-            dual: the problem.
-            x: multipliers.
-            r: gradient.
+            dual: the dual problem of the solve.
+            x: multipliers at which the problem is linearised.
+            r: gradient at x.
             edge: state that is assumed for nodes between two states, which `at_edge` finds.
 
         Raises:
@@ -174,7 +174,7 @@ class LinearisedContact:
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     """Return the rows and discs that are about to change their contact state. Collective.
 
-    Within the accuracy of the solution these rows and discs may have either state, so that
+    Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
 
     Args:
@@ -196,10 +196,12 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
 
 
 def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return for each disc (n_discs,) whether its traction equals the slip bound within the error.
+    """Return whether the minimiser of each disc lies on its circle, within the error.
+
+    The result is an array (n_discs,), False for discs without friction.
 
     Args:
-        lam: Lambda.
+        lam: Lambda, whose radii are the slip bounds.
         target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
         stress_scale: (size,) factors from multipliers to stresses.
         error: error of a traction [stress].
@@ -330,14 +332,14 @@ def _solved(
     """Return multipliers y (size,) of the adjoint or the tangent, and c (k,). Collective.
 
     They satisfy P (I + Q') ((A + C) y - G c) = right with y = P y for the adjoint (`transpose`),
-    and P ((A + C) y - G c) = right with y = (I + Q) P y for the tangent. In both cases
+    and P ((A + C) y - G c) = right with y = (I + Q) P y for the tangent. In both cases,
     G'y + S c = missing. P, Q and C are maps of the contact state; G and S are matrices of the
     equilibrium of floating bodies.
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
-    system with the model of A from all known products, including products of this call. The second
-    equation therefore holds from the first step on. The displacement is updated with y, so that the
-    error of a product only has to be small compared with its step.
+    system, with A replaced by its model from all known products, including products of this call.
+    The equation G'y + S c = missing therefore holds from the first step on. The displacement is
+    updated with y, so that the error of a product only has to be small compared with its step.
 
     `terms` (size,) are the absolute values of the terms whose difference is `right`. If all nodes
     slip, `right` may be nothing but the rounding error of these terms.
@@ -387,7 +389,7 @@ def _solved(
 
 
 def _none(transpose: bool) -> ConvergenceError:
-    """Return the error to raise if no adjoint exists, or no tangent."""
+    """Return the error to raise if no adjoint (`transpose`) or no tangent exists."""
     if transpose:
         return ConvergenceError(
             "the number has no adjoint: with the contact state of each node fixed (open, sticking, "

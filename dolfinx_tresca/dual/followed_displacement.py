@@ -11,9 +11,9 @@ from dolfinx_tresca._base.forcing import FULL_ACCURACY
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 
 #: Requested error of the displacement after a step, divided by the size of the step, both in the
-#: energy norm; the first step starts from zero. With twice the value, which is `FORCING`,
-#: derivatives of a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors of products
-#: enter y.
+#: energy norm. The first step is the displacement at y = 0. With twice the value, which is
+#: `FORCING`, derivatives of a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors
+#: of products enter y.
 STEP_ACCURACY = 0.05
 
 
@@ -79,14 +79,14 @@ class FollowedDisplacement:
         return self._operator.product(step)
 
     def combine(self, factors: Array, scale: float) -> None:
-        """Orthogonalise the last step: subtract kept steps, scale the result and keep it.
+        """Orthogonalise the last step of z, as the iteration orthogonalises its step of y.
 
-        The iteration does the same with its steps of y. A direct solver keeps no steps. Not
-        collective.
+        The kept steps of z, times `factors`, are subtracted from the last step. The difference is
+        multiplied by `scale` and kept. A direct solver keeps no steps. Not collective.
 
         Args:
-            factors: (kept steps,) factors of the kept steps in the sum that is subtracted.
-            scale: factor of the difference.
+            factors: (kept steps,) one factor for each kept step.
+            scale: factor for the difference.
         """
 
     def advance(self, length: float) -> None:
@@ -96,7 +96,7 @@ class FollowedDisplacement:
         """Solve for z at multipliers y (size,) near the present multipliers. Collective.
 
         Args:
-            y: multipliers.
+            y: multipliers at which the iteration has ended.
             rtol: relative error of z in the energy norm.
         """
         self._solver.improve(self._force(y), self._z, rtol=rtol, accuracy=0.0)

@@ -12,7 +12,8 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 
-#: Number of multipliers whose displacements are kept: the start and the ends of the last two steps.
+#: Number of multipliers whose displacements are kept: those at the start of the steps of the
+#: iteration, and at the ends of the last two steps.
 KEPT = 3
 
 
@@ -64,8 +65,8 @@ class InitialGuess(PetscOwner):
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
-        Of the other points only the newest is kept. The u of this point changes by as much as the
-        displacement without contact, at the same multipliers.
+        Of the other points, only the newest is kept. Its multipliers stay the same, and the change
+        of the displacement without contact is added to its displacement.
 
         Args:
             load: the new u at x = 0.

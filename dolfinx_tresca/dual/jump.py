@@ -49,7 +49,7 @@ class JumpOperator(PetscOwner):
             stretch.
         gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
         unbounded: Lambda with infinite slip bounds: all tangential rows of a node share one disc.
-        discs: like `unbounded`, except at nodes with friction in one of two tangential rows: the
+        discs: like `unbounded`, except at nodes with friction along only one of two tangents: the
             frictionless row has a disc of its own. These discs come after the discs of all nodes.
         reductions: sums over the ranks.
     """
@@ -102,7 +102,7 @@ class JumpOperator(PetscOwner):
         self.gap = self._gaps()
 
     def add_gaps(self, gaps: Sequence[Array]) -> None:
-        """Set the gaps that are added to the distance of the surfaces. Not collective.
+        """Set the users' gaps, which are added to the distance of the surfaces. Not collective.
 
         Args:
             gaps: for each pair (n,) values at its nodes [length].

@@ -35,7 +35,7 @@ def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Ma
 def local_stiffness(jump: JumpOperator) -> Array:
     """Return 1 / diag(B diag(K)^-1 B'), (size,): force per jump of each row of B. Collective.
 
-    This is the stiffness of a node whose neighbours are fixed. In A the neighbours move as well:
+    This is the stiffness of a node whose neighbours are fixed. In A, neighbours are not fixed:
     diag(A) is about the inverse of this stiffness, times a factor that hardly varies over a
     surface.
     """

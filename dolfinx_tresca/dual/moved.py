@@ -29,16 +29,17 @@ def moved_jump(
 ) -> JumpOperator:
     """Return B of displaced surfaces, owned by the caller. Collective.
 
-    The gap is the distance of the displaced surfaces plus N u, since it is compared with N times
-    the total displacement. On curved edges of the secondary side, the gap keeps the heights over
-    the chords that the previous B had, since further bending is part of N u. Edges of the primary
-    side may now face other nodes, and the distance is measured to these edges as bent by u; so
-    their bending is included in the N u that is added. Bonded pairs stay the same.
+    The gap is compared with N times the total displacement. Hence it is the distance of the
+    displaced surfaces plus N u. Bending of edges by u is treated differently on the two sides. On
+    the primary side, the distance is measured to the bent edges, since they may now face other
+    nodes; so the N u that is added contains their bending. On the secondary side, neither term
+    contains the bending, which is part of N times the total displacement: the heights of curved
+    edges over their chords stay as in the previous B. Bonded pairs stay the same.
 
     Args:
         before: the previous B.
         pairs: the pairs of B.
-        u: displacement [length].
+        u: displacement at which the surfaces are paired [length].
         anew: for each pair whether it is paired anew; bonded pairs are never paired anew. None: all
             pairs that are not bonded are paired anew.
 
@@ -78,16 +79,16 @@ def moved_jump(
 
 
 def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array:
-    """Return a displacement (nodes, dim of space) with bent primary edges only. Collective.
+    """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
-    N of the result enters the gap. If the pair gives the true surfaces (`geometry`), edges stay
-    straight: the height of these surfaces over the facets is kept.
+    N of the result enters the gap. If the pair gives the true surfaces (`geometry`), primary edges
+    are straight, too: the height of these surfaces over the facets is kept.
 
     Args:
         V: the space of the displacement.
-        straight: `straightened` u.
-        u: (nodes, dim of space) displacement.
-        pair: the surfaces.
+        straight: (nodes, dim of space) `straightened` u.
+        u: (nodes, dim of space) displacement [length].
+        pair: the pair whose primary edges are bent.
     """
     if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
         return straight
@@ -108,7 +109,7 @@ class Carry:
     def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
         """Find the nodes of the new B among the nodes of the old B. Not collective."""
         self._before, self._after = before, after
-        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last is for new nodes
+        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last number is for new nodes
         known = [np.arange(count) for count in counts]
         found = [
             _position(new.nodes, old.nodes)
@@ -126,18 +127,18 @@ class Carry:
         return (self.physical((x.T * self._before.stress_scale).T).T / self._after.stress_scale).T
 
     def residuals(self, r: Array) -> Array:
-        """Convert residuals (size,) or (size, k), like gradients, to the new B. Not collective."""
+        """Convert residuals or gradients (size,) or (size, k) to the new B. Not collective."""
         return (self.physical((r.T * self._before.length_scale).T).T / self._after.length_scale).T
 
 
 def _components(
     pairs: Sequence[PairOperators], nodes: Sequence[Indices], counts: Sequence[int]
 ) -> csr_array:
-    """Return the matrix from nodal normal values and tangential vectors to the rows of B.
+    """Return the matrix that maps a normal value and a vector at each node to the rows of B.
 
     Args:
         pairs: the pairs of B.
-        nodes: for each pair and each of its nodes (n,) the number of the node whose columns of the
+        nodes: for each pair and each of its nodes (n,), the number of the node whose columns of the
             matrix it uses, from 0 to count - 1.
         counts: for each pair the number of nodes that have columns, 1 + d columns each.
     """

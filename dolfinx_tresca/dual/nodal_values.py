@@ -90,14 +90,14 @@ class NodalValues:
         The adjoint gives the weights. Collective.
 
         Args:
-            field: the scalar.
-            control: a Constant, or a scalar Function.
+            field: the scalar whose nodal values are differentiated.
+            control: the Constant or scalar Function that changes.
             nodes: nodes of this rank at which the field is taken.
             weights: (n,) weights of the values.
-            name: name of the field in errors.
+            name: name of the field in error messages.
 
         Returns:
-            for a Constant an array of its shape, the same on all ranks; for a Function the
+            for a Constant, an array of its shape, the same on all ranks; for a Function, the
             derivatives with respect to its degrees of freedom on this rank, without ghosts; None if
             the field does not depend on the control.
 
@@ -126,11 +126,11 @@ class NodalValues:
         """Return the derivative (n,) of nodal values for a given change of a control. Collective.
 
         Args:
-            field: the scalar.
-            control: a Constant, or a scalar Function.
-            direction: change of the control: values of a Constant, or a Function.
+            field: the scalar whose nodal values are differentiated.
+            control: the Constant or scalar Function that changes.
+            direction: change of the control: values for a Constant, a Function for a Function.
             nodes: nodes of this rank at which the field is taken.
-            name: name of the field in errors.
+            name: name of the field in error messages.
 
         Returns:
             the derivative; None if the field does not depend on the control.

@@ -22,6 +22,7 @@ from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
+from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.dual.response import ElasticResponse
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.floating.equilibrium import Equilibrium
@@ -137,24 +138,14 @@ class DualProgram:
         return self.compliance.jump
 
     @property
+    def operator(self) -> DualOperator:
+        """A."""
+        return self.compliance.operator
+
+    @property
     def b(self) -> Array:
         """The linear term (size,)."""
         return self.response.b
-
-    @property
-    def products(self) -> int:
-        """Number of products with A."""
-        return self.compliance.operator.products
-
-    @property
-    def exact(self) -> bool:
-        """Whether products are exact to rounding (a direct solver for K)."""
-        return self.compliance.operator.exact
-
-    @property
-    def product_error(self) -> float:
-        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
-        return self.compliance.operator.product_error
 
     def known_products(self) -> KnownProducts:
         """Return all known products with A; the first call for a K computes some. Collective."""
@@ -166,10 +157,6 @@ class DualProgram:
         Collective.
         """
         return self.compliance.near_products(self.is_first)
-
-    def apply(self, x: Array) -> Array:
-        """Return A x. Collective."""
-        return self.compliance.operator.apply(x)
 
     def near_field(self, x: Array) -> Array:
         """Return D x for the near field D, which clamps bodies some cells from the contact.

@@ -128,7 +128,7 @@ class ElasticResponse(ABC):
         An iterative solver for K starts from a known displacement near x and solves to the
         requested accuracy only. Such a solve counts as a product, unless the known displacement is
         already accurate enough. The error includes the rounding of r: products are differences of
-        gradients, and for steps that are small compared with the gaps these differences may be pure
+        gradients, and if steps are small compared with the gaps, these differences may be pure
         rounding.
 
         Args:
@@ -148,10 +148,10 @@ class ElasticResponse(ABC):
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
         A displacement with which the convergence of the multipliers was checked is returned
-        unchanged, since a more accurate displacement may have a larger error bound. The two bounds
-        may differ by more than the energy norm of the difference of the two displacements: to close
-        gaps, the computation of a bound moves contact nodes alone, which takes much energy if the
-        difference is smooth and cells are flat.
+        unchanged, since a more accurate displacement may have a larger error bound. The bounds of
+        two displacements may differ by more than the energy norm of the displacements' difference:
+        for a bound, gaps are closed by moving contact nodes alone, and this takes much energy if
+        the difference is smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.
@@ -277,7 +277,7 @@ class IterativeResponse(ElasticResponse):
         self._guess.add(x, u)
         r = self.gradient_of(u)
         terms = np.abs(self.offset) + np.abs(self.offset - r)
-        # e'A^-1 e is estimated from above: nodes whose neighbours are fixed are at least as stiff
+        # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
         inner = self._jump.reductions.inner
         square = float(inner(terms, self._compliance.nodal_stiffness * terms))
         return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))

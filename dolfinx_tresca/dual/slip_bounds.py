@@ -118,8 +118,8 @@ class SlipBounds:
         """Check bounds that are plain numbers: they are known already before a solve. Collective.
 
         Args:
-            friction: the law.
-            nodes: contact nodes of this rank.
+            friction: the law of friction whose bounds are checked.
+            nodes: (n,) contact nodes of this rank.
             stress_rounding: see `at`.
 
         Raises:
@@ -138,10 +138,10 @@ class SlipBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
         Args:
-            friction: the law.
-            nodes: contact nodes of this rank.
-            stress_rounding: largest size of negative values that count as zero [stress], in
-                addition to `BOUND_ROUNDING`, which is relative to values at other nodes.
+            friction: the law of friction whose bound is evaluated.
+            nodes: (n,) contact nodes of this rank.
+            stress_rounding: negative values of at most this size [stress] also count as zero, even
+                if they exceed the limit of `BOUND_ROUNDING`.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is

@@ -29,16 +29,16 @@ from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
 #: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
 UNBALANCED_PART = 1e-8
 
-#: Contact must also balance loads that are larger by this fraction than the given loads: exactly at
-#: the limit of friction the rigid displacement would not be determined.
+#: Contact must also balance the given loads increased by this fraction: exactly at the limit of
+#: friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
 
 #: Contact does not resist a rigid body mode if the mode's squared jump is at most this fraction of
 #: the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
-#: An eigenvalue of the Gram matrix of the modes' jumps, with 1 on the diagonal of the matrix,
-#: counts as rounding up to this number if there are hundreds of bodies.
+#: With hundreds of bodies, an eigenvalue of the Gram matrix of the modes' jumps counts as rounding
+#: if it is at most this number. (The jumps are scaled to length 1.)
 ROUNDING_SQUARE = 1e-13
 
 #: Number of motions that are computed if contact does not resist some motions of many bodies. The
@@ -51,9 +51,9 @@ MOST_NAMED = 6
 class Equilibrium:
     """Floating bodies under one load: equations of the multipliers, and rigid displacements.
 
-    Let K_p be K with the fixing springs, and U c the displacements that forces of these springs
-    alone cause under K_p. Then K u = f - B'lambda holds for u = K_p^-1 (f - B'lambda) + U c if and
-    only if
+    Let K_p be K plus the fixing springs. In a system with the matrix K_p, forces of these springs
+    alone cause displacements U c with some coefficients c. Then u = K_p^-1 (f - B'lambda) + U c
+    satisfies K u = f - B'lambda if and only if
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 
@@ -77,7 +77,7 @@ class Equilibrium:
 
         Args:
             x: (size,) multipliers.
-            u: K_p^-1 (f - B'x), which is changed.
+            u: the vector K_p^-1 (f - B'x), to which U c is added.
             c: (k,) multipliers of the constraints.
 
         Returns:
@@ -140,7 +140,7 @@ class FloatingBodies:
         Args:
             load: f on this rank.
             feasible_set: Lambda.
-            reductions: sums over the ranks.
+            reductions: object that computes sums over the ranks.
 
         Raises:
             MechanismError: contact cannot hold a body; the message names the body and its motion,
@@ -192,7 +192,7 @@ def equilibrium_constraints(
         resultants: (k,) U'f, the resultants of the loads along the modes.
         sizes: (k,) size of the terms of each resultant, see `SpringResponse.resultants`.
         bodies: (k,) the body of each mode.
-        reductions: sums over the ranks.
+        reductions: object that computes sums over the ranks.
         describe: function that names the motion with given components (k,) or (k, columns) of the
             modes.
 

@@ -48,8 +48,8 @@ class FixingSprings:
 
         The springs act on a few nodes of each body, spread over the body, and make the body about
         as stiff against its rigid modes as it is against deformation. There are few such nodes,
-        since the springs couple each of these nodes with all others, but more nodes than modes,
-        since the body would yield around a single node.
+        since the springs couple each of these nodes with all the others; but there are more nodes
+        than modes, since the body would be deformed locally around a single node.
         """
         modes = self.modes
         dim = modes.dim
@@ -159,7 +159,8 @@ class FixingSprings:
         for owned in (mode, force, answer):
             owned.destroy()
         V = csr_array(sum(answers[1:], start=answers[0]))
-        # the stiffness as R'ZZ'V, since R'KR - (KR)'V would be a small difference of large terms
+        # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
+        # difference of large terms
         sums = RankReductions(modes.comm)
         of_modes, of_answers = (
             sums.sparse_inner(self.columns, one) for one in (modes.basis * ~modes.floats, V)

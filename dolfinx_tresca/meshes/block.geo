@@ -2,9 +2,9 @@
 //
 //   (-Lx/2, Lx/2) x (-Ly/2, Ly/2) x (0, Lz)
 //
-// N        cells along x; along y as many as make them about squares
-// Grading  each layer of cells is by this factor higher than the one below; the lowest are about
-//          cubes, and 1 makes all of them so
+// N        cells along x; along y so many that cells are about square
+// Grading  height of each layer of cells divided by the height of the layer below; the lowest cells
+//          are about cubes
 // Hex      0: tetrahedra, 1: hexahedra
 //
 // Lengths may be in any unit.

@@ -16,11 +16,11 @@
 // tetrahedra.
 //
 // N      cells along the foot; along x and y the post has about N*Thick/Side
-// M      cells along the clay. Its mesh shall not match that of the foot, and shall be a little
-//        finer: it is the softer body
+// M      cells along the clay. The mesh of the clay shall not match that of the foot, and shall be a
+//        little finer, since the clay is softer
 // Hex    0: tetrahedra, 1: bricks. For tetrahedra take an odd M: Gmsh cuts bricks into them, and then
 //        makes one node of any two in the same place, which would glue the foot to the clay
-// Growth each layer of cells in the clay is by this factor higher than the one above
+// Growth height of each layer of cells in the clay divided by the height of the layer above
 //
 // Lengths may be in any unit.
 

@@ -5,7 +5,7 @@
 // R       radius
 // h       size of the cells at the contact
 // Zone    cells have this size up to this distance from the origin, then they grow
-// Growth  how much the size of the cells grows per distance
+// Growth  how much the size of the cells grows per distance from this zone
 // Arc     half the width of the arc that may come into contact, less than R
 // Quad    0: triangles, 1: quadrilaterals
 //

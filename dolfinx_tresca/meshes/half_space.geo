@@ -5,7 +5,7 @@
 //
 // Size    radius and depth of the body
 // h       size of the cells at the origin
-// Growth  size of the cells over their distance from the origin, further away
+// Growth  size of the cells divided by their distance from the origin, far from the origin
 // Top     radius of the part of the top that may come into contact
 //
 // Lengths may be in any unit.

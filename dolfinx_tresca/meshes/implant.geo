@@ -12,20 +12,20 @@
 //      |                               |
 //      +-------------------------------+     z = -Depth
 //
-// The stem is an elliptic cone; the hole is made with a cone that is thinner than it: by the
-// interference at the top, and less and less towards the tip, which fits exactly. Nothing glues the
+// The stem is an elliptic cone; the hole is made with a thinner cone: at the top thinner
+// by the interference, and less and less towards the tip, which fits exactly. Nothing glues the
 // two bodies, so each has surfaces and nodes of its own.
 //
 // N             cells round the half hole
-// M             the same of the stem; better not a divisor or multiple of N
+// M             cells round the half stem; better not a divisor or multiple of N
 // Growth        how much the cells of the bone grow per distance from the stem
 // Inserted      length of the stem in the bone [mm]
 // Shoulder      half the width of the stem at its top, along x [mm]
 // Tip           half the width of the stem at its tip, along x [mm]
-// Flat          width along y over width along x
-// Interference  half the width of the stem less that of the hole at the top, along x [mm]
-// Width         of the block along x; along y it is half as much here [mm]
-// Depth         of the block [mm]
+// Flat          width of the stem along y divided by its width along x
+// Interference  half the width of the stem minus half the width of the hole, at the top along x [mm]
+// Width         width of the block along x [mm]; this half of the block is half as wide along y
+// Depth         depth of the block [mm]
 //
 // All lengths in millimetres.
 

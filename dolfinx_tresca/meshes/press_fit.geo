@@ -14,14 +14,14 @@
 // their own, and their divisions differ: the meshes do not match.
 //
 // N             cells round a quarter of the hole
-// M             the same of the pin; even, and better not a divisor or multiple of N
+// M             cells round a quarter of the pin; even, and better not a divisor or multiple of N
 // Hex           0: tetrahedra, 1: hexahedra
-// Radius        of the hole [mm]
+// Radius        radius of the hole [mm]
 // Rim           outer radius of the plate [mm]
 // Support       the bottom of the plate rests on a ring from here to the rim [mm]
-// Thickness     of the plate [mm]
+// Thickness     thickness of the plate [mm]
 // Overhang      length of the pin on either side of the plate [mm]
-// Interference  radius of the pin less radius of the hole [mm]
+// Interference  radius of the pin minus radius of the hole [mm]
 //
 // All lengths in millimetres.
 

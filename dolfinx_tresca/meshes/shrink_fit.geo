@@ -12,11 +12,11 @@
 // differ: the meshes do not match.
 //
 // N             cells round the quarter of the ring
-// M             the same of the shaft; better not a divisor or multiple of N
+// M             cells round the quarter of the shaft; better not a divisor or multiple of N
 // Bore          inner radius of the shaft [mm]
 // Radius        inner radius of the ring [mm]
 // Rim           outer radius of the ring [mm]
-// Interference  outer radius of the shaft less Radius [mm]
+// Interference  outer radius of the shaft minus Radius [mm]
 //
 // All lengths in millimetres.
 

@@ -10,8 +10,8 @@
 // Bodies   1: the upper one, 2: both
 // R        radius of the upper ball
 // R_lower  radius of the lower ball
-// h        size of the cells at the contact
-// h_lower  the same for the lower ball
+// h        size of the cells of the upper ball at the contact
+// h_lower  size of the cells of the lower ball at the contact
 // Zone     width of the block, and of the surface that may come into contact; at most half of R
 //          and of R_lower
 // Growth   how much the size of the cells grows per distance from the block

@@ -37,7 +37,7 @@ UNCHANGED = 1e-3
 
 
 class TangentProblem:
-    """The contact problem of a Newton step for the whole displacement.
+    """The contact problem of a Newton step; its unknown is the whole displacement, not a change.
 
     The `contact` system owns the PETSc objects.
 
@@ -179,7 +179,8 @@ class TangentProblem:
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
-        Nothing is done if the tangent at this u_k is factored already, without added stiffness.
+        Nothing is done if no stiffness is to be added, and the tangent at this u_k is factored
+        already.
 
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
@@ -281,7 +282,7 @@ class TangentProblem:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """The displacement and the multipliers to return to if a part of the load fails.
+        """The displacement, configuration and multipliers to return to if a part of the load fails.
 
         Not collective.
         """
@@ -318,7 +319,7 @@ class TangentProblem:
         if self.comm.allreduce(same, op=MPI.LAND):
             before = steps.accepted_motions  # a trial may have left obstacles elsewhere
         self._places = before, self.surfaces.obstacles.motions
-        self.tangent.forget_material()  # the caller may have changed its history
+        self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
         self._solved_forces = None
         if self._has_history:
@@ -364,14 +365,14 @@ class TangentProblem:
         This is the energy norm of the displacement that would remove the residual at unchanged
         contact forces. The tangent is the one of the previous step, so this displacement is a
         simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
-        In a mixed space `MixedNorm` takes the place of the energy norm.
+        In a mixed space, `MixedNorm` takes the place of the energy norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
 
-        The result is NaN if F is not finite. In a mixed space it is the `MixedNorm` of K^-1 F.
+        The result is NaN if F is not finite. In a mixed space, it is the `MixedNorm` of K^-1 F.
         """
         force = self.surfaces.jump.matrix.createVecRight()
         force.array = forces
@@ -409,7 +410,7 @@ class TangentProblem:
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.
 
-        In a mixed space `MixedNorm` takes the place of this norm.
+        In a mixed space, `MixedNorm` takes the place of this norm.
         """
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values

@@ -23,7 +23,7 @@ class MixedNorm(PetscOwner):
     tangent is not a norm: the block A of a body under pressure is positive definite only for
     displacements that keep the volume, and a Newton step changes the volume. A and S are the blocks
     of the usual preconditioner for K (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but
-    S is reduced to its diagonal. Without this reduction S is approximately C plus the mass matrix
+    S is reduced to its diagonal. Without this reduction, S is approximately C plus the mass matrix
     of the pressures divided by the shear modulus.
 
     Owns PETSc objects: call `destroy()`.

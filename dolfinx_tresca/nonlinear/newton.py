@@ -1,4 +1,4 @@
-"""Newton's method, with the load applied in parts where it fails."""
+"""Newton's method, which applies the load in parts if it fails for the whole load."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ from dolfinx_tresca.units import Units
 #: diverging. The first two steps are excepted, since the residual of the first step may be small
 #: only because nothing had moved yet. Steps with the undeformed bodies' stiffness added, and the
 #: first step after them, are excepted as well. Such steps reduce the energy and lead from an
-#: unstable equilibrium to a stable one; on the way the residual grows before it falls. (Residuals
-#: of a block of degree 2 with 8 x 8 cells and Coulomb's 0.3 that snaps at a strain of 0.4335: 7e-4,
-#: 4e-3 with the stiffness, 2e-2 without, 5e-4, 7e-5, ...)
+#: unstable equilibrium to a stable one; on the way, the residual grows before it falls. (A block of
+#: degree 2 with 8 x 8 cells and a coefficient of friction of 0.3 snaps at a strain of 0.4335, with
+#: the residuals 7e-4, 4e-3 with the added stiffness, 2e-2 without it, 5e-4, 7e-5, ...)
 GROWTH = 1.0
 
 #: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
-#: enough to reach the accuracy within so many steps. With added stiffness it converges linearly,
-#: and more steps cost less than a smaller part of the load.
+#: enough to reach the accuracy within this larger number of steps. With added stiffness, Newton's
+#: method converges linearly, and more steps cost less than a smaller part of the load.
 MAX_ITERATIONS_FACTOR = 4
 
 #: Stiffness that is added to a tangent which is not positive definite, in the order of trial. Each
 #: entry has the stiffness of springs in the contact, relative to the stiffness of a single node,
-#: and a factor of the undeformed bodies' stiffness. Blocks of rubber that are compressed by 40 %
-#: buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding that should slide.
+#: and the factor with which the undeformed bodies' stiffness is added. Blocks of rubber that are
+#: compressed by 40 % buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding
+#: that should slide.
 ADDED = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (10.0, 0.1), (10.0, 1.0))
 
 #: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
@@ -153,7 +154,7 @@ class Newton:
         self._unstable = False
         if problem.surfaces.slides_far:
             self._sliding = FiniteSliding(problem.surfaces)
-            self.level = 0  # springs hold the partners of another configuration
+            self.level = 0  # springs would hold the partners of another configuration
             try:
                 with suppress(StiffnessError):  # the steps will add stiffness
                     problem.factor()
@@ -212,7 +213,7 @@ class Newton:
             except PairingError as error:
                 return f"{where}: {str(error).rstrip('.')}"
             was_slow, slow = slow, self.level >= FIRST_SLOW
-            other = self._sliding is not None  # in other configurations residuals do not compare
+            other = self._sliding is not None  # residuals in two configurations are not comparable
             if number > 2 and residual > GROWTH * last and not (slow or was_slow or other):
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
             errors.append(residual / self.options.accuracy)
@@ -263,7 +264,7 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        After `max_iterations` steps it may continue only if the error falls fast enough: at its
+        After `max_iterations` steps, it may continue only if the error falls fast enough: at its
         mean rate in the second half of the steps so far, it must reach the requested error by step
         number `MAX_ITERATIONS_FACTOR` times `max_iterations`. Rates of single steps tell little,
         since Anderson's acceleration makes errors of the configuration jump up and down.
@@ -290,23 +291,23 @@ class Newton:
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with stiffness of `ADDED` if needed. Collective.
 
-        The first entry that is tried is the entry of the last step. If the entry of the last step
-        makes Newton's method slow, it is the entry before.
+        The trials begin with the entry of the last step, or with the entry before it if the entry
+        of the last step makes Newton's method slow.
 
         Raises:
             StiffnessError: no entry that was tried makes the tangent definite. In a new
-                configuration of the surfaces only one entry is tried.
+                configuration of the surfaces, only one entry is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1
-        # In a new configuration springs hold other partners: a smaller part of the load is better.
+        # In a new configuration, springs hold other partners: a smaller part of the load is better.
         moved = self._sliding is not None and self._sliding.configurations > 1
         for level in range(first, first + 1 if moved else len(ADDED)):
             try:
                 self.level = level
                 self._unstable |= level >= FIRST_SLOW
                 self.problem.factor(*ADDED[level])
-                # springs multiply the contact residual by their stiffness in the Newton residual
+                # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0
                 options = self.contact.at_least(self.options.accuracy * forcing)
                 if self._sliding is not None and level == 0:

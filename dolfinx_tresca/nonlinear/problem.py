@@ -54,18 +54,19 @@ class NonlinearContactProblem(ContactProcess):
 
     The interface resembles `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u, from
     which a solve starts and which holds the solution afterwards. Each Newton step solves a
-    contact problem for the whole displacement, with the tangent at the present u. The conditions of
-    contact and friction are not linearised, so they hold after each step. Change Constants and
-    Functions in forms and conditions in place, as for `ContactProblem`. Multipliers and the models
-    of A are kept from step to step.
+    contact problem with the tangent at the present u; its unknown is the whole displacement. The
+    conditions of contact and friction are not linearised, so they hold after each step. Change
+    Constants and Functions in forms and conditions in place, as for `ContactProblem`. Multipliers
+    and the models of A are kept from step to step.
 
     If Newton's method fails, half of the change of load is tried first. This works for all kinds of
-    load, since it is the residual at the start of the solve that is removed in parts. A tangent may
+    load, since what is removed in parts is the residual at the start of the solve. A tangent may
     be indefinite, since it does not contain the contact; then springs in the contact are added,
     which do not change the solution.
 
-    A solve starts at the present u. In a process with Coulomb friction, the solve after one that
-    was not accepted starts at the u of the last accepted step, unless u was changed in between.
+    A solve starts at the present u. In a process with Coulomb friction, a solve after a solution
+    that was not accepted starts at the u of the last accepted step, unless u was changed in
+    between.
 
     With small sliding, the default, nodes keep their partners and normals until `update_geometry`
     is called; pairs with `sliding="finite"` are paired in the configuration of the solution.
@@ -322,7 +323,7 @@ class NonlinearContactProblem(ContactProcess):
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`. The problem's `u`
-            holds its displacement as well. If the status is NO_EQUILIBRIUM, the result is the
+            holds the same displacement. If the status is NO_EQUILIBRIUM, the result is the
             solution for a part of the change of load; if no part could be solved, it is the
             solution of the last Newton step, and the problem's `u` is unchanged.
 

@@ -18,9 +18,9 @@ class NewtonOptions:
             relative to the larger of |u|_K and |u - u_0|_K, where u_0 is the displacement at the
             start of the solve. The residual of the contact conditions has an accuracy of its own,
             in `SolverOptions`.
-        max_iterations: largest number of Newton steps for a part of the load. Up to four times as
-            many are taken while the error (with finite sliding also the error of the
-            configuration) falls fast enough to reach the requested error within so many steps.
+        max_iterations: largest number of Newton steps for a part of the load. Up to four times this
+            number are taken while the error (with finite sliding also the error of the
+            configuration) falls fast enough to reach the requested error within these steps.
         max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 
@@ -58,7 +58,7 @@ class NewtonStep:
 
     Attributes:
         number: number of the step, from 1 for each part of the load.
-        fraction: part of the change of load for which the step solves.
+        fraction: fraction of the whole change of load at which the step seeks the equilibrium.
         correction: |u_{k+1} - u_k|_K relative to the larger of |u_{k+1}|_K and |u_{k+1} - u_0|_K,
             where u_0 is the displacement at the start of the solve.
         residual: |R(u_{k+1}) + B'lambda|_{K^-1}, divided by the same norm as `correction`; NaN if

@@ -20,7 +20,7 @@ class NonlinearContactSolution(ContactSolution):
     """A `ContactSolution` of nonlinear bodies: the last Newton step, and the record of all steps.
 
     Iterations, products and seconds are sums over all Newton steps. Energies and errors belong to
-    the quadratic problem of the last step, and |u|_K to its tangent.
+    the quadratic problem of the last step, and the norm |u|_K is that of this step's tangent K.
 
     Attributes:
         newton: record of Newton's method.

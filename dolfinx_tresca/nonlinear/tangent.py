@@ -1,4 +1,4 @@
-"""The linear system of one Newton step, for the whole displacement."""
+"""The linear system of one Newton step, whose solution is the whole displacement."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
-    Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is part of
-    both sides, so the solution of a converged iteration does not depend on it.
+    Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is added
+    on both sides, so the solution of a converged iteration does not depend on this stiffness.
 
-    A continuation parameter t goes from 0 to 1. The prescribed values go linearly from those at the
-    start of the solve to the present ones, and h = (1 - t) r_0 contains the residual r_0 at the
-    start. So t applies any change of the loads, whatever has changed in the forms.
+    A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
+    at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
+    at the start. So t applies any change of the loads, whatever has changed in the forms.
 
-    In a mixed space u has other unknowns besides the displacement, and K is a saddle point.
+    In a mixed space, u has other unknowns besides the displacement, and K is a saddle point.
 
     Attributes:
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
@@ -179,7 +179,7 @@ class TangentSystem(LinearSystem):
             self.K.destroy()
             self.K = self._tangent
         super().assemble_stiffness()
-        self._tangent = self.K  # this is another object if J is a matrix
+        self._tangent = self.K  # K is a new object after each assembly if J is a matrix
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

@@ -25,8 +25,8 @@ def solve(
 ) -> DualSolution:
     """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    For Coulomb friction `fixed_point` takes the place of the default method, `projected_newton`.
-    The methods of the paper then solve a sequence of Tresca problems, see `sweeps`.
+    For Coulomb friction, `fixed_point` takes the place of the default method, `projected_newton`,
+    and the methods of the paper solve a sequence of Tresca problems, see `sweeps`.
     """
     tresca = METHODS[options.method]
     if isinstance(problem.admissible, FeasibleSet):

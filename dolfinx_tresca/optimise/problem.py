@@ -15,6 +15,29 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.status import ContactStatus
 
 
+class Operator(Protocol):
+    """The symmetric positive semidefinite matrix A, known by its products."""
+
+    @property
+    def products(self) -> int:
+        """Number of products with A."""
+        ...
+
+    @property
+    def exact(self) -> bool:
+        """Whether products are exact to rounding, for any requested accuracy."""
+        ...
+
+    @property
+    def product_error(self) -> float:
+        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
+        ...
+
+    def apply(self, x: Array) -> Array:
+        """Return A x (size,). Collective."""
+        ...
+
+
 class Response(Protocol):
     """Jump and energy of the displacement for the present load and given multipliers."""
 
@@ -63,6 +86,11 @@ class DualProblem(InnerProduct, Protocol):
     If slip bounds depend on the pressure, each x has such a program, its `section`; a solution is
     an x that minimises q over its own section.
     """
+
+    @property
+    def operator(self) -> Operator:
+        """A."""
+        ...
 
     @property
     def b(self) -> Array:
@@ -138,25 +166,6 @@ class DualProblem(InnerProduct, Protocol):
 
         Collective.
         """
-        ...
-
-    @property
-    def products(self) -> int:
-        """Number of products with A."""
-        ...
-
-    @property
-    def exact(self) -> bool:
-        """Whether products are exact to rounding, for any requested accuracy."""
-        ...
-
-    @property
-    def product_error(self) -> float:
-        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
-        ...
-
-    def apply(self, x: Array) -> Array:
-        """Return A x. Collective."""
         ...
 
     def near_field(self, x: Array) -> Array:

@@ -34,7 +34,7 @@ class Reductions(InnerProduct, Protocol):
         ...
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x; on the other ranks x may differ by rounding."""
+        """Return the first rank's x; on the other ranks, x may differ by rounding."""
         ...
 
     def minimum_over_ranks(self, value: float) -> float:

@@ -108,7 +108,7 @@ def unused_name(name: str, taken: Container[str], number: int) -> str:
 
 
 def _bodies(V: Any) -> IntegerFunction:
-    """Return the number of the body of each cell, from 1 on, as in messages. Collective."""
+    """Return the number of each cell's body, counted from 1 as in messages. Collective."""
     if V.mesh not in _LABELS:
         _LABELS[V.mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]
     function = IntegerFunction(fem.functionspace(V.mesh, ("DG", 0)), name="body")

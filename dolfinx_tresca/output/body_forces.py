@@ -21,8 +21,8 @@ def grid_of_forces(between_bodies: Mapping[tuple[int, int], Resultant], here: bo
 
     Not collective.
 
-    The values are "force", on the body with the lower number, and the numbers of both bodies, from
-    1 on: "on_body" and "by_body".
+    The values are "force", the force on the body with the lower number, and the numbers of both
+    bodies, counted from 1: "on_body" (the lower number) and "by_body".
 
     Args:
         between_bodies: (i, j) -> resultant on body i by body j, for i < j.

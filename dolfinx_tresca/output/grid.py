@@ -101,7 +101,7 @@ def local_grid(functions: Sequence[fem.Function]) -> Grid:
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
-    """Return the grid of the whole mesh on rank `ROOT`, None on others. Collective.
+    """Return the grid of the whole mesh on rank `ROOT`, None on other ranks. Collective.
 
     Args:
         functions: see `local_grid`.

@@ -69,18 +69,18 @@ def write(
       needs about 1 kB of memory for each node of the whole mesh: on many ranks take `.pvd`.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
       mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
-    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2, without fields of
-      cells.
+    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, which needs ADIOS2 and has no
+      fields of cells.
 
     Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
-    contact fields then have values at the middles of edges as well, and `state` has at a middle the
-    value of one of the ends. Vectors of 2D get a third component 0, as ParaView requires. Without
-    friction there are no fields "traction" and "slip". With load steps there are "slip_increment"
-    and "slip_path" as well, from the second step on.
+    contact fields then have values at the middles of edges as well, and at the middle of an edge
+    `state` has the value of one end of the edge. Vectors of 2D get a third component 0, as ParaView
+    requires. Without friction there are no fields "traction" and "slip". With load steps there are
+    "slip_increment" and "slip_path" as well, from the second step on.
 
-    Beside the displacement the volume has `body`, the number of each cell's body, from 1 on, as in
-    messages; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has the
-    names of the bodies (field data `body_names`) and, with three or more bodies, a block
+    Beside the displacement the volume has `body`, the number of each cell's body, counted from 1 as
+    in messages; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has
+    the names of the bodies (field data `body_names`) and, with three or more bodies, a block
     "forces_between_bodies": a point for each pair of bodies that push each other, with the `force`
     on the body with the lower number.
 
@@ -134,8 +134,8 @@ def write(
 def _bytes(functions: Sequence[fem.Function]) -> int:
     """Return an upper bound of the bytes that this rank's part of a mesh with Functions needs.
 
-    The room on the disk is checked by this bound. Ghost nodes count, since VTX files contain them.
-    Not collective.
+    This bound is compared with the free space on the disk. Ghost nodes count, since VTX files
+    contain them. Not collective.
     """
     V = functions[0].function_space
     maps = (V.dofmap.index_map, V.mesh.geometry.index_map())

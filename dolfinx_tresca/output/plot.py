@@ -30,7 +30,7 @@ from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
-WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height of one pair; height of each of several
+WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height for one pair; for each of several
 SPLIT = 0.42  #: part of the width for the bodies
 
 #: Metadata that would differ from run to run.
@@ -87,8 +87,8 @@ def plot(
             axis; with 270 both cuts are seen. None: the meridians are drawn.
 
     Returns:
-        without a path the picture on the first rank, a `PIL.Image.Image`, which notebooks show and
-        `show()` opens elsewhere; else None.
+        if `path` is None, the picture on the first rank, a `PIL.Image.Image`: notebooks show it,
+        and its method `show()` opens it elsewhere; otherwise None.
 
     Raises:
         InputError: the suffix is unknown, scale is no number of 0 or more, the angle is wrong, or

@@ -13,7 +13,7 @@ from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
 def significant(value: float, error: float) -> str:
-    """Return the text of a number, with one to eight digits as a relative error justifies them."""
+    """Return the text of a number, with as many digits as its relative error justifies: 1 to 8."""
     return f"{value:.{_digits(error)}g}"
 
 

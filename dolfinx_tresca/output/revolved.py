@@ -56,7 +56,7 @@ def revolved(grid: Grid, angle: float) -> Grid:
 
     Args:
         grid: the meridian, of degree 1.
-        angle: in degrees, above 0 and up to 360.
+        angle: angle of revolution [degrees], above 0 and up to 360.
     """
     layers = math.ceil(angle / STEP)
     count = layers if angle == 360.0 else layers + 1  # a whole turn ends at its first meridian

@@ -39,7 +39,7 @@ def write_vtu(path: Path, grid: Grid) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    # for versions below 2.2 readers change the order of nodes in hexahedra of degree 2
+    # in files of a version below 2.2, readers reorder the nodes of hexahedra of degree 2
     root = _root("UnstructuredGrid", "2.2" if grid.degree > 1 else "1.0")
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")

@@ -38,7 +38,7 @@ def write_xdmf(path: Path, blocks: Blocks) -> None:
 
 @contextmanager
 def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
-    """Give the mesh another name within a block, and then the user's name again."""
+    """Give a mesh another name inside a `with` block, and restore its name at the end."""
     before, mesh.name = mesh.name, name
     try:
         yield mesh
@@ -49,9 +49,9 @@ def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
 def _join_grids(path: Path) -> None:
     """Move all values to the grid of their mesh, and declare them as doubles.
 
-    DOLFINx writes a time series for each Function, which is a separate block in ParaView: pressure
-    as colour and slip as arrows could not be shown on the same surface, and VTK's reader fails.
-    Without a declared precision readers assume single precision.
+    DOLFINx writes a time series for each Function, and ParaView shows each time series as a
+    separate block. So pressure as colour and slip as arrows could not be shown on the same surface,
+    and VTK's reader fails. Without a declared precision readers assume single precision.
     """
     tree = ET.parse(path)
     domain = tree.getroot().find("Domain")

@@ -1,4 +1,4 @@
-"""Choice of the method of pairing: mortar, node-to-node, or for a rigid obstacle."""
+"""Choice of the pairing: mortar, node-to-node, or pairing with a rigid obstacle."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def pair_displaced_surfaces(
 ) -> PairOperators:
     """Compute N, T and the gap of a pair in the configuration displaced by u. Collective.
 
-    The gap is the distance of the displaced surfaces. The gap of the undeformed surfaces for the
-    same N is this gap plus N u.
+    The gap in the result is the distance between the displaced surfaces. The gap for displacements
+    from the undeformed surfaces is this gap plus N u, with the N in the result.
 
     Args:
         V: the space of the displacement.

@@ -19,7 +19,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def _space(operators: ContactOperators) -> dict[str, Any]:
-    """Return name -> space of the problem, which `collective` compares between the ranks."""
+    """Return a name and the space of the problem, which `collective` compares on all ranks."""
     return {"the space of the problem": operators._V}
 
 
@@ -167,11 +167,11 @@ class ContactOperators(PetscOwner):
 
         The Function is a scalar [1] of degree 1 on the mesh of the displacement, with values at the
         nodes of both sides: `areas` divided by the integral of the node's hat function over all
-        facets of the pair. The fraction is 1 if all facets at a node face the other side, in
-        contact or open, and less at the rim of the overlap. It is 0 off the surfaces, and at
+        facets of the pair. The fraction is 1 if all facets at a node face the other side, whether
+        they touch it or not, and less at the rim of the overlap. It is 0 off the surfaces, and at
         secondary nodes beyond the rim, which carry no multiplier: the neighbours of these nodes
         take over their areas, and may have fractions above 1. After `update_geometry` the fraction
-        also contains the stretch of the facets.
+        also contains the factor by which the displacement has stretched the facets.
 
         Multiply nodal values by this fraction to integrate them in forms: the integral over the
         facets of either side is then the sum of the values times `areas`. For

@@ -78,8 +78,8 @@ def nodes_with_multipliers(
         reason: reason for this kind, for the log; may be empty.
 
     Raises:
-        PairingError: no node of any rank carries a multiplier. With finite sliding this is an error
-            only if no node could carry a multiplier in any position of the bodies.
+        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
+            error if nodes could carry multipliers in other positions of the bodies.
     """
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)

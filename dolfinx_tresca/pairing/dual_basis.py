@@ -13,9 +13,9 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Entries of a weighted jump count as rounding up to the product of this factor, the relative
-#: rounding of the coordinates and the node's area. (Integrals over overlaps are sums of differences
-#: of coordinates.)
+#: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
+#: rounding of the coordinates times the node's area. (Integrals over overlaps are sums of
+#: differences of coordinates.)
 ENTRY_ROUNDING = 8.0
 
 EPSILON = float(np.finfo(np.float64).eps)
@@ -153,8 +153,9 @@ def force_moments(
 ) -> Array:
     """Return the points of application of nodal forces, times the nodes' weights, (nodes, 3).
 
-    A unit pressure at one node causes forces at the nodes of the columns; these forces are the
-    entries of the node's row in `assemble_rows`.
+    A unit pressure at a secondary node causes a force at the node of each column: the entry in the
+    secondary node's row of `assemble_rows`. The resultant of these forces acts at the point of
+    application.
 
     Args:
         nodes: the secondary nodes.

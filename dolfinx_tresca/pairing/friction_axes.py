@@ -14,7 +14,8 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
 
-#: Sine of the angle between direction and normal up to which the direction counts as normal.
+#: A direction counts as normal to the surface if the sine of its angle to the normal is at most
+#: this.
 LEAST_SINE = 1e-6
 
 

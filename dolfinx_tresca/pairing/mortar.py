@@ -29,13 +29,13 @@ from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
 from dolfinx_tresca.surface.offsets import any_known_surface
 
 #: Least covered part of a node's area with which the node carries a multiplier. (At the limit
-#: rounding decides. So the limit is not round: round overlaps, such as 0.1 or 0.01 of a cell, are
-#: above or below it.)
+#: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,
+#: such as 0.1 or 0.01, covers exactly this part of an area.)
 LEAST_AREA_PART = 3e-4
 
-#: Least ratio of the penetration of bodies to the sagitta, the height of their curved surfaces over
-#: the facets, that causes no warning. Below this ratio the error of the sagitta, which is 1 to 5 %
-#: of the sagitta, may be more than a tenth of the penetration.
+#: A warning is logged if the penetration of bodies is less than this part of the sagitta (the
+#: height of their curved surfaces over the facets). The error of the sagitta, 1 to 5 % of the
+#: sagitta, may then be more than a tenth of the penetration.
 CLOSE_FIT = 0.5
 
 #: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
@@ -45,10 +45,10 @@ FITTED_PART = 0.25
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
 #: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
-#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it
-#: were 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the
-#: pressure of the nodes on the edge. If it were 0.94 (half this d), nodes on a circle of 16
-#: segments, which lie outside the chords of another mesh, would lose their multipliers.
+#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it were
+#: 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the pressure of
+#: the nodes on the edge. If it were 0.94 (half this d), nodes of a circle of 16 segments would lose
+#: their multipliers if they lie outside the chords of the other body's mesh.
 LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
@@ -75,11 +75,19 @@ def couple(
     """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
-    is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
-    the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
-    multiplier since they belong to both sides. If `moved`, the surfaces are displaced, and there is
-    no warning of a close fit, since penetration is then an error of the displacement. `reason`
-    says, for the log, why the pairing is by mortar.
+    is the negative jump of the positions minus the sagitta of both sides.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        facets: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        others: facets of the primary side.
+        integrals: the integrals over the overlap.
+        shared: (n,) whether a node belongs to both sides, and so has no multiplier.
+        moved: whether the surfaces are displaced. There is then no warning of a close fit, since
+            penetration is an error of the displacement.
+        reason: reason for pairing by mortar, for the log.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -151,7 +159,8 @@ class MortarRows:
         primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
         sagitta: (n,) sum of the heights of both curved surfaces over their facets, times weight.
         secondary_sagitta: (n,) height of the secondary surface over its facets, times weight.
-        distance: (n,) distance of the exact surfaces, times weight; zero if none is known.
+        distance: (n,) distance of the exact surfaces, times weight; zero if no exact surface is
+            known.
         force_moments: (n, 3) points of application of the nodal forces, times weight.
     """
 
@@ -224,11 +233,11 @@ def nodes_without_multiplier(
 ) -> Mask:
     """Return the nodes that give their part of the overlap to their neighbours. Collective.
 
-    These are nodes beyond the rim of the overlap. Such a node may have a covered part of its area,
-    but does not face the primary side itself. If it had a multiplier, the primary side would seem
-    to extend up to the node: the nodal force would be as large as for a whole facet, and the
-    pressure, this force divided by the covered area, would be far too large. With friction, nodes
-    that are prescribed tangentially and face a coarser mesh are returned, too
+    These are nodes beyond the rim of the overlap. A part of the area of such a node may be covered,
+    but the node itself does not face the primary side. If it had a multiplier, the primary side
+    would seem to extend up to the node: the nodal force would be as large as for a whole facet, and
+    the pressure, this force divided by the covered area, would be far too large. With friction,
+    nodes that are prescribed tangentially and face a coarser mesh are returned, too
     (`prescribed_before_coarser_facets`).
 
     If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
@@ -257,15 +266,15 @@ def nodes_without_multiplier(
     own = owned_nodes(V, nodes)
 
     def owners_flags(some: Mask) -> Mask:
-        """Return the flags (n,) that the nodes' owners found, who have all facets at the nodes."""
+        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
         return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = _corners_of(corners, part, count)
     without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
-    # `near` in three steps: nodes at the rim that belong to fully covered facets; these nodes and
-    # their neighbours at the rim; the corners of partly covered facets on which one of these nodes
-    # has a multiplier
+    # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
+    # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
+    # which one of these nodes has a multiplier
     near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
     near = owners_flags(
         at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))
@@ -319,7 +328,7 @@ def prescribed_before_coarser_facets(
 
 
 def _corners_of(corners: Indices, facets: Mask, count: int) -> Mask:
-    """Return the mask (count,) of the nodes that are `corners` (n, k) of facets in a mask (n,)."""
+    """Return which of `count` nodes are `corners` (n, k) of a facet in a mask (n,) of facets."""
     result = np.zeros(count, dtype=np.bool_)
     result[corners[facets]] = True
     return result

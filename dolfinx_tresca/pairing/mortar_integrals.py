@@ -47,8 +47,9 @@ class MortarIntegrals:
         other: (p, corners, k) integrals of secondary hat functions times primary basis functions
             over the overlap of each pair.
         share: (p,) area of the overlap relative to the area of the secondary facet.
-        opposite: (q, 2) pairs of facets that see each other with exchanged roles: the first facet
-            is primary, the second one secondary. Empty unless the surface touches itself.
+        opposite: (q, 2) pairs of facets that see each other, but whose roles are exchanged: the
+            first facet, which was searched from, is primary, and the second one is secondary. Empty
+            unless the surface touches itself.
     """
 
     own: FacetIntegrals

@@ -11,7 +11,7 @@ from dolfinx_tresca.surface.facets import tabulate
 
 
 def straightened(V: Any, u: Array) -> Array:
-    """Return a displacement after which edges have the degree of the mesh's geometry.
+    """Return u without the part that would bend edges beyond the degree of the mesh's geometry.
 
     Not collective.
 

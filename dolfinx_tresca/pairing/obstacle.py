@@ -32,10 +32,10 @@ def couple(
     """Find the jumps at the nodes of a surface that faces a rigid obstacle. Collective.
 
     The signed distance is interpolated like a displacement and averaged with the dual basis; with
-    degree 1 gap and jump are the nodal values. With degree 2 the distance at nodes on straight
-    edges is measured from the smooth curved surface (`Sagitta`), since a body of degree 2 can take
-    the shape of the obstacle. The normals are the negative normals of the obstacle. Only facets
-    that face the obstacle contribute.
+    degree 1, gap and jump are then the nodal values. With degree 2 the distance at nodes on
+    straight edges is measured from the smooth curved surface (`Sagitta`), since a body of degree 2
+    can take the shape of the obstacle. The normals are the negative normals of the obstacle. Only
+    facets that face the obstacle contribute.
 
     Raises:
         InputError: the signed distance does not return distances and unit normals.
@@ -69,7 +69,7 @@ def couple(
     jump = scaled_rows(drop_rounding(jump, facets, facet_nodes, weights), scale)
 
     def nodal_means(at_nodes: Array) -> Array:
-        """Average values at facets' nodes with the dual basis over facing facets: (nodes,)."""
+        """Return means (nodes,) of values at facets' nodes, by the dual basis on facing facets."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
         return scale * summed(values / nodes.corner_weights * corner_weights)
 
@@ -96,8 +96,9 @@ def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> 
     """Return at which corners (n, corners) facets face the obstacle.
 
     A facet faces the obstacle at a corner if the normals of both are opposed at this corner and at
-    the centre of the facet. So, if an edge of the body lies in a corner of the obstacle, only the
-    facets in front of the wall that is nearest to the edge count at the edge.
+    the centre of the facet. So, if an edge of the body lies in a corner between walls of the
+    obstacle, only the facets in front of the wall that is nearest to this edge count at the edge's
+    nodes.
 
     Args:
         facets: the facets of the surface.

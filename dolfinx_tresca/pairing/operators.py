@@ -172,7 +172,7 @@ class PairOperators:
 
     @property
     def sizes(self) -> Array:
-        """(n,) linear size of each node's whole area [length]; the width if it is a ring."""
+        """(n,) linear size of each node's whole area [length]; for a ring its width."""
         if not self.axisymmetric:
             return np.asarray(self.areas ** (1.0 / (self.normals.shape[1] - 1)))
         radii = np.maximum(self.places[:, 0], np.sqrt(self.areas / np.pi))  # at the axis: a disc

@@ -96,7 +96,7 @@ class Side:
         return nodes
 
     def _nodes_with_other_tags(self, V: Any) -> GlobalNumbers:
-        """Return the nodes of facets with other tags: all owned ones, some ghosts. Collective."""
+        """Return all owned nodes, and some ghosts, of facets with other tags. Collective."""
         tags = self.facet_tags
         others = tags.indices[tags.values != self.tag]
         found = fem.locate_dofs_topological(V, tags.dim, others)

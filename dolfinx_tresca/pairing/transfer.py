@@ -37,7 +37,7 @@ class SideTransfer:
     the matching node. Rows of P sum to 1. Values and loads are transferred differently:
 
     - *Values* (temperatures, displacements) are transferred from the primary to the secondary side
-      by P, which is exact for constants, and for mortar pairs for linear functions.
+      by P, which is exact for constants and, if the pair is a mortar pair, for linear functions.
     - *Loads* (nodal forces, nodal heat flows) are transferred from the secondary to the primary
       side by P', which conserves their sum.
 
@@ -73,7 +73,7 @@ class SideTransfer:
 
     @cached_property
     def _nodes(self) -> LocalNumbers:
-        """(n,) numbers of the contact nodes in `_vector`; for degree 2 V has other numbers."""
+        """(n,) numbers of the contact nodes in `_vector`; in V they differ if V has degree 2."""
         corners = entities_per_cell(self._V, 0)
         number = np.zeros(self._V.dofmap.list.max(initial=0) + 1, dtype=np.int32)
         number[self._V.dofmap.list[:, :corners]] = self._vector.dofmap.list

@@ -37,15 +37,15 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class ContactSurfaces(PetscOwner):
     """The contact surfaces as they are paired now, B and A on them, and their load steps.
 
-    Where surfaces are paired anew, B and A are replaced, and tractions and slip are carried over.
+    When surfaces are paired anew, B and A are replaced, and tractions and slip are carried over.
 
     Attributes:
         linear: the system K u = f.
         pairs: the surfaces that may touch.
         secondary: the secondary side of each pair.
-        slides_far: whether a pair has finite sliding.
-        friction: evaluates the slip bounds at the nodes of the displacement.
-        nodal_values: evaluates users' fields at these nodes.
+        slides_far: whether at least one pair has finite sliding.
+        friction: object that evaluates the slip bounds at the nodes of the displacement.
+        nodal_values: object that evaluates users' fields at these nodes.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
         compliance: A = B K^-1 B', with K factored.
         guess: displacements of earlier solves with the present B.
@@ -54,7 +54,7 @@ class ContactSurfaces(PetscOwner):
             this pairing.
         geometry: displacement at which pairs without finite sliding were paired.
         obstacles: the rigid obstacles and their positions.
-        summary: the sizes of the problem.
+        summary: the sizes of the problem, for tables.
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 
@@ -66,7 +66,7 @@ class ContactSurfaces(PetscOwner):
         Args:
             linear: the system K u = f.
             pairs: the surfaces that may touch.
-            stiffness: factors K.
+            stiffness: object that assembles and factors K.
 
         Raises:
             InputError: a gap or a law of friction is wrong.
@@ -228,7 +228,7 @@ class ContactSurfaces(PetscOwner):
             self._accepted_configuration = self.sliding.origin.copy()
 
     def begin_solve(self) -> None:
-        """Let the next solve start at the last accepted step if its result may depend on the start.
+        """Let the next solve start at the last accepted step, if the start may affect the result.
 
         Pairs whose obstacle has moved since they were paired are paired anew. Collective.
 
@@ -244,7 +244,8 @@ class ContactSurfaces(PetscOwner):
     def pair_where_changed(self, u: fem.Function) -> None:
         """Pair surfaces anew where the geometry has changed. Collective.
 
-        These are pairs whose obstacle has moved, and pairs with finite sliding not yet paired at u.
+        This concerns pairs whose obstacle has moved, and pairs with finite sliding that are not yet
+        paired at u.
 
         Args:
             u: displacement [length] at which pairs with finite sliding are paired.
@@ -289,9 +290,9 @@ class ContactSurfaces(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
-        With finite sliding the slip counts from the last accepted step. It is the displacement of a
-        node since this step, relative to the node's present partner and projected onto the node's
-        tangent plane in the configuration.
+        With finite sliding, the slip counts from the last accepted step. The slip of a node is its
+        displacement since this step, relative to the node's present partner and projected onto the
+        node's tangent plane in the configuration.
 
         Args:
             u: displacement [length] in the problem's space.

@@ -245,8 +245,8 @@ class ContactSystem(PetscOwner):
 
         Collective.
 
-        With finite sliding only the final solution is checked, since in the first configurations
-        surfaces that come from afar may lie deep inside other bodies.
+        With finite sliding, only the final solution is checked, since surfaces that come from afar
+        may lie deep inside other bodies in the first configurations.
 
         Args:
             u: displacement of a solution [length].

@@ -28,14 +28,14 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class Factorisation:
-    """Assembles K, fixes the bodies that K holds weakly by springs, and factors the sum.
+    """Assembles K, adds springs that fix the bodies that K holds only weakly, and factors the sum.
 
     The first call of `compliance` finds the bodies, and chooses the solver for K that suits them.
 
     Attributes:
         bodies: the bodies of the mesh.
         method: name of the chosen solver for K.
-        reason: reason of the choice.
+        reason: why this solver was chosen, as text.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Factorisation:
     ) -> ContactCompliance:
         """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
 
-        With a mixed space the modes are found in the first call only.
+        With a mixed space, the modes are found in the first call only.
 
         Args:
             jump: B.
@@ -95,7 +95,7 @@ class Factorisation:
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if before is None or linear.component is None:
-                # in later steps pressures make the block of the displacements indefinite even for
+                # in later steps, pressures make the block of the displacements indefinite even for
                 # a stable body; then the signs of pivots tell whether bodies are held
                 self._modes = weakly_resisted_modes(linear, self.bodies)
         springs = fixing_springs(self._modes, linear)
@@ -106,7 +106,7 @@ class Factorisation:
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        with timed(self.method, timings):  # for a saddle point this factors another matrix
+        with timed(self.method, timings):  # for a saddle point, this factors another matrix
             return ContactCompliance(jump, solver, springs, before)
 
     def _chosen(self) -> tuple[ChosenMethod, str]:

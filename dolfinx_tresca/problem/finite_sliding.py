@@ -26,17 +26,18 @@ from dolfinx_tresca.units import Units
 #: Largest number of differences of iterates that Anderson's acceleration uses.
 ANDERSON_DEPTH = 3
 
-#: Least eigenvalue, relative to the largest one, of the Gram matrix of the differences of residuals
-#: u - w, each divided by its length. Eigenvectors with smaller eigenvalues are ignored: they belong
-#: to combinations of nearly dependent differences. Such combinations are noise, since early contact
-#: problems are solved inaccurately. The half ring of benchmarks/finite_sliding.py takes 187 Newton
-#: steps with 1e-12, 160 with 1e-3 (32 cells, 11 load steps, `geometry_accuracy=1e-6`).
+#: Anderson's acceleration uses the Gram matrix of differences of residuals u - w, each divided by
+#: its length. Eigenvectors are ignored if their eigenvalue is below this fraction of the largest
+#: one: they belong to combinations of nearly dependent differences. Such combinations are noise,
+#: since early contact problems are solved inaccurately. The half ring of
+#: benchmarks/finite_sliding.py takes 187 Newton steps with 1e-12, 160 with 1e-3 (32 cells, 11 load
+#: steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
 
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
 #: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
 #: configuration changes the forces again, so early contact problems need no more accuracy. A
-#: residual in proportion to the last change of the forces is not better: where forces are sensitive
+#: residual proportional to the last change of the forces is not better: where forces are sensitive
 #: to residuals, as in slender bodies, this change is as large as the errors of contact problems.
 #: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
 #: steps if the residual is 0.03 times the change of the forces, 165 with the value below, and 159
@@ -49,7 +50,7 @@ FORCING = 0.01
 #: upper bound, since a convergent iteration has a ratio below 1. A change whose ratio is below both
 #: the lower bound and the ratio of the residuals u - w is small by chance. It is replaced by the
 #: previous change times the smaller of these two ratios: without this replacement, 28 of 200 random
-#: scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested error; with it 8 have.
+#: scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested error; with it, 8 have.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Advice to users if the configurations do not converge.
@@ -59,9 +60,9 @@ ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 MAX_CONFIGURATIONS = 40
 
 
-#: Changes of gaps are measured relative to the displacement since the last accepted step, but at
-#: least to this fraction of the whole displacement: where a wheel turns on a body that rests, the
-#: displacement of a step is rounding, and gaps would never be accurate relative to rounding.
+#: Changes of gaps are divided by the displacement since the last accepted step, or by this fraction
+#: of the whole displacement if the fraction is larger. If a wheel turns on a body that rests, the
+#: displacement of a step is only rounding, and relative to rounding no gap is accurate.
 SMALL_STEP = 1e-2
 
 
@@ -71,8 +72,8 @@ class FiniteSliding:
     u(w) is the solution of the contact problem whose normals, partners and areas are those of the
     surfaces displaced by w. The iteration w <- u(w) converges linearly where friction acts, because
     the directions of the forces are those of the last configuration. With Anderson's acceleration
-    (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49) it converges about as fast as Newton's
-    method for the bodies, so for nonlinear bodies one Newton step in each configuration is enough.
+    (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49), the iteration converges about as fast as
+    Newton's method for nonlinear bodies, so one Newton step in each configuration is enough.
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last
@@ -154,8 +155,8 @@ class FiniteSliding:
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
-        This is the present configuration, displaced by the response to the change of the prescribed
-        values with the present K and contact forces.
+        Its displacement is the displacement of the present configuration plus the response to the
+        change of the prescribed values, with the present K and unchanged contact forces.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.

@@ -48,7 +48,7 @@ def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:
     """Check for floating bodies that no coefficient of friction depends on the slip.
 
     Such problems are refused since the solver may not converge: for a block held by viscous
-    friction alone it found no multipliers within minutes. Not collective.
+    friction alone, the solver found no multipliers within minutes. Not collective.
 
     Raises:
         InputError: a coefficient depends on the slip.

@@ -36,7 +36,7 @@ from dolfinx_tresca.units import Units
 
 
 def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
-    """Return by name what must be equal on all ranks for a solve, besides its arguments.
+    """Return by name the values, besides the arguments of `solve`, that all ranks must share.
 
     Not collective.
     """
@@ -52,14 +52,14 @@ class ContactProblem(ContactProcess):
 
     Forms and slip bounds may contain `fem.Constant` and `fem.Function`: change these in place, and
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
-    coefficients of the form `a` call `update_stiffness()`; until then solves use the K that was
+    coefficients of the form `a`, call `update_stiffness()`; until then, solves use the K that was
     factored last, and the log warns. Each solve starts from the multipliers of the last solve (in a
     process with Coulomb friction, from those of the last accepted step), and uses the products with
     A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed, but their
     values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
-    static load. For a process call `accept()` after each `solve()`. Friction then resists the slip
+    static load. For a process, call `accept()` after each `solve()`. Friction then resists the slip
     since the last accepted step, and slip remains when the loads are removed.
 
     A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. If the
@@ -127,7 +127,7 @@ class ContactProblem(ContactProcess):
                 with such a component: then K is a saddle point, and Dirichlet conditions must hold
                 the bodies (see the guide on embedding). If V is given, `a` may also be a compiled
                 form, or a `PETSc.Mat` that was assembled without conditions. For a mixed space, a
-                compiled form or a matrix the discretisation error is unknown: solve with a number
+                compiled form or a matrix, the discretisation error is unknown: solve with a number
                 as `accuracy`, or with `rtol`.
             L: linear form of the loads, in UFL or compiled; None: no load.
             pairs: surfaces that may touch.
@@ -137,8 +137,8 @@ class ContactProblem(ContactProcess):
             expected_solves: approximate number of calls of `solve()` before K changes. The larger
                 it is, the sooner "auto" takes "cholesky", whose further solves are cheaper.
             petsc_options: PETSc options of the solver for K, which take precedence over the
-                defaults. For degree 2 the options of the GAMG solver on the level of degree 1 begin
-                with "mg_coarse_"; options without this prefix hold for that level as well.
+                defaults. For degree 2, the options of the GAMG solver on the level of degree 1
+                begin with "mg_coarse_"; options without this prefix hold for that level as well.
             petsc_options_prefix: prefix of the options that the command line gives to this solver.
             units: names of the units of length and stress, for tables and pictures.
             entity_maps: the argument of `dolfinx.fem.form` that forms need if they contain
@@ -205,15 +205,15 @@ class ContactProblem(ContactProcess):
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
 
-        With small sliding nodes keep their normals and their partners on the other side. After this
-        call normals and partners are those in the configuration displaced by u, the gap at a later
-        displacement v is d - N (v - u) with the distance d of the displaced surfaces, and stresses
-        are forces divided by displaced areas. With `sliding="finite"` each solve pairs the surfaces
-        in the configuration of its solution automatically. For an iteration of your own repeat
-        `solve` and `update_geometry` within a load step until the forces do not change any more,
-        and then accept the step; with one call per step the normals lag one step behind. Slip,
-        accepted steps, multipliers and the far field of products with A are kept, and K is not
-        factored again. Bonded pairs do not change.
+        With small sliding, nodes keep their normals and their partners on the other side. After
+        this call, normals and partners are those in the configuration displaced by u, the gap at a
+        later displacement v is d - N (v - u) with the distance d of the displaced surfaces, and
+        stresses are forces divided by displaced areas. With `sliding="finite"`, each solve pairs
+        the surfaces in the configuration of its solution automatically. For an iteration of your
+        own, repeat `solve` and `update_geometry` within a load step until the forces do not change
+        any more, and then accept the step; with one call per step, the normals lag one step behind.
+        Slip, accepted steps, multipliers and the far field of products with A are kept, and K is
+        not factored again. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space, usually the `u` of a solution.
@@ -352,14 +352,14 @@ class ContactProblem(ContactProcess):
         Args:
             checkpoint_every: number k: keep only the state of each k-th step (values on the contact
                 surfaces), and repeat the solves of all steps for derivatives; None: keep the
-                displacement of each step, and repeat no solve. With k = 1 each repeated solve
+                displacement of each step, and repeat no solve. With k = 1, each repeated solve
                 starts from the recorded solution of its step, and costs a product or two.
             folder: folder for files with these states, in the format of `save_state`; None: keep
                 the states in memory.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
-            `tape.gradient({9: ContactForce((1.0, 0.0))}, [coefficient])` for the tenth one.
+            `tape.gradient({9: ContactForce((1.0, 0.0))}, [coefficient])` for the tenth step.
 
         Raises:
             ContactError: the problem records already.
@@ -381,7 +381,7 @@ class ContactProblem(ContactProcess):
     def _solved_for(self, purpose: str) -> LastSolve:
         """Return the record of the last solve. Not collective.
 
-        Derivatives and error estimates need them.
+        Derivatives and error estimates need this record.
 
         Raises:
             ContactError: the problem was destroyed, nothing was solved, or coefficients of `a`

@@ -44,8 +44,8 @@ def obstacle_differences(
         The differences, which the caller destroys; None if no obstacle depends on the Constant.
 
     Raises:
-        InputError: an obstacle moves in the load step of the last solve, or a node faces an
-            obstacle at one of the two displaced positions only.
+        InputError: an obstacle moves in the load step of the last solve, or a node faces the
+            obstacle at only one of the two displaced positions of the obstacle.
     """
     surfaces, obstacles = contact.surfaces, contact.surfaces.obstacles
     moves = obstacles.depending_on(constant)

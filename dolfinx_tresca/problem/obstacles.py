@@ -54,7 +54,7 @@ class Obstacles:
 
     @property
     def motions(self) -> Array:
-        """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle; the identity without one."""
+        """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle; identity if it has none."""
         none = RigidMotion.none()
         return np.array([(none if one is None else one.motion).matrix for one in self._obstacles])
 
@@ -92,7 +92,7 @@ class Obstacles:
     def _distances(self, jump: JumpOperator) -> list[Array]:
         """Return for each pair an array (n, 4): distances and normals at undeformed nodes.
 
-        It has no rows for a pair of deformable bodies. Collective.
+        For a pair of deformable bodies, the array has no rows. Collective.
         """
         has_obstacle = any(one is not None for one in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
@@ -149,8 +149,8 @@ class Obstacles:
         """Return the step of a Constant that changes distances by one unit of length. Collective.
 
         If the step of a difference quotient is a multiple of this step, the quotient does not
-        depend on the units. A change of a normal counts as a distance: the change times the extent
-        of the mesh.
+        depend on the units. A change of a normal, times the extent of the mesh, counts as a change
+        of a distance.
 
         Args:
             constant: a Constant on which obstacles depend.

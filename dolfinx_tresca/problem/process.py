@@ -93,7 +93,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @property
     def free_dofs(self) -> int:
-        """n, the number of displacement unknowns of all ranks. Not collective.
+        """The number n of displacement unknowns on all ranks. Not collective.
 
         Prescribed degrees of freedom are not counted.
         """
@@ -101,7 +101,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @property
     def contact_nodes(self) -> int:
-        """m, the number of nodes with multipliers, of all pairs and ranks. Not collective."""
+        """The number m of nodes with multipliers, of all pairs on all ranks. Not collective."""
         return self._contact.surfaces.summary.contact_nodes
 
     @property
@@ -142,10 +142,10 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @collective(comm_of_self)
     def accept(self, *, unconverged: bool = False) -> None:
-        """Make the last solution a load step: the slip of later solutions counts from it.
+        """Make the last solution a load step, from which the slip of later solutions counts.
 
         Friction dissipates energy, so the result of a process depends on its load path, not only
-        on the last load. After this call each `solve()` minimises
+        on the last load. After this call, each `solve()` minimises
         1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
         solution that is not accepted leaves no trace: try another load instead. If slip bounds
         depend on the pressure, a solution may depend on where the solve starts; so each solve after
@@ -199,7 +199,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """Use the tractions of a solution on another mesh as the next initial guess. Collective.
 
         The initial guess does not change the accuracy of the result; a better one saves iterations.
-        For nonlinear bodies this call does not change u: interpolate u, too.
+        For nonlinear bodies, this call does not change u: interpolate u, too.
 
         Args:
             solution: a solution with the same number of pairs. Each point of a surface takes the
@@ -248,7 +248,8 @@ class ContactProcess(PetscOwner, Tabulated):
         The file holds the multipliers, the slip and the dissipation of the accepted steps, the
         displacement u of nonlinear bodies, and the displacement of the last `update_geometry`. It
         holds neither loads nor products with A: the first solve after a restart costs as many
-        products as a first solve. An interrupted write leaves the previous file unchanged.
+        products as the first solve of a new problem. An interrupted write leaves the previous file
+        unchanged.
 
         Args:
             path: path of the file; the first rank's value counts.
@@ -325,7 +326,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair surfaces in the configuration displaced by u, if they are not yet. Collective."""
+        """Make u the configuration in which surfaces are paired, if it is not yet. Collective."""
         if self._contact.surfaces.sliding.began_at(u):
             self._contact.surfaces.pair_where_changed(u)
         else:
@@ -357,32 +358,35 @@ class ContactProcess(PetscOwner, Tabulated):
         *,
         at_edge: EdgeState = None,
     ) -> list[Any]:
-        """Return the derivatives of a goal of the last solution by controls. Collective.
+        """Return the derivatives of a goal of the last solution with respect to controls.
 
-        They are exact for the discrete problem, with each node held in its contact state. Where
-        nodes are about to change their state, the derivatives are one-sided (see `at_edge`). All
-        derivatives together cost one adjoint solve, about ten products with A, however many
-        controls there are; for nonlinear bodies one Newton step comes before it. Solve accurately,
-        with `solve(rtol=1e-8)`, since derivatives are evaluated at the computed solution.
+        Collective. The derivatives are exact for the discrete problem, with each node held in its
+        contact state. Where nodes are about to change their state, the derivatives are one-sided
+        (see `at_edge`). All derivatives together cost one adjoint solve, about ten products with A,
+        however many controls there are; for nonlinear bodies, they cost one Newton step in
+        addition. Solve accurately, with `solve(rtol=1e-8)`, since derivatives are evaluated at the
+        computed solution.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`;
                 or a form of rank 0 that depends on `solution.u`, such as the compliance
                 `ufl.action(L, solution.u)`.
-            controls: Constants and Functions on which the forms, the values of Dirichlet
-                conditions, the gap of a pair, a slip bound, a coefficient of friction or its limit
-                depend. A derivative with respect to the coordinates of the mesh is not available.
+            controls: Constants and Functions that occur in the forms, in the values of Dirichlet
+                conditions, in the gap of a pair, or in a slip bound, a coefficient of friction or
+                its limit. A derivative with respect to the coordinates of the mesh is not
+                available.
             at_edge: assumption on the nodes that are about to change their state (the log and
                 `NodeCounts.undecided` give their number). None: their state in the solution;
                 "held": they are pressed and stick; "released": they open or slip. For a single such
-                node "held" and "released" give the derivatives on the two sides. If a control
-                presses some of several such nodes and opens others, a derivative on one side may
-                equal neither.
+                node, "held" and "released" give the derivatives on the two sides. If a control
+                presses some of several such nodes and opens others, both results may differ from
+                the derivatives on the two sides.
 
         Returns:
-            for each control the derivatives with respect to its values: for a Constant an array of
-            its shape, for a Function a Function on its space [unit of the goal divided by the unit
-            of the control]. They are zero, and the log says so, if nothing depends on the control.
+            for each control the derivatives with respect to its values [unit of the goal divided by
+            the unit of the control]: for a Constant, an array of its shape; for a Function, a
+            Function on its space. If nothing depends on the control, the derivatives are zero, and
+            the log says so.
 
         Raises:
             ContactError: there is no converged solution for the present inputs; or, for nonlinear
@@ -419,8 +423,8 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             controls: see `gradient`.
-            directions: for each control its change: for a Constant values of its shape, for a
-                Function a Function on its space.
+            directions: for each control its change: for a Constant, values of its shape; for a
+                Function, a Function on its space.
             at_edge: see `gradient`.
 
         Returns:

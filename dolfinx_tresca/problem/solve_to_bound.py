@@ -20,7 +20,7 @@ from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.status import ContactStatus
 
 #: Largest number of runs of the iteration until its fields have the requested error bound. (Of the
-#: 2,000 random floating scenes of `make test-long` four needed a second run.)
+#: 2,000 random floating scenes of `make test-long`, four needed a second run.)
 MAX_ATTEMPTS = 3
 
 
@@ -38,7 +38,7 @@ def solve_to_bound(
     The fields of floating bodies are made to satisfy the equilibrium to rounding, and so differ
     from the iterate that the iteration has accepted. If the error bound of the fields is too large,
     the iteration runs again from its last multipliers with a smaller requested bound. After
-    `MAX_ATTEMPTS` runs the status is STAGNATED.
+    `MAX_ATTEMPTS` runs, the status is STAGNATED.
 
     Args:
         dual: the dual problem.

@@ -14,7 +14,7 @@ from dolfinx_tresca._base.patience import PATIENCE
 from dolfinx_tresca.monitor import Iteration
 
 #: Number of Newton steps without progress, and number of configurations with finite sliding, after
-#: which a solve counts as stalled. (For iterations of a contact problem the number is `PATIENCE`.)
+#: which a solve counts as stalled. (For iterations of a contact problem, the number is `PATIENCE`.)
 #: Of the solves in tests/validation and tests/nonlinear that converge, none needs more than 6 such
 #: Newton steps or 15 configurations. If both numbers are doubled, the warning comes later, and
 #: nothing else changes.
@@ -27,7 +27,7 @@ class StallWatch:
     The log gets one warning, when the solve stalls for the first time. A contact problem makes
     progress if its residual halves within `PATIENCE` iterations. Newton's method makes progress if
     its residual halves, or a further part of the load is solved, within `IDLE_NEWTON_STEPS` steps.
-    With finite sliding a solve stalls after `IDLE_CONFIGURATIONS` configurations.
+    With finite sliding, a solve stalls after `IDLE_CONFIGURATIONS` configurations.
     """
 
     def __init__(self, comm: MPI.Comm, observe: Callable[[Iteration], bool]) -> None:
@@ -43,7 +43,7 @@ class StallWatch:
         self._warned = False
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Call the observer with an iteration and its attribute `stalled`; return its answer.
+        """Call the observer with an iteration whose `stalled` is set; return the observer's answer.
 
         The first stall is logged as a warning. Collective if the observer is.
         """

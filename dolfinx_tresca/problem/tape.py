@@ -71,14 +71,14 @@ class _Recorded:
 class ProcessTape:
     """The accepted load steps of a process, and derivatives of goals through all of them.
 
-    `ContactProblem.record` makes a tape. In memory the tape keeps for each step the displacement,
+    `ContactProblem.record` makes a tape. For each step, the tape keeps in memory the displacement,
     the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
     and Dirichlet conditions; values that do not change from one step to the next are kept once.
 
-    With checkpoints the tape keeps no displacements. At each k-th step it keeps the multipliers and
-    the origin of the slip, which are values on the contact surfaces, in memory or in files. For
-    derivatives it then solves again, for k steps at a time. The first of these k solves starts from
-    the kept multipliers of its own solution, and costs a product or two.
+    With checkpoints, the tape keeps no displacements. At each k-th step, it keeps the multipliers
+    and the origin of the slip, which are values on the contact surfaces, in memory or in files. For
+    derivatives, it then solves again, for k steps at a time. The first of these k solves starts
+    from the multipliers that were kept at its step, and costs a product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
@@ -113,8 +113,8 @@ class ProcessTape:
 
         Args:
             contact: the problem whose load steps are recorded.
-            solved_for: function of a purpose that returns the last solve of the problem, or raises
-                an error that names this purpose.
+            solved_for: function that returns the last solve of the problem, or raises an error; its
+                argument is the purpose that the error names.
             forms_at: function that returns the forms and conditions of the problem at a given
                 displacement.
             checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
@@ -205,7 +205,7 @@ class ProcessTape:
         """Return the last solution with its problem. Collective."""
         last = self._contact.solved
         assert last is not None
-        # without the sum of slips at all nodes, which is as large as u
+        # without the sum of slips at all nodes, which takes as much memory as u
         dual = replace(last.dual, history=replace(last.dual.history, slipped=()))
         return SolvedStep(dual, last.multipliers, last.fields.u, self._surfaces.slip_bounds())
 
@@ -278,11 +278,12 @@ class ProcessTape:
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
         """Return the derivatives of a sum of goals with respect to controls. Collective.
 
-        The values of controls are taken to be the same in all steps: the result is the sum over the
-        steps of `gradient_by_step`. It is exact for the discrete problem, with each node held in
-        its contact state of each step. Solve accurately, with `solve(rtol=1e-8)`, since derivatives
-        are evaluated at the computed solutions. The cost is one adjoint solve for each step up to
-        the last step with a goal, however many goals and controls there are.
+        The values of controls are taken to be the same in all steps: the result is the sum of
+        `gradient_by_step` over the steps. The derivatives are exact for the discrete problem, with
+        each node held in the contact state that it has in each step. Solve accurately, with
+        `solve(rtol=1e-8)`, since derivatives are evaluated at the computed solutions. The cost is
+        one adjoint solve for each step up to the last step with a goal, however many goals and
+        controls there are.
 
         The slip at which recording begins counts as independent of the controls.
 
@@ -292,9 +293,9 @@ class ProcessTape:
             controls: see `ContactProblem.gradient`.
 
         Returns:
-            for each control the derivatives with respect to its values: for a Constant an array of
-            its shape, for a Function a Function on its space [unit of the sum of the goals divided
-            by the unit of the control].
+            for each control the derivatives with respect to its values [unit of the sum of the
+            goals divided by the unit of the control]: for a Constant, an array of its shape; for a
+            Function, a Function on its space.
 
         Raises:
             ContactError: the problem was destroyed, or K or the pairing has changed since steps
@@ -336,7 +337,9 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step the derivatives by the controls' values in this step. Collective.
+        """Return for each step the derivatives with respect to the controls in this step.
+
+        Collective.
 
         See `Differentiation.backwards`.
 
@@ -386,7 +389,7 @@ class ProcessTape:
         return result
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles have not moved, and that derivatives by their positions are known.
+        """Check that obstacles have not moved, and that derivatives with respect to them are known.
 
         Collective.
 

@@ -30,10 +30,10 @@ class FrictionCurve:
     Bodies that only contact or soft springs hold cannot have a coefficient that depends on the
     slip: hold them by Dirichlet conditions.
 
-    The theory of Coulomb's law remains valid if the bound F(p, v) p increases with p and with v. A
-    bound that decreases with v (slip weakening) has one solution if it decreases less than the
-    bodies' own stiffness increases the traction; the solve warns of bounds that decrease more, and
-    of bounds that decrease with p.
+    The theory of Coulomb's law remains valid if the bound F(p, v) p increases with p and with v. If
+    the bound decreases with v (slip weakening), there is one solution if the bound decreases more
+    slowly than the stiffness of the bodies increases the traction; the solve warns of bounds that
+    decrease faster, and of bounds that decrease with p.
 
     Attributes:
         function: function that returns F >= 0 [1], a number or an array (n,), for the pressures

@@ -61,9 +61,10 @@ class MeanPressure:
     """Mean contact pressure around a point [stress], with the weight (1 - r^2/R^2)^2.
 
     The weight is smooth because the pressure at a point, or its mean over a patch with a sharp
-    edge, has no adjoint solution of finite energy, so that no error estimate would converge. For a
-    bounded peak choose a patch as small as the required accuracy. At the edge of a rigid or stiffer
-    body the pressure is unbounded: the mean depends on the radius, however fine the mesh.
+    edge, has no adjoint solution of finite energy, so that no error estimate would converge. For
+    the peak of a bounded pressure choose a patch so small that the mean is as close to the peak as
+    required. At the edge of a rigid or stiffer body the pressure is unbounded: the mean depends on
+    the radius, however fine the mesh.
 
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.

@@ -29,7 +29,7 @@ class RigidObstacle:
 
     An obstacle is moved by `move_to`. Attributes of its shape cannot be changed, but Constants on
     which its signed distance depends can be changed. Such a Constant is a parameter of the scene,
-    such as a place that is optimised: its change is not a motion, and does not count as slip.
+    such as a position that is optimised: its change is not a motion, and does not count as slip.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.

@@ -20,7 +20,7 @@ def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
     Not collective.
 
     Args:
-        controls: the argument of the user.
+        controls: the user's argument, which may have any type.
 
     Raises:
         InputError: controls are not such a list.
@@ -70,7 +70,7 @@ class ControlVector:
         """Keep the controls. Not collective.
 
         Args:
-            controls: Constants and Functions.
+            controls: Constants and Functions whose values the array holds.
             scales: a typical size of the values of each control [its unit]; None: 1 for all.
 
         Raises:

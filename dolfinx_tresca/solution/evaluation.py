@@ -60,7 +60,7 @@ class NodeCounts:
 
     @property
     def slip(self) -> int:
-        """Nodes with a tangential traction at the slip bound, pressed or not."""
+        """Number of nodes whose tangential traction is at the slip bound, pressed or not."""
         return self.nodes - self.stick - self.idle - self.bonded
 
 
@@ -124,9 +124,10 @@ def evaluate(
     error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
     c = found.c
-    if dual.constraints.are_soft and not dual.exact:
-        # found.c, the multipliers of the constraints, belongs to the model's gradient: with the
-        # gradient of u, it would give larger gaps and penetrations than the stopping criterion saw
+    if dual.constraints.are_soft and not dual.operator.exact:
+        # the multipliers found.c of the constraints belong to the gradient of the model of A;
+        # together with the gradient that follows from u, they would give larger gaps and
+        # penetrations than the stopping criterion has measured
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
@@ -219,7 +220,7 @@ def evaluate(
         dissipation=dissipation,
         total_dissipation=history.dissipation,
         energy_error_bound=relative_error(dual, bound, norm),
-        bound_is_rigorous=dual.exact,
+        bound_is_rigorous=dual.operator.exact,
         local_error=dual.local_error(found.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,

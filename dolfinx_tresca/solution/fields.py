@@ -89,9 +89,9 @@ class SurfaceFields:
         obstacle: the rigid primary side, at its position in this solution; None if the primary side
             is deformable.
         entity_maps: the argument `entity_maps` of `fem.form` and `ContactProblem` for forms on the
-            problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from
-            0.10 on. Integrals then are over facets of this surface, with the problem's mesh
-            as the `domain` of `ufl.ds`. Functions from `on_mesh` need no entity maps.
+            problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from 0.10 on.
+            Such forms can only be integrated over facets of this surface, by `ufl.ds` whose
+            `domain` is the problem's mesh. Functions from `on_mesh` need no entity maps.
     """
 
     name: str
@@ -164,7 +164,7 @@ class SurfaceFields:
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for output; `slip_increment` and `slip_path` from the second step on."""
+        """All fields, for output; from step 2 on also `slip_increment` and `slip_path`."""
         first = self.slip_increment is self.slip
         fields = (
             self.displacement,

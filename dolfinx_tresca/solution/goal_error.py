@@ -31,13 +31,13 @@ from dolfinx_tresca.scene.goal import (
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
-#: Relative error with which squared energy errors of cells are assumed to be known, by the degree
-#: of the elements. Let e be the error of the displacement, and e' the error of the adjoint. By the
-#: parallelogram identity the number is also the uncertainty of the sum of a(e, e') over the cells,
-#: relative to the sum of the products of the energy norms of e and e' (Prudhomme and Oden, On
-#: goal-oriented error estimation for elliptic problems, 1999). If the numbers are doubled, the
-#: estimate is above 5 times the error on twice as many meshes, and below 0.7 times the error on a
-#: third fewer meshes; see "Meshes for a number" in benchmarks/README.md.
+#: Degree of the elements -> assumed relative error of the estimates of cells' squared energy
+#: errors. Let e be the error of the displacement, and e' the error of the adjoint. By the
+#: parallelogram identity the sum of a(e, e') over the cells then has this uncertainty, relative to
+#: the sum of the products of the energy norms of e and e' (Prudhomme and Oden, On goal-oriented
+#: error estimation for elliptic problems, 1999). If the numbers are doubled, the estimate is above
+#: 5 times the error on twice as many meshes, and below 0.7 times the error on a third fewer meshes;
+#: see "Meshes for a number" in benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
 
 #: Fraction of `state_changes` that is added to the estimate. It is less than 1, since
@@ -91,11 +91,12 @@ class GoalError:
 
     @property
     def corrected_value(self) -> float:
-        """The value plus the least error, with its sign, that the estimate allows.
+        """The value, corrected by the smallest error that agrees with the estimate.
 
-        The least error is |signed_error| minus its uncertainty, or zero if the uncertainty is
-        larger. Of the 202 meshes of benchmarks/goals.py on which the corrected value differs from
-        `value`, the corrected value is more accurate on 196. `error` refers to `value`.
+        The correction has the sign of `signed_error`. Its size is |signed_error| minus the
+        uncertainty of `signed_error`, or zero if the uncertainty is larger. Of the 202 meshes of
+        benchmarks/goals.py on which the corrected value differs from `value`, the corrected value
+        is more accurate on 196. `error` refers to `value`.
         """
         least = max(2.0 * abs(self.signed_error) - self.error, 0.0)
         return self.value + math.copysign(least, self.signed_error)
@@ -134,7 +135,7 @@ def goal_error(
         InputError: the patch of the goal has no node of the pair.
         ConvergenceError: the adjoint has no solution.
     """
-    before = dual.products
+    before = dual.operator.products
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = weights_of(goal, dual.jump, x)
     state = LinearisedContact.of(dual, x, r)
@@ -157,7 +158,7 @@ def goal_error(
         state_changes=changes,
         cell_errors=cells,
         adjoint=z,
-        products=dual.products - before,
+        products=dual.operator.products - before,
     )
 
 

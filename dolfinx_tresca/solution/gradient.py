@@ -41,8 +41,8 @@ class Forms:
         residual: function that returns the residual R(u; z), a form of rank 0, for a Function z.
         tangent: dR/du, a bilinear form.
         bcs: Dirichlet conditions.
-        entity_maps: entity maps of the forms, needed if these hold Functions on surfaces; None:
-            there are none.
+        entity_maps: entity maps, needed if the forms contain Functions on surfaces; None: there are
+            no entity maps.
     """
 
     residual: Callable[[fem.Function], Any]
@@ -79,7 +79,7 @@ def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
     """Check a goal that is to be differentiated, and return it. Not collective.
 
     Args:
-        goal: the argument of the user.
+        goal: the user's argument, which may have any type.
         pairs: number of pairs of the problem.
         V: the space of the displacement.
 
@@ -132,7 +132,7 @@ class Differentiation:
             forms: forms and conditions of the bodies at u.
             u: displacement in the forms, to which `backwards` gives the values of each solution.
             values: object that evaluates fields of friction and gaps at the nodes of u.
-            controls: Constants and Functions.
+            controls: Constants and Functions with respect to which derivatives are taken.
             find_differences: function that returns the central differences of B for displaced
                 obstacles; None: obstacles depend on no control.
         """
@@ -277,7 +277,7 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
     Args:
         values: for each control the derivatives with respect to its values; None: nothing depends
             on the control, and the log says so.
-        controls: Constants and Functions.
+        controls: the Constants and Functions to which the derivatives belong.
         comm: communicator.
 
     Returns:

@@ -118,10 +118,10 @@ def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
 def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
-    Then there may be several solutions. A decrease with the slip is harmless if it is slow enough,
-    both at the slip and on average from rest to the slip: its rate must be below the least traction
-    that elastic bodies need for one more unit of slip, which is 1 divided by the largest eigenvalue
-    of A.
+    With such bounds there may be several solutions. A decrease with the slip is harmless if its
+    rate is less than 1 divided by the largest eigenvalue of A, both at the present slip and on
+    average between zero and the present slip. (1 divided by this eigenvalue is the least traction
+    that elastic bodies need for one more unit of slip.)
 
     Args:
         comm: communicator of the mesh.
@@ -159,7 +159,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
 
 
 def _coefficient(pair: ContactPair) -> float:
-    """Return the largest coefficient of friction that is a number; zero if none is."""
+    """Return the largest coefficient of friction that is a number; zero if there is none."""
     if not isinstance(pair.friction, DryFriction) or pair.friction.terms.curve is not None:
         return 0.0
     coefficient = pair.friction.terms.coefficient

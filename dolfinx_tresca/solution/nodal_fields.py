@@ -1,4 +1,4 @@
-"""The user's fields on whose values at contact nodes a solution depends, and their influence."""
+"""The user's scalar fields at contact nodes, and derivatives with respect to their values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dolfinx_tresca.solution.solved_step import SolvedStep
 
 @dataclass(frozen=True)
 class NodalField:
-    """A scalar of the user, such as a gap, at the nodes of a pair, and derivatives by its values.
+    """A user's scalar field, such as a gap, at the nodes of a pair, and its effect on solutions.
 
     Attributes:
         field: the scalar as the user gave it.

@@ -52,7 +52,7 @@ class SolvedStep:
         return LinearisedContact.of(self.dual, self.multipliers, self.gradient, self.edge)
 
     def log_edge(self) -> None:
-        """Log the number of nodes at the edge of their state, if there are any. Collective."""
+        """Log how many nodes are about to change their state, if there are any. Collective."""
         normal, discs = at_edge(self.dual, self.multipliers, self.gradient)
         comm = self.dual.jump.comm
         rows, stick = reduce_array(comm, np.array([normal.sum(), discs.sum()]))
@@ -68,7 +68,7 @@ class SolvedStep:
     @property
     def accuracy(self) -> float:
         """Relative error of derivatives, which depends on the solver for K. Not collective."""
-        return ACCURACY if self.dual.exact else ITERATIVE_ACCURACY
+        return ACCURACY if self.dual.operator.exact else ITERATIVE_ACCURACY
 
     @property
     def sticking_and_other_rows(self) -> tuple[Mask, Mask]:

@@ -29,12 +29,13 @@ def state_changes(
     The exact adjoint has multipliers y where the exact solution is in contact; the discrete
     solution is in contact on a slightly different part of the surface. So the error of a goal is
     a(e, e') + (y, r) + (lambda, w), where e and e' are the errors of the displacement and of the
-    adjoint, (,) is an integral over the surface, r the gap of the discrete solution, and
-    w = q_x - B z the residual of the discrete adjoint at open nodes. The edges of stick zones add
-    similar terms, with the slip in place of the gap, and the distance of the traction from its
-    bound in place of the pressure. At each node one factor of each product is zero, so the integral
-    over a facet whose nodes have the same state vanishes; on a facet with nodes of two states both
-    factors, interpolated linearly, differ from zero. The signs of the terms are not reliable.
+    adjoint, (,) is an integral over the surface, r the gap of the discrete solution, and w = q_x -
+    B z the residual of the discrete adjoint at open nodes. The edges of stick zones add similar
+    terms, with the slip in place of the gap, and the distance of the traction from its bound in
+    place of the pressure. At each node one factor of each product is zero, so the integral over a
+    facet whose nodes have the same state vanishes; on a facet with nodes of two states both
+    factors, interpolated linearly, differ from zero. The signs of the terms are not reliable, so
+    their absolute values are added.
 
     Args:
         dual: the dual problem.
@@ -83,5 +84,5 @@ def _normal(pair: PairOperators, values: Array) -> Array:
 
 
 def _tangential(pair: PairOperators, values: Array) -> Array:
-    """Return lengths (nodes,) of vectors with values (n_tangential,); zero at nodes without any."""
+    """Return lengths (nodes,) of vectors with values (n_tangential,); zero at other nodes."""
     return np.sqrt(np.bincount(pair.tangent_node, values**2, minlength=len(pair.nodes)))

@@ -156,7 +156,7 @@ def tangent_of(
         surfaces: secondary surfaces of the pairs.
         forms: forms and conditions of the bodies at the solution.
         values: object that evaluates fields of friction and gaps at the nodes of u.
-        controls: Constants and Functions.
+        controls: Constants and Functions that change.
         directions: changes of the controls, see `checked_directions`.
         find_differences: function that returns the central differences of B for displaced
             obstacles.

@@ -100,8 +100,8 @@ def choose(
 
     Args:
         method: the requested method.
-        size: mean number of degrees of freedom of a body, weighted by this number itself, so that
-            large bodies decide.
+        size: number of degrees of freedom of a body, averaged over the degrees of freedom instead
+            of over the bodies, so that large bodies decide.
         dim: dimension of space.
         degree: degree of the displacements.
         expected_solves: expected number of contact solves with the same K.

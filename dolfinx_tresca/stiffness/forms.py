@@ -105,7 +105,8 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         L: a UFL form, a compiled form, or None.
         bcs: Dirichlet conditions.
         V: the space of the forms if none of them is a UFL form. With UFL forms it is needed only if
-            several sub-spaces of a mixed space suit displacements: it is the one that has them.
+            several sub-spaces of a mixed space suit displacements: V is then the sub-space of the
+            displacement.
 
     Raises:
         InputError: forms and conditions do not fit together, or do not suit contact.

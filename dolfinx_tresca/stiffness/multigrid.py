@@ -38,7 +38,7 @@ CHEBYSHEV = {
     "mg_levels_pc_type": "sor",
     "mg_levels_ksp_max_it": 1,
     # steps that estimate the largest eigenvalue: if the estimate is too low, the smoother is
-    # indefinite. For a block diagonal with stiffnesses that differ by 1e5, ten steps were too few
+    # indefinite. With stiffnesses that differ by 1e5, ten steps were too few
     "mg_levels_esteig_ksp_max_it": 30,
 }
 

@@ -33,9 +33,9 @@ class Bisection:
     Attributes:
         coarse: the coarser mesh, with straight edges.
         first: number of the node of the finer mesh that belongs to this rank's first row of `ends`.
-        ends: (n, 2) row i describes the node `first` + i of the finer mesh: it has the numbers of
-            the two nodes of the coarser mesh between which this node lies midway, or twice the
-            number of the node of the coarser mesh at which it lies.
+        ends: (n, 2) row i belongs to the node `first` + i of the finer mesh. If this node lies
+            midway between two nodes of the coarser mesh, the row has the numbers of these two
+            nodes; if it lies at a node of the coarser mesh, the row has this number twice.
     """
 
     coarse: Any
@@ -132,7 +132,7 @@ def _told(
     """Return the values (m,) at requested nodes, which may be known on other ranks. Collective.
 
     Args:
-        comm: the ranks.
+        comm: communicator of the ranks.
         numbers: (n,) numbers of nodes that this rank knows; other ranks may know them, too.
         values: (n,) values at the nodes that this rank knows.
         asked: (m,) numbers of the nodes that this rank requests.

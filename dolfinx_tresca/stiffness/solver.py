@@ -198,10 +198,11 @@ class StiffnessSolver(PetscOwner):
                 solver.
 
         Returns:
-            |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it but without rounding; 0 for a
-            direct solver. The error is larger than requested if the iteration stopped early: at its
-            largest number of steps, or when rounding broke it down near the solution. The caller
-            must judge whether the error is acceptable.
+            |u - K^-1 f|_K [energy^(1/2)], estimated as in `error`, but from the residual that the
+            iteration updates, which contains no rounding; 0 for a direct solver. The error is
+            larger than requested if the iteration stopped early: at its largest number of steps, or
+            when rounding broke it down near the solution. The caller must judge whether the error
+            is acceptable.
 
         Raises:
             ContactError: the solver was destroyed.

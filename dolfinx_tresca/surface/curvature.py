@@ -27,9 +27,9 @@ class Sagitta:
     """The height of a smooth surface over straight facets, from the normals at their corners.
 
     These heights reduce the gap of curved bodies. The tangent planes at the corners are known
-    (`fitted_normals`). The mean of their heights over the facet, weighted with the hat functions,
-    is twice the height of a parabolic surface. Half of this mean is therefore correct to second
-    order in the size of the facet, and zero for a flat surface.
+    (`fitted_normals`). At each point of a facet the mean of the heights of these planes, weighted
+    with the hat functions, is twice the height of a parabolic surface. Half of this mean is
+    therefore correct to second order in the size of the facet, and zero for a flat surface.
     """
 
     def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:

@@ -122,7 +122,7 @@ class Facets:
         return np.asarray(cross_products(along) * self.outward[:, None, None])
 
     def area_elements(self, x: Array) -> Array:
-        """Return area elements (n, q), of rings in axisymmetry, at reference points (q, dim)."""
+        """Return area elements (n, q), of rings if axisymmetric, at reference points (q, dim)."""
         sizes = np.linalg.norm(self.area_vectors(x), axis=2)
         return np.asarray(sizes * self.circumferences(self.points[:, :, 0] @ self.basis(x).T))
 

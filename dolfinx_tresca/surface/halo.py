@@ -110,7 +110,7 @@ class Halo:
         self._send_facets(self._owned, *np.concatenate(pairs).T)
 
     def add_near_points(self, balls: Array) -> None:
-        """Add the facets of all ranks that meet balls, and maybe some facets near them. Collective.
+        """Add the facets of all ranks that meet balls, and maybe further facets nearby. Collective.
 
         Args:
             balls: (n, 4) balls as rows: the centre (3) and the radius [length].
@@ -209,9 +209,9 @@ class _NumberedFacets:
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     """Add all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides that lie along the normals of the rank's facets; primary
-    facets near facets of the rank that penetrate the primary side; and the facets that share a
-    corner with paired facets, since the normals at the corners depend on them.
+    These are the facets of both sides that lie along the normals of the rank's facets; if facets of
+    the rank penetrate the primary side, the primary facets near them; and all facets at the corners
+    of paired facets, since the normals at these corners are means over all facets there.
 
     Args:
         secondary: halo of the secondary side.

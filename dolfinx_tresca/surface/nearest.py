@@ -7,8 +7,8 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.search import expanded_ranges
 
-#: Ratio of the total area of a piece's overlaps to the area of the piece up to which the overlaps
-#: cannot cover each other: 1 plus rounding.
+#: The overlaps of a piece are taken not to cover each other if their total area is at most this
+#: times the area of the piece: 1 plus rounding.
 COVERED_ONCE = 1.0 + 1e-8
 
 

@@ -198,7 +198,7 @@ def _connected(node: Indices, normals: Array) -> Indices:
 def tangents(normals: Array, frame: Array) -> Array:
     """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals.
 
-    The first tangent points towards the first of two reference points. The second one has a
+    The first tangent points towards the first of two reference points. The second tangent has a
     positive component towards the second reference point. So the tangents rotate with the surface,
     and results do not depend on the coordinate axes.
 

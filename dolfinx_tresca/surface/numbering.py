@@ -26,7 +26,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
 
     Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
-    sorted by their least x, then y, then z, then by their largest x, y and z, and at last by their
+    sorted by their least x, then y, then z, then by their largest x, y and z, and finally by their
     order in the mesh file.
     """
     comm = V.mesh.comm

@@ -22,8 +22,8 @@ from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.numbering import label_bodies
 from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
 
-#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1, the
-#: sizes of differently cut bricks would decide, and rounding if the bricks are equal.
+#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
+#: 1, slight differences in size would decide, and between equal bricks rounding.
 FINER = 2.0**-0.5
 
 #: Number of candidates for the direction that orders the facets of a body.
@@ -96,8 +96,9 @@ class SelfContact:
 
         Facets of one body may not meet if they share a corner, or if they are the two faces of a
         wall. Two facets are the faces of a wall if each is behind the other, deeper than facets of
-        curved surfaces penetrate each other (`SHALLOW_DEPTH`). This must be so in the undeformed
-        mesh and now, and the present depth must exceed `WALL_PART` of the undeformed depth.
+        curved surfaces penetrate each other (`SHALLOW_DEPTH`). This must be so both in the
+        undeformed mesh and in the present configuration, and the present depth must exceed
+        `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
@@ -114,10 +115,10 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
-        body that comes first in `label_bodies` is secondary. In one body, of two facets that face
-        each other in the undeformed mesh, as in a slit or a ring, the facet whose normal is along
-        the body's direction is secondary; of two other facets, as on a folded sheet, the facet that
-        comes first in this direction is secondary.
+        body that comes first in `label_bodies` is secondary. Two facets of one body are ordered by
+        the body's `direction`. If they face each other in the undeformed mesh, as in a slit or a
+        ring, the facet whose normal points along the direction is secondary; otherwise, as on a
+        folded sheet, the facet that comes first in this direction is secondary.
         """
         f, g = first, second
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(

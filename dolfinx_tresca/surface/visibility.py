@@ -24,9 +24,9 @@ TOUCHING_DISTANCE = 1e-6
 #: surfaces penetrate each other by a part of their size.
 SHALLOW_DEPTH = 0.1
 
-#: Least ratio of a point's distance from the other side's surface, in any direction, to its
-#: penetration along the normal. The ratio is 1 for parallel surfaces, and 0 if the normal runs
-#: along a face.
+#: A point's penetration along the normal counts only if the point's least distance from the other
+#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
+#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
 CREDIBLE_PART = 0.1
 
 #: Cosine between a line and the normal of a facet up to which the line is parallel to the facet.
@@ -155,8 +155,9 @@ class Visibility:
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
-        The limit of this distance divided by the penetration is `CREDIBLE_PART`. On a surface that
-        touches itself only other bodies count as primary side. The arguments are those of `hidden`.
+        This is so if the distance is less than `CREDIBLE_PART` times the penetration. On a surface
+        that touches itself only other bodies count as primary side. The arguments are those of
+        `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -244,7 +245,7 @@ class _Occluders:
         """Return the facets whose bounding box in the plane of the piece overlaps the piece's box.
 
         Args:
-            target: (n,) see the attribute.
+            target: (n,) see the attribute `target`.
             corners: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
             normals: (n, d + 1) outward unit normal of the facet in the frame of the piece.
             piece_corners: (n, corners, d + 1) corners of the piece in its own frame [length].

@@ -1,1 +1,1 @@
-"""Scenes at extremes, and what their solutions must fulfil."""
+"""Scenes at extremes, and the laws that their solutions must satisfy."""

@@ -1,4 +1,4 @@
-"""What a case at an extreme is: a group's first one is its ordinary scene, to compare with."""
+"""Cases at extremes; the first case of each group is an ordinary scene, for comparison."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from scenes.scene import EPS, Scene
 #: Requested residual.
 RTOL = 1e-8
 
-#: Of the laws at single nodes: residuals are norms, and a node has at least 1e-4 of the area.
+#: Largest defect in a law at one node: residuals are norms, and a node has at least 1e-4 of the
+#: area.
 LAWS = 100 * RTOL
 
-#: Of forces at single degrees of freedom, over what is added there: rounding where K is factored,
-#: else what the iteration leaves.
+#: Largest unbalanced force at a degree of freedom, divided by the forces that are added there: with
+#: K factored, and with iterative solves or soft bodies.
 ROUNDING, ITERATED = 1e3 * EPS, LAWS
 
 
 @dataclass(frozen=True)
 class Check:
-    """Something that is zero in the exact solution, or at most one if it is a yes or no.
+    """An error that is zero in the exact solution; for a condition 0 if true, and 1 if false.
 
     Attributes:
-        measure: what it is.
-        error: its value.
-        allowed: the largest value with which the case passes.
+        measure: name of the error or of the condition.
+        error: value of the error.
+        allowed: largest error with which the case passes.
     """
 
     measure: str
@@ -41,20 +42,20 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """NaN does not."""
+        """Whether the error is small enough; NaN is not."""
         return bool(self.error <= self.allowed)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a case went.
+    """The result of a case.
 
     Attributes:
-        status: of the solution, or the name of an error.
-        iterations: of the solution.
-        products: of the solution.
-        checks: of the answer.
-        wanted: names of statuses and errors that are right.
+        status: name of the solution's status, or of the error that was raised.
+        iterations: number of iterations.
+        products: number of products.
+        checks: checks of the answer.
+        wanted: names of the statuses and errors with which the case passes.
     """
 
     status: str
@@ -65,12 +66,12 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether the status is right and the answer as well."""
+        """Whether the status is a wanted one, and all checks pass."""
         return self.status in self.wanted and all(check.passed for check in self.checks)
 
     @property
     def worst(self) -> Check:
-        """The check that is nearest to its limit, or farthest above."""
+        """The check whose error is the largest multiple of the allowed error."""
         return max(self.checks, key=lambda check: check.error / max(check.allowed, EPS))
 
     def and_also(self, *checks: Check) -> Outcome:
@@ -98,10 +99,10 @@ class Cases(list[Case]):
         self._newest: tuple[Any, int] = (None, 0)
 
     def case(self, group: str, name: str, *arguments: Any, **named: Any) -> Callable[..., Any]:
-        """Return a decorator that adds a function of a communicator, and of more arguments."""
+        """Return a decorator that adds a case: a function of a communicator and these arguments."""
 
         def add(run: Callable[..., Outcome]) -> Callable[..., Outcome]:
-            # of several decorators of one function the last comes first
+            # Python applies the last decorator of a function first
             if self._newest[0] is not run:
                 self._newest = (run, len(self))
             found = Case(group, name, lambda comm: run(comm, *arguments, **named))
@@ -112,19 +113,19 @@ class Cases(list[Case]):
 
 
 def yes(measure: str, true: Any) -> Check:
-    """A check of what is true or not."""
+    """Return a check of a condition."""
     return Check(measure, 0.0 if true else 1.0, 0.0)
 
 
 def equal(measure: str, found: Any, wanted: Any, allowed: float) -> Check:
-    """A check of numbers, or arrays of this rank, relative to the largest wanted."""
+    """Return a check of numbers, or arrays of this rank, relative to the largest wanted value."""
     found, wanted = np.atleast_1d(found), np.atleast_1d(wanted)
     size = float(np.abs(wanted).max(initial=0.0)) or 1.0
     return Check(measure, float((np.abs(found / size - wanted / size)).max(initial=0.0)), allowed)
 
 
 def solve(model: Scene, *, options: dict[str, Any] | None = None, **asked: Any) -> ContactSolution:
-    """Solve to `RTOL`, unless something else is asked for. Collective."""
+    """Solve to the residual `RTOL`, or to what `asked` requests. Collective."""
     if "accuracy" not in asked:
         asked.setdefault("rtol", RTOL)
     with model.problem(**(options or {})) as problem:
@@ -132,7 +133,7 @@ def solve(model: Scene, *, options: dict[str, Any] | None = None, **asked: Any) 
 
 
 def outcome(solution: ContactSolution, *checks: Check) -> Outcome:
-    """Return an outcome of a solution."""
+    """Return the outcome with the status and the counts of a solution, and with checks."""
     return Outcome(solution.status.name, solution.iterations, solution.products, checks)
 
 
@@ -144,7 +145,7 @@ def judged(
     allowed: float = LAWS,
     balance: float = ROUNDING,
 ) -> Outcome:
-    """Return the outcome of a solution by the laws. Collective."""
+    """Return the outcome of a solution, checked by balance and by the laws. Collective."""
     found = defects(model, solution, held=held)
     missing = found.pop("balance")
     law = max(found, key=found.__getitem__)
@@ -162,7 +163,7 @@ def lawful(
     soft: bool = False,
     **asked: Any,
 ) -> Outcome:
-    """Solve, and judge by the laws; soft bodies are balanced as residuals are. Collective."""
+    """Solve, and check the laws; `soft` bodies need only the balance `ITERATED`. Collective."""
     iterated = soft or (options or {}).get("stiffness") == "multigrid"
     solution = solve(model, options=options, **asked)
     return judged(
@@ -171,7 +172,7 @@ def lawful(
 
 
 def refused(run: Callable[[], Any], error: type[ContactError], words: Sequence[str]) -> Outcome:
-    """Return the outcome of what should raise an error with some words in its message."""
+    """Return the outcome of a call that should raise an error with some words in its message."""
     try:
         run()
     except ContactError as found:

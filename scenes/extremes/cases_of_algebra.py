@@ -1,4 +1,4 @@
-"""Extremes of the algebra: step lengths, soft springs, bodies that float, what is asked for."""
+"""Extremes of the algebra: step lengths, soft springs, floating bodies, requested accuracies."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def sprung(comm: MPI.Comm, spring: float) -> Scene:
 @case(SPRING, "1e-4, multigrid", 1e-4, stiffness="multigrid")
 @case(SPRING, "1e-6, multigrid", 1e-6, stiffness="multigrid")
 def springs(comm: MPI.Comm, spring: float, stiffness: str = "cholesky") -> Outcome:
-    """Jumps without contact are large: energies are what has to be right."""
+    """Jumps without contact are large, so only energy errors are checked, not the laws."""
     model = sprung(comm, spring)
     solution = solve(model, options={"stiffness": stiffness}, accuracy=1e-3, max_iterations=100)
     return outcome(
@@ -83,7 +83,7 @@ def springs(comm: MPI.Comm, spring: float, stiffness: str = "cholesky") -> Outco
 @case(SPRING, "1e-10: nothing but contact holds", 1e-10)
 @case(SPRING, "1e-10, multigrid", 1e-10, stiffness="multigrid")
 def no_spring(comm: MPI.Comm, spring: float, stiffness: str = "cholesky") -> Outcome:
-    """The load is carried by the floor, to the part that is the spring's."""
+    """The floor carries the load as without a spring; the spring carries hardly any."""
     model, without = sprung(comm, spring), sprung(comm, 0.0)
     solution, wanted = (
         solve(m, options={"stiffness": stiffness}, accuracy=1e-4) for m in (model, without)
@@ -97,7 +97,7 @@ def no_spring(comm: MPI.Comm, spring: float, stiffness: str = "cholesky") -> Out
 
 @case(SPRING, "1e-10, pulled off the floor", 1e-10)
 def pulled_off(comm: MPI.Comm, spring: float) -> Outcome:
-    """Either as far as the spring says, or an error that names the motion."""
+    """The body moves as far as the spring lets it, or an error names the motion."""
     model = block(comm, (4, 3, 3), spring=spring * YOUNG, load=(0, 0, 1.0), friction=Frictionless())
     try:
         solution = solve(model)
@@ -115,7 +115,7 @@ FLOATING = "a body that only contact holds"
 
 
 def standing(comm: MPI.Comm, height: float, size: float, bound: float) -> Scene:
-    """A block above the floor with a load along it of a tenth of that down."""
+    """A block above the floor; the load along the floor is a tenth of the load downwards."""
     load = size * np.array([0.1, 0.0, -1.0])
     return block(
         comm, load=load, friction=Tresca(size * bound), obstacles=[(BELOW, floor(3, -height))]
@@ -140,7 +140,7 @@ def floats(comm: MPI.Comm, height: float, size: float, bound: float) -> Outcome:
 
 @case(FLOATING, "gap of 1e3 times its size, the pressure", 1e3)
 def falls(comm: MPI.Comm, height: float) -> Outcome:
-    """Between guides it comes down, and the pressure equals the load everywhere."""
+    """A block falls between guides; on the floor the pressure equals the load everywhere."""
     model = block(
         comm,
         load=(0.0, 0.0, -1.0),
@@ -165,7 +165,7 @@ def slides_away(comm: MPI.Comm, bound: float) -> Outcome:
 @case(FLOATING, "friction at its limit", 0.1)
 @case(FLOATING, "friction 1e-10 below its limit", 0.1 * (1.0 + 1e-10))
 def at_the_limit(comm: MPI.Comm, bound: float) -> Outcome:
-    """Rounding decides whether anything balances the load: an answer or an error."""
+    """Rounding decides whether contact forces can balance the load, so both outcomes are right."""
     model = standing(comm, 0.0, 1.0, bound)
     try:
         solution = solve(model)
@@ -189,15 +189,14 @@ ASKED = "accuracy that is requested"
 @case(ASKED, "error 1e-17", accuracy=1e-17)
 @case(ASKED, "residual 1e-15, multigrid", rtol=1e-15, options={"stiffness": "multigrid"})
 def honest(comm: MPI.Comm, **asked: Any) -> Outcome:
-    """What is said to be reached is; what can't be says so, and how far it got."""
+    """An accuracy is reached as reported, or the status says that it cannot be reached."""
     model = block(comm, (4, 3, 3), held=(LEFT,))
     solution = solve(model, **asked)
     reached = asked.get("rtol") or asked["accuracy"]
     found = solution.residuals[-1] if "rtol" in asked else solution.energy_error_bound
     result = judged(model, solution, balance=LAWS if "options" in asked else 1e3 * EPS)
     if result.status == "STAGNATED":
-        # not far from what rounding lets one have, by the last residual and by the bound; the bound
-        # is the root of an energy
+        # the last residual and the bound must be near rounding; the bound is the root of an energy
         return Outcome(
             result.status,
             result.iterations,
@@ -224,7 +223,7 @@ CONDITION = "condition of A"
 @case(CONDITION, "1e12, 30 nodes", 12.0, 30)
 @case(CONDITION, "1e12, 60 nodes", 12.0, 60)
 def ill_conditioned(comm: MPI.Comm, decades: float, nodes: int = 8) -> Outcome:
-    """A random matrix; the residual that is reported is that in extended precision."""
+    """A random matrix; the reported residual is compared with one in extended precision."""
     problem = random_problem(1, nodes, decades)
     found = run(problem, rtol=1e-6)
     A, b, x = (
@@ -237,7 +236,7 @@ def ill_conditioned(comm: MPI.Comm, decades: float, nodes: int = 8) -> Outcome:
 
     scale = residual(0 * x, -b)
     error = residual(x, A @ x - b) / scale
-    # of the gradient, by products in double precision; largest eigenvalue 1
+    # rounding of the gradient by products in double precision; the largest eigenvalue of A is 1
     rounding = 100 * EPS * (float(np.linalg.norm(x)) + float(np.linalg.norm(b))) / scale
     check = Check("residual less the reported one", abs(error - found.residuals[-1]), rounding)
     status = found.status.name

@@ -1,4 +1,4 @@
-"""Extremes of what is given: materials, slip bounds, loads, units."""
+"""Extremes of the data: materials, slip bounds, loads, units."""
 
 from __future__ import annotations
 
@@ -89,14 +89,14 @@ POISSON = "Poisson's ratio"
 def any_ratio(
     comm: MPI.Comm, poisson: float, degree: int = 1, stiffness: str = "cholesky"
 ) -> Outcome:
-    """The equations of the mesh are solved, whatever they are worth."""
+    """The discrete equations are solved, even if their discretisation error is large."""
     model = block(comm, (3, 2, 2), held=(LEFT,), poisson=poisson, degree=degree)
     return lawful(model, options={"stiffness": stiffness})
 
 
 @case(POISSON, "0.4999: degree 1 locks, degree 2 does not")
 def locking(comm: MPI.Comm) -> Outcome:
-    """A block between plates: how stiff it is, against a finer mesh of degree 2."""
+    """The stiffness of a block between plates is compared with a finer mesh of degree 2."""
 
     def force(n: int, degree: int) -> tuple[float, Outcome]:
         model = block(
@@ -143,7 +143,7 @@ def some_bound(comm: MPI.Comm, bound: object) -> Outcome:
 @case(SLIP_BOUND, "1e-300", 1e-300)
 @case(SLIP_BOUND, "1e-12", 1e-12)
 def no_friction(comm: MPI.Comm, bound: float) -> Outcome:
-    """The same as without; tractions move nodes by their size times the compliance."""
+    """The solution is the one without friction; only tractions of the size of the bound remain."""
     model = rubbing(comm, bound)
     solution, without = solve(model), solve(rubbing(comm, Frictionless()))
     return judged(model, solution).and_also(
@@ -158,7 +158,7 @@ def no_friction(comm: MPI.Comm, bound: float) -> Outcome:
 @case(SLIP_BOUND, "inf", math.inf)
 @case(SLIP_BOUND, "inf, a function", lambda x: np.full(x.shape[1], np.inf))
 def no_slip(comm: MPI.Comm, bound: object) -> Outcome:
-    """The same as with a bound that nothing reaches."""
+    """The solution is the same as with a finite bound that no node reaches."""
     solution, enough = solve(rubbing(comm, bound)), solve(rubbing(comm, 1e3))
     return outcome(
         solution,
@@ -174,14 +174,14 @@ def no_slip(comm: MPI.Comm, bound: object) -> Outcome:
 
 LOAD = "load"
 
-#: A floor that touches the whole face, without rounding: all that is left to scale is the load.
+#: A floor at the distance zero, without rounding, from the whole face: only the load has a size.
 TOUCHING = RigidObstacle(
     lambda x: (np.zeros(x.shape[1]), np.repeat([[0.0], [0.0], [1.0]], x.shape[1], axis=1))
 )
 
 
 def loaded(comm: MPI.Comm, size: float) -> Scene:
-    """A block with a load and a slip bound of a size."""
+    """A block whose load and slip bound are proportional to a size."""
     load = size * np.array([0.3, 0.1, -1.0])
     law = Tresca(0.1 * size)
     return block(
@@ -194,7 +194,7 @@ def loaded(comm: MPI.Comm, size: float) -> Scene:
 @case(LOAD, "1e-160, multigrid", 1e-160, stiffness="multigrid")
 @case(LOAD, "1e200", 1e200)
 def extreme_load(comm: MPI.Comm, size: float, stiffness: str = "cholesky") -> Outcome:
-    """Squares of such numbers are none: refused."""
+    """Squares of such numbers overflow or vanish, so the solve is refused."""
     model = loaded(comm, size)
     return refused(
         lambda: solve(model, options={"stiffness": stiffness}), InputError, ["squares", "units"]
@@ -209,11 +209,11 @@ def extreme_load(comm: MPI.Comm, size: float, stiffness: str = "cholesky") -> Ou
 @case(LOAD, "1e-12, multigrid", 1e-12, stiffness="multigrid")
 @case(LOAD, "1e12, multigrid", 1e12, stiffness="multigrid")
 def any_load(comm: MPI.Comm, size: float, stiffness: str = "cholesky") -> Outcome:
-    """All is linear in the load: the same multipliers but for the factor."""
+    """The problem is linear in the load: multipliers are those of the unit load times a factor."""
     options = {"stiffness": stiffness}
     solution = solve(loaded(comm, size), options=options)
     unit = solve(loaded(comm, 1.0), options=options)
-    # an iteration on K may end a step earlier or later: both err by their residual, as laws do
+    # with iterative solves of K a solve may end a step earlier or later: both have residual errors
     same = 1e-3 * LAWS if stiffness == "cholesky" else LAWS
     return outcome(
         solution,
@@ -251,7 +251,7 @@ UNITS = "units of length and of stress"
 @case(UNITS, "1e6 and 1e9", 1e6, 1e9)
 @case(UNITS, "1e-6 and 1e6", 1e-6, 1e6)
 def any_units(comm: MPI.Comm, length: float, stress: float) -> Outcome:
-    """The same after rescaling, and in the same iterations."""
+    """The rescaled solution is the same, after the same number of iterations."""
 
     def scene(length: float, stress: float) -> Scene:
         return rubbing_blocks(

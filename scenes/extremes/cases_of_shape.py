@@ -1,4 +1,4 @@
-"""Extremes of geometry and of what touches what."""
+"""Extremes of meshes and gaps, of contact areas, and of constraints."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ case = CASES.case
 
 
 def shift(*values: float) -> Callable[[np.ndarray], np.ndarray]:
-    """A displacement that is the same everywhere."""
+    """Return a displacement that is the same at all points."""
     return lambda x: np.repeat(np.array(values)[:, None], x.shape[1], axis=1)
 
 
@@ -71,13 +71,13 @@ def flat(comm: MPI.Comm, height: float, stiffness: str = "cholesky") -> Outcome:
 @case(CELLS, "as wide as high, a clamped edge", 1.0)
 @case(CELLS, "1e4 times as wide as high, a clamped edge", 1e-4)
 def flap(comm: MPI.Comm, height: float) -> Outcome:
-    """Bending is softer than pressing by the cube of the ratio; only residuals are asked for."""
+    """Bending is softer than pressing by the cube of the ratio: balance is less accurate."""
     return lawful(block(comm, (4, 4, 2), size=(1.0, 1.0, height), held=(LEFT,)), soft=height < 1.0)
 
 
 @case(CELLS, "1e4 times as high as wide", 1e4)
 def column(comm: MPI.Comm, height: float) -> Outcome:
-    """Bending is softer than local pressing by 1e12 and more: honest about what is reached."""
+    """Bending is softer than local pressing by 1e12 and more: the solve may not converge."""
     model = block(
         comm, (3, 2), size=(1.0, height), held=(ABOVE,), moved=shift(1e-2, -1e-2), load=(0, 0, 0)
     )
@@ -143,7 +143,7 @@ def far_bodies(comm: MPI.Comm, gap: float) -> Outcome:
 
 @case(GAP, "-0.5: half of it penetrates", -0.5)
 def deep(comm: MPI.Comm, gap: float) -> Outcome:
-    """Uniaxial stress: the pressure is Young's modulus times the penetration over the height."""
+    """Uniaxial stress: the pressure is Young's modulus times the penetration, for the height 1."""
     model = block(
         comm,
         (3, 3, 2),
@@ -170,7 +170,7 @@ def some_nodes(comm: MPI.Comm) -> Outcome:
 
 
 def tilted(x: np.ndarray) -> np.ndarray:
-    """Down at one end, up at the other."""
+    """Return displacements (3, n) of the face: down at one end, up at the other."""
     return np.stack([1e-3 + 0 * x[0], 0 * x[0], -1e-3 + 2e-3 * x[0]])
 
 
@@ -192,7 +192,7 @@ def nothing(comm: MPI.Comm, friction: Friction) -> Outcome:
 
 @case(TOUCHING, "the whole face")
 def everything(comm: MPI.Comm) -> Outcome:
-    """A block stands on the floor under its load, which the pressure equals everywhere."""
+    """The pressure under a block that stands on the floor equals the load everywhere."""
     model = block(comm, load=(0.0, 0.0, -1.0), across=(LEFT, FRONT), friction=Frictionless())
     solution = solve(model)
     _, fields = surface_nodes_of(solution)
@@ -215,7 +215,7 @@ def point(comm: MPI.Comm, pressed: float) -> Outcome:
         obstacles=[(BELOW, RigidSphere((0.5, 0.5, -10.0), 10.0))],
     )
     solution = solve(model)
-    # the gap of the ball at its next nodes is 3e-3, and rounding in it 1e-15
+    # at the neighbours of the middle node the gap is 3e-3, with a rounding error of 1e-15
     return judged(model, solution, allowed=LAWS + 1e3 * EPS / pressed).and_also(
         yes("one node is pressed", solution.counts.contact == 1)
     )
@@ -240,14 +240,14 @@ def twisted(comm: MPI.Comm, n: int, bound: float) -> Outcome:
     sliding = slip[size > 1e-3 * size.max()]
     cosines = sliding @ sliding.T / np.linalg.norm(sliding, axis=1)[:, None]
     cosines /= np.linalg.norm(sliding, axis=1)
-    # opposite by the symmetry of the block under a half turn, which the mesh of tetrahedra has not
+    # opposite by the symmetry of the block under a half turn, which the mesh has only roughly
     return judged(model, solution).and_also(yes("opposite slips", cosines.min() < -0.9))
 
 
 @case(TOUCHING, "a wall that slip closes", 0.01, True)
 @case(TOUCHING, "a wall that friction keeps open", 1e3, False)
 def wall(comm: MPI.Comm, bound: float, closes: bool) -> Outcome:
-    """The wall is beside the lower edge; the floor's friction decides whether that gets there."""
+    """The lower edge reaches the wall beside it only if friction on the floor is small."""
     base = block(comm, (4, 3, 3), held=(ABOVE,), moved=shift(1e-3, 0.0, -1e-3), load=(0, 0, 0))
     tags = base.pairs[0].facet_tags
     beside = RigidPlane((1.0006, 0.0, 0.0), (-1.0, 0.0, 0.0))
@@ -269,7 +269,7 @@ def pairs_of(tags: object, sides: list[tuple[int, RigidObstacle, Friction]]) -> 
 
 @case(TOUCHING, "nodes of a clamped edge, pushed into the floor")
 def clamped_edge(comm: MPI.Comm) -> Outcome:
-    """What is prescribed stays; nodes beside it obey the laws."""
+    """Prescribed nodes penetrate as prescribed; the nodes beside them obey the laws."""
     return lawful(block(comm, (4, 3, 3), held=(LEFT,), moved=shift(1e-3, 0.0, -1e-3)))
 
 
@@ -300,12 +300,12 @@ def dragged(comm: MPI.Comm, bound: float, obstacles: list[tuple[int, object]]) -
 )
 @case(REPEATED, "two pairs on the same facets, default accuracy", 1.0, 2, accuracy="balanced")
 def same_facets(comm: MPI.Comm, bound: float, times: int, **asked: Any) -> Outcome:
-    """Multipliers are not unique; displacement and resultants are: of one pair with both bounds."""
+    """Multipliers are not unique; displacement and forces are as with one pair and both bounds."""
     model = dragged(comm, bound, [(BELOW, floor(3)) for _ in range(times)])
-    # on the same mesh: another one may be distributed otherwise
+    # on the same mesh: a new mesh may be distributed otherwise over the ranks
     single = replace(model.pairs[0], friction=Tresca(times * bound))
     solution, once = solve(model, **asked), solve(replace(model, pairs=[single]))
-    # without a bound of the error the residual is 1e-6; where the iteration creeps it says so
+    # without an error bound the residual is 1e-6; an iteration that is too slow does not converge
     rough = 1e3 if "accuracy" in asked else 1.0
     if solution.status is not ContactStatus.CONVERGED:
         rough = 1e3
@@ -317,14 +317,14 @@ def same_facets(comm: MPI.Comm, bound: float, times: int, **asked: Any) -> Outco
         Check("displacement", error / most, rough * LAWS),
         equal("force", solution.normal_force, once.normal_force, rough * LAWS),
     )
-    # A is singular: the residual may stop falling early, or nearly so
+    # A is singular: the residual may stop falling early, or fall slowly
     return replace(found, wanted=("CONVERGED", "STAGNATED", "MAX_ITERATIONS"))
 
 
 @case(REPEATED, "two pairs that share an edge, slipping", 0.01)
 @case(REPEATED, "two pairs that share an edge, sticking", 1.0)
 def shared_edge(comm: MPI.Comm, bound: float) -> Outcome:
-    """In a corner: what is normal to the wall is tangential to the floor."""
+    """A block in a corner: the normal of the wall is tangential to the floor."""
     beside = RigidPlane((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
     return lawful(dragged(comm, bound, [(BELOW, floor(3)), (RIGHT, beside)]))
 

@@ -1,4 +1,4 @@
-"""How far a solution is from the laws of contact and friction, computed from what it says."""
+"""Errors of a solution in the laws of contact and friction, from displacement and stresses."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from scenes.scene import Scene
 
 LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "direction")
 
-#: In place of a scale that is zero.
+#: Divisor in place of a scale that is zero.
 TINY = 1e-300
 
-#: Jump over displacement below which its last digits are missing: EPS times the condition number of
-#: K, over what the laws are judged by.
+#: Ratio of jump and displacement below which rounding errors of the displacement are visible: EPS
+#: times the condition number of K, divided by the accuracy with which laws are checked.
 ROUNDING = 1e-6
 
 
 def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> dict[str, float]:
-    """Return what is missing in each law, dimensionless. Collective.
+    """Return the largest dimensionless error in each law. Collective.
 
-    Lengths are relative to the largest jump without contact, or where bodies float (not `held`) to
-    the largest displacement; stresses to what such a jump causes, or the largest one.
+    Lengths are divided by the largest jump without contact, or if bodies float (not `held`) by the
+    largest displacement; stresses by the largest stress, or the stress that such a jump causes.
 
-    balance: |K u - f + B'lambda| over diag(K) max|u| + max|f|, for each degree of freedom.
-    penetration, tension, complementarity: N u <= d, pressure >= 0, and one of both is zero.
-    bound, stick, direction: |traction| <= g, no slip below, and else along the traction; an
-    angle between both errs by what it means for the traction.
+    balance: |K u - f + B'lambda| / (diag(K) max|u| + max|f|), for each degree of freedom.
+    penetration, tension, complementarity: N u <= d, pressure >= 0, and one of the two is zero.
+    bound, stick, direction: |traction| <= g, no slip if it is less than g, otherwise slip along the
+    traction; the error of an angle counts as the error of slip or traction, whichever is smaller.
     """
     comm = model.V.mesh.comm
 
@@ -138,7 +138,7 @@ def _product(B: PETSc.Mat, u: PETSc.Vec) -> np.ndarray:
 def _without_contact(
     system: LinearSystem, B: PETSc.Mat, root: np.ndarray
 ) -> tuple[PETSc.Vec, float]:
-    """Solve K u = f by PETSc, as DOLFINx would; return also the largest jump over stress."""
+    """Solve K u = f by PETSc; return u and the largest ratio of jump and stress."""
     ksp = direct_solver(system.K)
     u = system.K.createVecRight()
     ksp.solve(system.f.x.petsc_vec, u)
@@ -163,7 +163,7 @@ def _without_contact(
 def _balance(
     system: LinearSystem, B: PETSc.Mat, root: np.ndarray, solution: ContactSolution
 ) -> float:
-    """Return the worst unbalanced force, over what rounding can make of it."""
+    """Return the largest unbalanced force, divided by the scale of its rounding error."""
     x, force, Ku = B.createVecLeft(), B.createVecRight(), B.createVecRight()
     x.array = solution.multipliers * root
     B.multTranspose(x, force)

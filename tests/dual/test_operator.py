@@ -37,7 +37,7 @@ def test_A_is_symmetric_and_positive_definite(comm, stiffness):
         for seed in range(3):
             x = local_random(comm, len(dual.b), seed)
             y = local_random(comm, len(dual.b), seed + 10)
-            Ax, Ay = dual.apply(x), dual.apply(y)
+            Ax, Ay = dual.operator.apply(x), dual.operator.apply(y)
             xAx, yAy = dual.inner(x, Ax), dual.inner(y, Ay)
             assert xAx > 0.0 and yAy > 0.0
             # multigrid: |residual| <= 1e-12 |f|
@@ -101,15 +101,15 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
         assert np.allclose(np.linalg.eigvalsh(mine), np.linalg.eigvalsh(A), atol=SOLVE * size)
         assert np.allclose(dual.b[normal], b[:m][order], atol=SOLVE * np.abs(b).max())
         assert np.linalg.norm(dual.b) == pytest.approx(np.linalg.norm(b), rel=SOLVE)
-        assert dual.products == 3 * m
+        assert dual.operator.products == 3 * m
 
 
 def test_products_are_counted_and_each_is_one_solve(comm):
     with dual_program(two_bricks(comm, 3)) as dual:
         solves = dual.compliance.operator.solver.solves
         for number in range(1, 4):
-            dual.apply(local_random(comm, len(dual.b), number))
-            assert dual.products == number
+            dual.operator.apply(local_random(comm, len(dual.b), number))
+            assert dual.operator.products == number
             assert dual.compliance.operator.solver.solves == solves + number
 
 
@@ -143,9 +143,9 @@ def test_results_of_apply_are_the_callers(comm):
     """A later product must not change an earlier one."""
     with dual_program(two_bricks(comm, 3)) as dual:
         x, y = (local_random(comm, len(dual.b), seed) for seed in (1, 2))
-        first = dual.apply(x)
+        first = dual.operator.apply(x)
         kept = first.copy()
-        dual.apply(y)
+        dual.operator.apply(y)
         assert np.array_equal(first, kept)
 
 
@@ -160,7 +160,9 @@ def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
             points = points_of(scene, pair)
             x = np.cos(3 * points[pair.row_node, 0] + 7 * points[pair.row_node, 1])
             normal = dual.jump.slices[0][0]
-            results.append((where, points[pair.normal_node], dual.apply(x)[normal], dual.b[normal]))
+            results.append(
+                (where, points[pair.normal_node], dual.operator.apply(x)[normal], dual.b[normal])
+            )
     (_, points, product, b), (_, parts, product_parts, b_parts) = results
     order = np.lexsort(np.round(points, 9).T)
     gathered = global_vector(comm, parts, product_parts)
@@ -191,9 +193,11 @@ def test_the_fitted_diagonal_has_the_size_of_the_true_one(comm):
     """One product: the mean over normal and over tangential entries, to the noise of the signs."""
     scene = two_bricks(MPI.COMM_SELF, 6)
     with dual_program(scene) as dual:
-        true = np.array([dual.apply(e)[i] for i, e in enumerate(np.eye(len(dual.b)))])
+        true = np.array([dual.operator.apply(e)[i] for i, e in enumerate(np.eye(len(dual.b)))])
         x = rademacher_vector(dual.jump)
-        fitted = estimate_diagonal(dual.jump, dual.compliance.nodal_compliance, x, dual.apply(x))
+        fitted = estimate_diagonal(
+            dual.jump, dual.compliance.nodal_compliance, x, dual.operator.apply(x)
+        )
     assert (fitted > 0.0).all()
     for rows in dual.jump.slices[0]:
         assert 0.3 <= np.exp(np.mean(np.log(fitted[rows] / true[rows]))) <= 3.0
@@ -220,7 +224,7 @@ def test_the_energies_bracket_and_meet(comm, end):
             _, below = dual.energies(x, u.x.petsc_vec)
             assert below <= solution.dual_energy + 1e3 * rtol * abs(solution.dual_energy)
             # D(x) = -q(x) - 1/2 f'K^-1 f: differences are those of q
-            r = dual.apply(x) - dual.b
+            r = dual.operator.apply(x) - dual.b
             q = 0.5 * float(dual.inner(x, r - dual.b))
             assert solution.dual_energy - below == pytest.approx(
                 q - solution.q[-1], rel=1e-6, abs=1e3 * rtol * abs(solution.dual_energy)
@@ -238,7 +242,7 @@ def test_displacement_solves_the_first_equation(comm):
         gap = np.zeros(len(dual.b))
         normal = dual.jump.slices[0][0]
         gap[normal] = 1e-5 / dual.jump.stress_scale[normal]
-        expected = dual.b + gap - dual.apply(x)
+        expected = dual.b + gap - dual.operator.apply(x)
         size = np.sqrt(dual.inner(expected, expected))
         difference = dual.jump.of(u.x.petsc_vec) - expected
         assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size
@@ -248,11 +252,11 @@ def test_displacement_solves_the_first_equation(comm):
 def test_products_of_several_vectors_at_once(comm):
     with dual_program(two_bricks(comm, 4), "cholesky") as dual:
         X = np.column_stack([local_random(comm, len(dual.b), seed) for seed in range(3)])
-        before = dual.products
+        before = dual.operator.products
         together = dual.compliance.operator.apply_to_all(X)
-        assert dual.products == before + 3
+        assert dual.operator.products == before + 3
         for x, product in zip(X.T, together.T, strict=True):
-            single = dual.apply(x)
+            single = dual.operator.apply(x)
             error = product - single
             assert np.sqrt(dual.inner(error, error)) <= SOLVE * np.sqrt(dual.inner(single, single))
 
@@ -300,8 +304,8 @@ def test_rounding_of_gradients_is_in_their_errors(comm):
     with dual_program(two_bricks(comm, 2), "multigrid") as dual:
         dual.response.offset[:] += 1.0
         x = local_random(comm, len(dual.b), 0)
-        x *= 1e-15 / np.sqrt(dual.inner(x, dual.apply(x)))
-        product = dual.apply(x)
+        x *= 1e-15 / np.sqrt(dual.inner(x, dual.operator.apply(x)))
+        product = dual.operator.apply(x)
         (before, e), (after, f) = (dual.response.gradient(y, 1e-18) for y in (0.0 * x, x))
         missing = after - before - product
         # |e| <= sqrt(e'A^-1 e) sqrt(sigma_max), and x tells sigma_max about
@@ -325,8 +329,8 @@ def test_products_claim_what_was_reached():
                 error = np.sqrt(missing @ np.linalg.solve(A, missing))
                 # the norm of A^-1 is the least energy of a displacement with that jump
                 assert error <= claimed
-            dual.apply(x)
-            assert error <= dual.product_error * np.sqrt(x @ A @ x)
+            dual.operator.apply(x)
+            assert error <= dual.operator.product_error * np.sqrt(x @ A @ x)
         probe = rademacher_vector(dual.jump)
         missing = operator.product(probe, ROUGH)[0] - A @ probe
         store = seed_products(operator, dual.compliance.nodal_compliance)

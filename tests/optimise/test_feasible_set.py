@@ -32,18 +32,6 @@ def test_projection_is_that_of_the_definition(case):
 
 @BOUNDED
 @given(cases())
-def test_a_point_is_the_solution_for_its_gradient_at_rest(case):
-    lam, rng = case
-    x = lam.project(2 * rng.standard_normal(lam.size))
-    r = rng.standard_normal(lam.size)
-    rest = lam.gradient_at_rest(x, r)
-    assert np.allclose(lam.project(x - rest), x, rtol=100 * EPS, atol=100 * EPS)
-    # nothing is left to change then
-    assert np.allclose(lam.gradient_at_rest(x, rest), rest, rtol=100 * EPS, atol=100 * EPS)
-
-
-@BOUNDED
-@given(cases())
 def test_derivative_of_the_projection_agrees_with_differences(case):
     lam, rng = case
     y = 2 * rng.standard_normal(lam.size)

@@ -343,7 +343,7 @@ def test_curved_pair_at_a_symmetry_plane_has_full_rank(comm, hexahedra):
             unit = np.zeros(len(dual.b))
             if first <= index < first + len(unit):
                 unit[index - first] = 1.0
-            images.append(dual.apply(unit))
+            images.append(dual.operator.apply(unit))
         A = np.concatenate(comm.allgather(np.column_stack(images)))
     values = np.linalg.eigvalsh(A)
     # the flat scene has 0.01; linearly dependent rows would give rounding

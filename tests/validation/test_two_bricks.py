@@ -113,7 +113,7 @@ def test_every_method_converges_or_says_that_it_does_not(method, end):
     with dual_program(scene) as dual:
         lam = dual.feasible_set
         x = found.multipliers / dual.jump.stress_scale
-        r = dual.apply(x) - dual.b
+        r = dual.operator.apply(x) - dual.b
         feasible = lam.project(x)
         assert np.sqrt(dual.inner(x - feasible, x - feasible)) <= 100 * EPS * np.sqrt(
             dual.inner(x, x)

@@ -18,13 +18,13 @@ from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 class EnergyBound(PetscOwner):
     """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
 
-    Here u* is the exact solution of the discrete problem. Weak duality: with the primal energy J,
-    the dual energy D, and any displacement v without penetration,
+    Here u* is the exact solution of the discrete problem. By weak duality, the primal energy J, the
+    dual energy D, and any displacement v without penetration satisfy
 
         1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
-            = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,
+            = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2.
 
-    a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
+    No term of this sum is negative, so nothing cancels. In load steps, T v stands for T v - s, the
     slip since the last step, here and below. The displacement v is u + w. The lift w moves contact
     nodes alone (`Lift`), such that the jump at every node takes its best value for fixed
     neighbours: nodes that should close or stick do so. If K also has rows for a pressure, w moves

@@ -32,8 +32,8 @@ MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 #: Approximate ratio of the error to the difference between the gradient and its mean at the nodes,
 #: both in the energy norm. The keys are the degree of the displacement, and whether cells are
 #: simplices. The ratio is not 1, since the mean has a higher order than the gradient only for
-#: degree 1, and since singular edges lower the difference by up to a third. The factors are
-#: mid-range values of benchmarks/estimate.py.
+#: degree 1, and since singular edges lower the difference by up to a third. The factors are in the
+#: middle of the ranges that benchmarks/estimate.py finds.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -45,21 +45,21 @@ class DiscretisationError:
     difference of the two gradients is an estimate of the error. The energy of this difference is
     computed with the form `a`, in which the difference replaces the gradient; this works for any
     cell and material. The gradient is evaluated at the Gauss points of order 2 (degree - 1), where
-    it is most accurate (Barlow, 1976), and extrapolated to the nodes, where means are taken. If it
-    were evaluated at the nodes of quadrilaterals or hexahedra instead, its derivative along an edge
-    would depend on that edge alone, and the difference would be zero on the boundary, which has
-    singular edges.
+    it is most accurate (Barlow, 1976), and extrapolated to the nodes, where means are taken. If the
+    gradient were evaluated at the nodes of quadrilaterals or hexahedra instead, its component along
+    an edge would depend on that edge alone, and the difference would be zero on the boundary, which
+    has singular edges.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
     singular edges and Poisson's ratios of up to 0.49. It is not a bound. For Poisson's ratios
-    closer to 0.5 cells lock: the error spreads from its origin, and is larger compared with the
-    estimate. At the corners of inclusions that are 1000 times stiffer than the rest the estimate is
-    up to 1.7 times the error for degree 2. If the material inside a body changes abruptly, the true
-    gradient jumps too: each material then has means of its own, for up to `MOST_MATERIALS`
+    closer to 0.5, cells lock: the error spreads from its origin, and is larger compared with the
+    estimate. At the corners of inclusions that are 1000 times stiffer than the rest, the estimate
+    is up to 1.7 times the error for degree 2. If the material inside a body changes abruptly, the
+    true gradient jumps too: each material then has means of its own, for up to `MOST_MATERIALS`
     materials. If the material varies from cell to cell without gaps between the stiffnesses, the
     estimate is too large.
 
-    For degree 2 the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
+    For degree 2, the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
     polynomial P_2. This difference is equal on both sides of a node if neighbouring cells are
     alike. Where a smooth solution varies along one direction of such a mesh, gradients therefore
     hardly jump, and the ratio of the estimate to the error falls with h; where the solution varies
@@ -67,10 +67,10 @@ class DiscretisationError:
     posteriori error estimator for biquadratic elements: errors of even degree are in the cells'
     interiors, not in jumps). Edges of contact areas have no such symmetry.
 
-    In bodies of revolution the error of the hoop strain u_r / r counts as zero: it is of higher
+    In bodies of revolution, the error of the hoop strain u_r / r counts as zero: it is of higher
     order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would
-    be less accurate than u_r / r itself: for quadrilaterals of degree 2 it makes the estimate 1.5
-    times the error, in place of 1.0.
+    be less accurate than u_r / r itself: for quadrilaterals of degree 2, this mean would make the
+    estimate 1.5 times the error, in place of 1.0.
 
     Penetration between the few nodes of a stiff secondary surface causes no strain and is not
     estimated. It is large only if the soft side alone is refined, which `adapt/opposite.py`
@@ -248,12 +248,12 @@ class _Substitution(MultiFunction):  # type: ignore[misc]
 
 
 def _with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
-    """Return the cell integrals of a(u, u) with a tensor for grad u, times a weight.
+    """Return the cell integrals of a(u, u), with grad u replaced by a tensor, times a weight.
 
     Args:
         a: the bilinear form.
         gradient: UFL expression of shape (dim, dim) that replaces both gradients.
-        weight: scalar UFL expression.
+        weight: scalar UFL expression that multiplies the integrands.
     """
     a = apply_derivatives(apply_algebra_lowering(a))
     a = map_integrand_dags(_Substitution(gradient), a)

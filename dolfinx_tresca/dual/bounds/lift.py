@@ -32,16 +32,16 @@ DEPENDENT_ROWS = 1e-6
 
 
 class Lift(PetscOwner):
-    """w = D B' (B D B')^-1 jump with D = diag(K)^-1: the least w with B w = jump in the D^-1 norm.
+    """The w with B w = jump that is least in the D^-1 norm, w = D B' (B D B')^-1 jump.
 
-    `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row for each row of B. If
-    it has more than `MOST_FACTORED` rows, systems with it are solved by conjugate gradients
-    preconditioned by a factorisation of each rank's own rows: memory and work of a rank depend on
-    these rows alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff secondary side
-    touches a coarse primary side that is 1e6 times softer, the number of steps grows with the
-    number of ranks: 288, 1124 and 2108 steps on 2, 3 and 5 ranks. The iteration stops after
-    `MOST_ITERATIONS` steps; the energy norm of w counts as infinite if B w then misses the jump by
-    more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
+    Here D is diag(K)^-1. `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row
+    for each row of B. If it has more than `MOST_FACTORED` rows, systems with it are solved by
+    conjugate gradients preconditioned by a factorisation of each rank's own rows: memory and work
+    of a rank depend on these rows alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff
+    secondary side touches a coarse primary side that is 1e6 times softer, the number of steps grows
+    with the number of ranks: 288, 1124 and 2108 steps on 2, 3 and 5 ranks. The iteration stops
+    after `MOST_ITERATIONS` steps; the energy norm of w counts as infinite if B w then misses the
+    jump by more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
 
     Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """

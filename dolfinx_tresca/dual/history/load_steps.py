@@ -277,7 +277,7 @@ class LoadSteps:
         moved_by: fem.Function | None,
         material: Sequence[fem.Function],
     ) -> None:
-        """Write the state from which the next solve starts to a file. Collective.
+        """Write a file with the state from which the next solve starts. Collective.
 
         Args:
             path: path of the file; the first rank's path is used.

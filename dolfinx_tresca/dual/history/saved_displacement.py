@@ -42,7 +42,7 @@ def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str,
 
     Args:
         functions: the Functions, on any spaces.
-        kind: `MATERIAL` or `UNKNOWN`.
+        kind: prefix of the names in the file, `MATERIAL` or `UNKNOWN`.
     """
     rows = {}
     for number, function in enumerate(functions):
@@ -60,7 +60,7 @@ def read_functions(
         path: path of the file.
         functions: Functions on the same spaces as the saved Functions; they are not changed.
         comm: the communicator.
-        kind: `MATERIAL` or `UNKNOWN`.
+        kind: prefix of the names in the file, `MATERIAL` or `UNKNOWN`.
 
     Raises:
         InputError: the file cannot be read, or belongs to another mesh, other Functions or another

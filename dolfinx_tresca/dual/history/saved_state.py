@@ -227,7 +227,7 @@ def _rows_of(
     Args:
         path: path of the file.
         file: contents of the file.
-        keys: (n, 3) keys of the nodes.
+        keys: (n, 3) keys of the nodes, see `_rows`.
         points: (n, 3) coordinates of the nodes.
         columns: number of columns of values.
 

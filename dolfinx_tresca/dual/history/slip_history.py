@@ -17,7 +17,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 class SlipHistory:
     """The slip and the dissipation of the accepted load steps.
 
-    In a quasi-static process friction resists the slip T u - s of each step, where s is the slip
+    In a quasi-static process, friction resists the slip T u - s of each step, where s is the slip
     origin, and dissipates energy (docs/theory/problem.md). This formulation is implicit in time,
     like the backward Euler method.
 
@@ -64,7 +64,7 @@ class SlipHistory:
             jump: B.
             slips: for each pair (n, d + 1) the slip vectors at its nodes and the lengths of their
                 paths [length].
-            dissipation: dissipation [energy].
+            dissipation: dissipation so far [energy].
         """
         origin = np.zeros(len(jump.gap))
         for pair, slip, (_, t) in zip(jump.pairs, slips, jump.slices, strict=True):
@@ -77,7 +77,7 @@ class SlipHistory:
 
         Args:
             slip: (size,) slip, divided by `JumpOperator.length_scale`; normal rows do not matter.
-            u: displacement [length].
+            u: displacement that has this slip [length].
             jump: B.
         """
         rows = jump.unbounded.tangential

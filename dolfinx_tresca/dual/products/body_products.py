@@ -24,12 +24,13 @@ from dolfinx_tresca.surface.numbering import label_bodies
 #: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
 #: the share, two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not
 #: solved, and all piles together take 3,594 iterations and 7,088 products in place of 1,253 and
-#: 8,243; with twice the share they take 463 and 8,770. Walls of 15 bricks with up to 220 and 348
-#: multipliers on a brick would take 0.5 and 0.65 times the time if A were computed as a matrix.
+#: 8,243; with twice the share, they take 463 and 8,770. Two walls of 15 bricks, with up to 220 and
+#: 348 multipliers on a brick, would take 0.5 and 0.65 times the time if A were computed as a
+#: matrix.
 BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
 #: Value of MUMPS's option ICNTL(7) for an ordering by approximate minimum fill. For a matrix of
-#: 5,005 bricks this ordering takes 0.76 times the time of MUMPS's own choice, and 0.87 times the
+#: 5,005 bricks, this ordering takes 0.76 times the time of MUMPS's own choice, and 0.87 times the
 #: memory.
 MINIMUM_FILL = 2
 
@@ -47,7 +48,7 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
     K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
     are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
     A couples multipliers only if they act on the same body. One solve with K finds one column of
-    each A_b: in this solve the force of one multiplier acts on each body, without the opposite
+    each A_b: in this solve, the force of one multiplier acts on each body, without the opposite
     force on the other body. The number of solves is the largest number of multipliers on a body,
     however many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of
     sparse Jacobian matrices.)
@@ -82,7 +83,7 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
 def _solve(matrix: csr_array, right: Array) -> Array:
     """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
 
-    On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
+    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
     take a third of the memory.
 
     Raises:
@@ -184,7 +185,7 @@ class _BodyForces:
     def responses(self, operator: DualOperator, some: range) -> Array:
         """Return for each force the jump (m, len(some)) of its body alone. Collective.
 
-        In each column one multiplier on each body is 1, and acts on this body alone.
+        In each column, one multiplier on each body is 1, and acts on this body alone.
 
         Args:
             operator: A, whose solver for K is used; each column counts as a product.

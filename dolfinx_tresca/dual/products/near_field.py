@@ -19,7 +19,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: Number of layers of cells around the contact whose nodes may move. `LAYERS` is for a direct
 #: solver for K. `LAYERS_BEFORE_COARSE` is for multigrid, whose coarse level represents the rest of
 #: the bodies. (On two bricks with a direct solver, a load step takes up to 10 products with one
-#: layer, 8 with two layers, and more without layers. With multigrid a solve takes 33 Krylov
+#: layer, 8 with two layers, and more without layers. With multigrid, a solve takes 33 Krylov
 #: iterations with one layer, and 30 with two layers, which cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
@@ -30,9 +30,9 @@ class NearField(PetscOwner):
     Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
     may be clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped preconditioner
     clamps all nodes except interface nodes, and the Dirichlet preconditioner clamps none: Farhat,
-    Mandel and Roux 1994.) Further away the effect of tractions is smooth: with multigrid, a coarse
+    Mandel and Roux 1994.) Further away, the effect of tractions is smooth: with multigrid, a coarse
     level in S represents most of this effect, and a few products with A represent the rest; without
-    multigrid, products with A represent all of this effect. On two bricks (N = 10) 0.02 A <= D
+    multigrid, products with A represent all of this effect. On two bricks (N = 10), 0.02 A <= D
     without the coarse level, and 0.4 A <= D with it.
 
     Owns PETSc objects: call `destroy()`. The caller keeps B and the solver for K.

@@ -17,7 +17,7 @@ from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 
 #: Largest number of groups of pairs for which the seed tractions vary linearly over each group; for
-#: more groups they are constant on each group.
+#: more groups, the tractions are constant on each group.
 FEW_GROUPS = 4
 
 #: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
@@ -28,7 +28,7 @@ INDEPENDENT = 1e-8
 def affine_tractions(jump: JumpOperator) -> Array:
     """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
 
-    On each group of pairs the affine tractions are the pressures that are affine functions of the
+    On each group of pairs, the affine tractions are the pressures that are affine functions of the
     position, and the tangential parts of the force densities that are affine functions of the
     position: nine on a flat surface in 3D. If there are more than `FEW_GROUPS` groups, only the
     constant tractions are returned.
@@ -103,8 +103,8 @@ def seed_products(
     The diagonal is estimated from the product of A with a vector of random signs. If there is a
     near field, it replaces A in this product, since the effect of random signs is local; the store
     then has no products with A. Otherwise the store keeps the product with the random signs. With a
-    direct solver it also gets the products with affine tractions, which are solved for as one
-    block.
+    direct solver, the store also gets the products with affine tractions, which are solved for as
+    one block.
 
     Args:
         operator: A.
@@ -121,8 +121,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the vector of random signs comes last, since the newest product sets the scale of the
-        # model: the order of the affine tractions is arbitrary
+        # the vector of random signs comes last: the newest product sets the scale of the model,
+        # and the order of the affine tractions is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

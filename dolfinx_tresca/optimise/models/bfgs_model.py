@@ -17,7 +17,7 @@ class BlockBFGSModel(Model):
     """The model M = Y Y' + (I - Y W') D (I - W Y') of A: symmetric and positive definite.
 
     The columns of Y are the known products A w with the columns w of W, and W'Y = I. M equals A on
-    all combinations of these vectors (M W = Y); on other vectors it has the magnitude of D, an
+    all combinations of these vectors (M W = Y); on other vectors, it has the magnitude of D, an
     approximation of diag(A). M is the block BFGS update of D with W and Y; the term Y Y' alone is a
     Nystroem approximation of A. Applying or inverting M needs no product with A. D may be replaced
     by another model, such as the model of an earlier A; M is then the block BFGS update of that

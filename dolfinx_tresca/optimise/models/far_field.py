@@ -10,20 +10,21 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: A vector x of the far field of A, which is A - D for an approximation D of A, is kept if the
-#: ratio of x'(A - D) x to x'A x exceeds this number. Smaller ratios may be due to errors of inexact
-#: products, or of the model of the near field. With twice or half the value the number of products
-#: is the same (benchmarks/ablation.py).
+#: The far field represents A - D, where D is an approximation of A, by vectors x. A vector is kept
+#: if the ratio of x'(A - D) x to x'A x exceeds this number. Smaller ratios may be due to errors of
+#: inexact products, or of the model of the near field. With twice or half the value, the number of
+#: products is the same (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
 
 class FarField:
     """The low-rank approximation F = s Z Z' of A - D, from known products with A.
 
-    D is an approximation of A that is smaller than A. If D is the near field, which represents the
-    bodies near the contact, F represents the rest of the bodies. F is then smooth, so that few
-    columns suffice. For another A with its own D, the sum D + F is always positive definite, and
-    accurate near the contact; the scale of F follows from the first products with the new A.
+    D is an approximation of A with x'D x <= x'A x, at least approximately. If D is the near field,
+    which represents the bodies near the contact, F represents the rest of the bodies. F is then
+    smooth, so that few columns suffice. For another A with its own D, the sum D + F is always
+    positive definite, and accurate near the contact; the scale of F follows from the first products
+    with the new A.
 
     Attributes:
         W: (size, k) vectors with known products (A - D) W.
@@ -69,7 +70,7 @@ class FarField:
         """Fit the scale of F so that w'(D + F) w is near w'A w for each column w of W. Collective.
 
         The fit is by least squares. Columns w with a small w'F w are left out. With such columns
-        alone the scale would follow from rounding errors, and could be so large that no step
+        alone, the scale would follow from rounding errors, and could be so large that no step
         changes the multipliers.
 
         Args:

@@ -12,7 +12,7 @@ from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.sets.feasible_set import Face
 
 #: Least softness S of the equality constraints G'lambda + S c = e, divided by the compliance of the
-#: multipliers. With this softness the linear systems have a solution even if the constraints have
+#: multipliers. With this softness, the linear systems have a solution even if the constraints have
 #: none.
 LEAST_SOFTNESS = 1e-10
 
@@ -123,7 +123,7 @@ class Model(ABC):
         """Return a Newton step s on a face, and the step c of the constraints' multipliers.
 
         Both steps satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s,
-        where Q is the change of slip bounds with the pressure. For fixed bounds Q = 0 and the
+        where Q is the change of slip bounds with the pressure. For fixed bounds, Q = 0 and the
         system is symmetric. Along the radius of a disc whose bound depends on the slip, the step
         solves s = Q s + h (right - M s + G c), with the slope h of the bound.
 

@@ -16,37 +16,32 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
 #: vectors with known products, has more than this fraction of the energy x'A x. When the new part
-#: is normalised, its rounding errors are divided by the root of this ratio.
+#: is normalised, its rounding errors are divided by the root of the fraction that it has.
 NEW_ENERGY = 1e-10
 
 #: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as
-#: rounding up to this multiple of the largest quotient so far. Such quotients occur: A is singular
-#: if rows of B are linearly dependent.
+#: rounding up to this multiple of the largest quotient so far. Quotients of this size occur if rows
+#: of B are linearly dependent, since A is then singular.
 NULL_ENERGY = 1e-12
 
 #: A product is kept if its new part, which known products do not give, has an energy norm above
 #: this multiple of the product's error.
 RESOLVED = 1.5
 
-#: A known pair (w, A w) brings an error into the known part of a new product. The pair is removed
-#: if this error, in the norm sqrt(e'A^-1 e), hides the new part and exceeds this multiple of the
-#: new product's own error.
-WORSE_ERROR = 2.0
-
 #: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
-#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit
+#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit,
 #: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
-#: the limit such steps take 18 products in place of 13, since more pairs must be found again.
+#: the limit, such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
 #: The part of a vector along the vectors w of known pairs (w, A w) counts as rounding if its norm
-#: is at most this multiple of the norm of the rest. With exact pairs the Gram-Schmidt process
+#: is at most this multiple of the norm of the rest. With exact pairs, the Gram-Schmidt process
 #: reaches this limit in two passes.
 KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
 #: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
-#: |lambda| |r| (Euclidean norms). Doubling or halving it changes no status and no number of
-#: products (benchmarks/ablation.py).
+#: |lambda| |r| (Euclidean norms). Doubling or halving this number changes no status and no number
+#: of products (benchmarks/ablation.py).
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
@@ -54,7 +49,7 @@ class ProductStore(KnownProducts):
     """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
 
     Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
-    same. After a change of the stiffness the pairs are no longer valid, but they still approximate
+    same. After a change of the stiffness, the pairs are no longer valid, but they still approximate
     the new A: see `successor`.
 
     Attributes:
@@ -126,9 +121,7 @@ class ProductStore(KnownProducts):
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Add a pair (x, A x), unless its new part is smaller than errors or rounding. Collective.
 
-        The new part is the part of the pair that does not follow from known pairs. If errors of
-        known pairs hide the new part, and the product is more accurate than these pairs, they are
-        removed.
+        The new part is the part of the pair that does not follow from known pairs.
 
         Args:
             x: (size,) vector.
@@ -142,21 +135,18 @@ class ProductStore(KnownProducts):
         inner = self._reductions.inner
         energy = float(inner(x, product))
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
-        while energy > 0.0:
-            parts, new, new_product = self._without_known(x, product)
-            pair_errors = self.errors * np.abs(parts)
-            total_error = float(np.hypot(error, np.linalg.norm(pair_errors)))
-            rest = float(inner(new, new_product))
-            if rest > (RESOLVED * total_error) ** 2:
-                length = float(inner(new, new))
-                self._largest = max(self._largest, rest / length)
-                if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
-                    self._append(new, new_product, total_error, rest)
-                return True
-            if not (pair_errors > WORSE_ERROR * error).any():
-                break
-            self._remove(int(np.argmax(pair_errors)))
-        return False
+        if energy <= 0.0:
+            return False
+        parts, new, new_product = self._without_known(x, product)
+        total_error = float(np.hypot(error, np.linalg.norm(self.errors * parts)))
+        rest = float(inner(new, new_product))
+        if rest <= (RESOLVED * total_error) ** 2:
+            return False
+        length = float(inner(new, new))
+        self._largest = max(self._largest, rest / length)
+        if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
+            self._append(new, new_product, total_error, rest)
+        return True
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
@@ -189,9 +179,9 @@ class ProductStore(KnownProducts):
         """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
-        errors of the first. Pairs with errors are not orthonormal and need more passes. After two
-        passes, parts along known pairs would remain and be added as new pairs, until there are more
-        pairs than unknowns.
+        errors of the first. Pairs with errors are not orthonormal and need more passes. If the
+        process always ended after two passes, parts along known pairs would remain and be added as
+        new pairs, until there are more pairs than unknowns.
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
@@ -223,19 +213,15 @@ class ProductStore(KnownProducts):
 
     def drop_inaccurate_pairs(self) -> None:
         """Drop pairs with errors that are too large for later solves."""
-        for pair in np.flatnonzero(self.errors > LASTING_ERROR)[::-1]:
-            self._remove(int(pair))
-
-    def _remove(self, pair: int) -> None:
-        self.W, self.Y = np.delete(self.W, pair, axis=1), np.delete(self.Y, pair, axis=1)
-        self.errors = np.delete(self.errors, pair)
+        kept = self.errors <= LASTING_ERROR
+        self.W, self.Y, self.errors = self.W[:, kept], self.Y[:, kept], self.errors[kept]
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
         known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
-        # for exact pairs the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
+        # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
         # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
         # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds
@@ -254,7 +240,7 @@ class ProductStore(KnownProducts):
             self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,) for the model M of `updated_model`, where D is a function. Collective.
+        """Return M x (size,), with M as in `updated_model` and D given as a function. Collective.
 
         Args:
             x: (size,) vector.

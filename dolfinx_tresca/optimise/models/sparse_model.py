@@ -15,11 +15,11 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Number that the model adds to the diagonal of A, divided by the mean of the diagonal. A wall of
 #: 52 bricks pushed in 17 accepted steps of 0.025 takes 53 iterations with 1e-2, 34 with 1e-3 and
-#: 1e-4, 18 with 1e-5; with 1e-10 Newton's method on the model fails.
+#: 1e-4, 18 with 1e-5; with 1e-10, Newton's method on the model fails.
 SHIFT = 1e-4
 
 #: Least softness of the equality constraints in softened Newton steps, divided by the compliance of
-#: the multipliers. With 1e-10 a wall of 1,104 bricks is not solved.
+#: the multipliers. With 1e-10, a wall of 1,104 bricks is not solved.
 PROXIMAL = 1e-4
 
 
@@ -33,7 +33,7 @@ class SparseModel(Model):
     positive eigenvalue of A.
 
     A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. The matrix of the direct
-    solver neglects that slip bounds may depend on the slip; for such bounds Newton's method
+    solver neglects that slip bounds may depend on the slip; for such bounds, Newton's method
     converges linearly. Every rank has the whole matrix.
 
     Attributes:
@@ -150,8 +150,9 @@ def _groups(nodes: Indices) -> tuple[csr_array, Indices]:
     """Return which multipliers belong to the same node, and each multiplier's number in its node.
 
     Returns:
-        a matrix (size, size) with an entry for each two multipliers of the same node; and for each
-        multiplier (size,) its number 0, 1, ... among the multipliers of its node.
+        a matrix (size, size) with an entry in row i and column j if the multipliers i and j belong
+        to the same node; and for each multiplier (size,) its number 0, 1, ... among the multipliers
+        of its node.
     """
     size = len(nodes)
     _, index = np.unique(nodes, return_inverse=True)

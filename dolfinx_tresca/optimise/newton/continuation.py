@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from dolfinx_tresca.optimise.models.model import Model
 from dolfinx_tresca.optimise.newton.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: First and least step of the path parameter, which goes from 0 to 1 along the path.
+#: First and least step of the factor on the coefficients of friction, which goes from 0 to 1.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
 #: Limit on the number of halvings of a Newton step that does not reduce the residual.
@@ -41,50 +40,6 @@ REFINING_RUNS = RUNS[2], *RUNS[:2]
 #: Multipliers, multipliers of the constraints, and gradient.
 Iterate = tuple[Array, Array, Array]
 
-#: Function of the last path parameter, the next path parameter and the point reached. It returns
-#: Newton's method for the next problem, and the initial guess for this problem.
-NextProblem = Callable[[float, float, Point], tuple[FaceNewton, Point]]
-
-
-def along_load(
-    problem: DualProblem,
-    model: Model,
-    start: Point,
-    rho: float,
-    tolerance: float,
-) -> Point:
-    """Follow the fixed points of changing loads, from the start to the present load.
-
-    The path begins at the nearest load for which the start is a fixed point. If the start is the
-    last load step's solution, the path is that of the process. Without the path, Newton's method
-    cycles if many nodes change between stick and slip at once, as on a belt that is pulled round a
-    drum. In each step along the path only few nodes change.
-
-    Collective. Needs no product with A.
-
-    Args:
-        problem: the dual problem, with friction cones and constraints.
-        model: model M of A.
-        start: point in the cones; its residual is not used.
-        rho: step length with which the natural residual is measured.
-        tolerance: requested natural residual.
-
-    Returns:
-        the end of the path; if it was not reached, the last point, with the residual inf.
-    """
-    x, constraints = start.multipliers, problem.constraints
-    lam = problem.admissible.at(x, start.gradient, rho).section(x)
-    at_rest = lam.gradient_at_rest(x, start.gradient)
-    change = start.gradient - at_rest
-    missing = constraints.residual(x, start.c)
-
-    def at_part_of_load(last: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
-        loaded = dataclasses.replace(point, gradient=point.gradient + (now - last) * change)
-        reduced = constraints.with_reduced_values((1.0 - now) * missing)
-        return FaceNewton(problem, model, rho, reduced), loaded
-
-    return _along(at_part_of_load, dataclasses.replace(start, gradient=at_rest), tolerance)
-
 
 def along_friction(
     problem: DualProblem,
@@ -95,27 +50,26 @@ def along_friction(
 ) -> Point:
     """Follow the fixed points from zero friction to the given coefficients of friction.
 
+    The step of the coefficients is halved if Newton's method fails, and doubled if it converges.
     Artificial springs hold bodies that the reduced friction cannot hold; the stiffness of the
-    springs goes to zero as friction reaches its full value. Arguments and result are as in
-    `along_load`, but the start is the solution without friction. Collective.
+    springs goes to zero as friction reaches its full value. Collective. Needs no product with A.
+
+    Args:
+        problem: the dual problem, with friction cones and constraints.
+        model: model M of A.
+        start: the solution without friction.
+        rho: step length with which the natural residual is measured.
+        tolerance: requested natural residual.
+
+    Returns:
+        the end of the path; if it was not reached, the last point, with the residual inf.
     """
     no_force = np.zeros_like(start.c)
-
-    def at_part_of_friction(_: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
-        return FaceNewton(problem.relaxed(now, (1.0 - now) * rho, no_force), model, rho), point
-
-    return _along(at_part_of_friction, start, tolerance)
-
-
-def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
-    """Return the end of a path, or the last point reached with the residual inf.
-
-    The step of the path parameter is halved if Newton's method fails, and doubled if it converges.
-    """
     point, part, step = start, 0.0, FIRST_PART
     while step >= LEAST_PART and part < 1.0:
         now = min(part + step, 1.0)
-        found = nearest_fixed_point(*next_problem(part, now, point), tolerance)
+        weaker = problem.relaxed(now, (1.0 - now) * rho, no_force)
+        found = nearest_fixed_point(FaceNewton(weaker, model, rho), point, tolerance)
         if found.residual > tolerance:
             step *= 0.5
         else:
@@ -126,12 +80,13 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(
     newton: FaceNewton, start: Point, tolerance: float, *, refine: bool = False
 ) -> Point:
-    """Return the iterate of Newton's method with the least residual.
+    """Return the iterate with the least residual of up to three runs of Newton's method.
 
     The method begins with softened constraints and softens them further after each step that fails,
     as in the method of Levenberg and Marquardt. If this does not converge, a second run begins with
-    softer constraints. In a third run the constraints are exact until a step fails, and softened by
-    a constant from then on. If the model has no softness, there is one run, with exact constraints.
+    softer constraints. In a third run, the constraints are exact until a step fails, and softened
+    by a constant from then on. If the model has no softness, there is one run, with exact
+    constraints.
 
     Args:
         newton: Newton's method on the faces, with its problem.
@@ -150,7 +105,7 @@ def nearest_fixed_point(
 def _nearest_fixed_point(
     newton: FaceNewton, start: Point, tolerance: float, softness: float, growth: float
 ) -> Point:
-    """Return the iterate of Newton's method with the least residual.
+    """Return the iterate with the least residual of one run of Newton's method.
 
     A step is shortened if it does not reduce the residual. If no part of the step reduces the
     residual, contact on this face may hold some bodies only weakly, or not at all. With exact

@@ -16,14 +16,14 @@ from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 
-#: The product rho D in the active sets (38.12), (38.13), with the diagonal D of the model. With the
-#: value 1, each node would take the state that minimises q for fixed multipliers of the other
-#: nodes; with a smaller value nodes change their states less often.
+#: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
+#: model. With the value 1, each node would take the state that minimises q for fixed multipliers of
+#: the other nodes; with a smaller value, nodes change their states less often.
 RHO_DIAGONAL = 0.2
 
 #: A point whose natural residual is at most this fraction of the tolerance is accepted even if the
-#: model of q has not decreased. With twice the value no number of products of
-#: benchmarks/ablation.py changes; with 0.1 a cube held by springs with 1e-6 of its stiffness takes
+#: model of q has not decreased. With twice the value, no number of products of
+#: benchmarks/ablation.py changes; with 0.1, a cube held by springs with 1e-6 of its stiffness takes
 #: 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
 
@@ -85,7 +85,8 @@ class FaceNewton:
     def point(self, z: Array, c: Array, r: Array) -> Point:
         """Return the projection of multipliers z onto cones and constraints, with its residual.
 
-        The multipliers c of the constraints and the gradient r, given at z, change accordingly.
+        The multipliers c of the constraints and the gradient r are given at z. The result contains
+        their values at the projection.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho

@@ -1,4 +1,4 @@
-"""Friction with bounds that depend on the pressure: the fixed point of Tresca's problem."""
+"""Friction with bounds that depend on the pressure, as a fixed point of Tresca problems."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from dolfinx_tresca.optimise.models.model import Model
 from dolfinx_tresca.optimise.newton import face_newton
 from dolfinx_tresca.optimise.newton.continuation import (
     along_friction,
-    along_load,
     nearest_fixed_point,
 )
 from dolfinx_tresca.optimise.newton.face_newton import FaceNewton, Point
@@ -43,10 +42,10 @@ WORSE = 2.0
 #: Some of the steps end with NO_FIXED_POINT both with 0.5 and with 0.03.)
 REDUCTION = 0.003
 
-#: Factor on the tolerance each time the model is solved more accurately. With FORCING the push of a
-#: wall of 1,025 bricks (`tests/validation/test_many_bodies.py`) takes six times as many Newton
+#: Factor on the tolerance each time the model is solved more accurately. With FORCING, the push of
+#: a wall of 1,025 bricks (`tests/validation/test_many_bodies.py`) takes six times as many Newton
 #: systems: the next iteration starts from the projection of a less accurate point, from which
-#: Newton's method makes no progress. With FORCING**4 rounding is reached, and 2,046 bricks under
+#: Newton's method makes no progress. With FORCING**4, rounding is reached, and 2,046 bricks under
 #: their weight take 87 systems in place of 31.
 REFINEMENT = FORCING**2
 
@@ -108,12 +107,12 @@ class _FixedPointNewton(ProjectedNewton):
     ) -> Array:
         """Return a fixed point of the model; if none is found, record how much friction is missing.
 
-        Newton's method on the model measures errors of the equilibrium and of the tractions as two
-        independent equations. The natural residual contains a projection that satisfies the
-        equilibrium exactly. Where bodies slide as a whole, few tractions can satisfy the
-        equilibrium, and the natural residual is a hundred times larger than the errors that
-        Newton's method measures. The model is then solved more accurately, from the projected
-        point; the natural residual decides which of the points is returned.
+        Newton's method on the model treats the equilibrium, and the laws of contact and friction,
+        as two independent equations, and measures the error of each. The natural residual contains
+        a projection that satisfies the equilibrium exactly. Where bodies slide as a whole, few
+        tractions can satisfy the equilibrium, and the natural residual is a hundred times larger
+        than the errors that Newton's method measures. The model is then solved more accurately,
+        from the projected point; the natural residual decides which of the points is returned.
         """
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
@@ -204,19 +203,18 @@ def fixed_point_of_model(
     rho: float,
     tolerance: float,
 ) -> tuple[Array, Point | None]:
-    """Return an approximate fixed point of the model's Tresca problems, in the cones.
+    """Return multipliers in the cones that are approximately a fixed point of the model.
 
     Newton's method is started from the following initial guesses in turn until it converges:
 
     * the present point;
-    * in a load step of a process, continuation in the load (`along_load`) from the last step;
     * continuation in the coefficients of friction (`along_friction`), from Tresca's problem without
       friction, which has one solution; bodies that the reduced friction cannot support are held by
       springs as soft as the bodies;
     * the solution with all nodes sticking;
-    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. Sweeps
-      approach the fixed point if friction is too weak to reverse pressures. Bounds of a sweep may
-      be too small to support a floating body; springs then support the body at its position in the
+    * sweeps: solutions of Tresca's problem, each with the bounds of the previous solution. They
+      converge if friction changes the pressures only little. The slip bounds of a sweep may be too
+      small to support a floating body; springs then support the body at its position in the
       previous sweep, as in the method of multipliers.
 
     If no fixed point is found, the solution of the last sweep is returned: its product with A may
@@ -258,9 +256,6 @@ def fixed_point_of_model(
     found = nearest_fixed_point(newton, start, tolerance)
     last = found
 
-    def by_load() -> Point:
-        return along_load(problem, model, start, rho, tolerance)
-
     def by_friction() -> Point:
         weak = problem.relaxed(0.0, rho, np.zeros_like(start.c)).section(np.zeros_like(multipliers))
         return along_friction(problem, model, solution(weak), rho, tolerance)
@@ -270,10 +265,7 @@ def fixed_point_of_model(
         stuck = solution(sticking.section(np.ones_like(multipliers)))
         return nearest_fixed_point(newton, stuck, tolerance)
 
-    strategies = [by_friction, from_stick]
-    if problem.is_load_step:
-        strategies.insert(0, by_load)
-    for strategy in strategies:
+    for strategy in (by_friction, from_stick):
         if found.residual > enough:
             found = strategy()
     for _ in range(MOST_SWEEPS):
@@ -287,7 +279,7 @@ def fixed_point_of_model(
 
 
 def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: float) -> Point:
-    """Return the point of Newton's method at multipliers (size,) with a gradient. Collective."""
+    """Return the `Point` for multipliers (size,) and the gradient there. Collective."""
     _, c = cones_at(problem, multipliers, gradient, rho)
     return Point(multipliers, c, gradient - problem.constraints.columns @ c, float("inf"))
 

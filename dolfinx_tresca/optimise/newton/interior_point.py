@@ -13,8 +13,8 @@ from dolfinx_tresca.optimise.models.model import Model, NodalMaps
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
-#: Part that is taken of the largest step that stays inside Lambda and its dual (the customary
-#: 0.99).
+#: Largest length of a step, divided by the length with which the step would reach the boundary of
+#: Lambda or of its dual (the customary 0.99).
 TO_BOUNDARY = 0.99
 
 #: Largest norm of a friction disc's multiplier at the start, divided by the radius of the disc.
@@ -60,16 +60,17 @@ def central_path(
     with lambda z = mu and the Jordan product (g, lambda) o (t, s) = (mu, 0), where mu goes to zero,
     in the scaling of Nesterov and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone
     program solvers). Each step costs one solve with M and a diagonal. There are no active sets that
-    could cycle, and the number of steps hardly depends on condition, size, or start. The iteration
-    ends when, by rounding, the point or its dual is no longer strictly inside its cone.
+    could cycle, and the number of steps hardly depends on the condition of M, on the number of
+    multipliers, or on the start. The iteration ends when, by rounding, the point or its dual is no
+    longer strictly inside its cone.
 
     Collective. Needs no product with A.
 
     Args:
         problem: Lambda and the inner product.
         model: model M of A.
-        multipliers: (size,) the origin of d.
-        gradient: (size,) r at the origin.
+        multipliers: (size,) the point from which the steps d are counted.
+        gradient: (size,) r at this point.
     """
     G = problem.constraints.columns
     path = _CentralPath(problem, model, multipliers, gradient)
@@ -133,7 +134,7 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 of each disc, positive in the cone; 1 for discs without a cone."""
+        """Return first^2 - |v|^2 for each disc, positive inside the cone; 1 if it has no cone."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 

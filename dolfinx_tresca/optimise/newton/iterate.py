@@ -38,7 +38,7 @@ class Iterate(ABC):
         multipliers: (size,) the point.
         r: (size,) gradient at the point.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
-        finest: least error that is requested of a gradient. This error is reduced if errors are as
+        finest: least error that is requested of a gradient. This limit is lowered if errors are as
             large as the change of the gradient by a step.
         resolved: whether the new part of the last product was larger than the product's error.
         learned: whether the last step may have changed the model of A.
@@ -65,14 +65,14 @@ class Iterate(ABC):
 
         The arguments are those of `__init__`.
         """
-        return (ExactIterate if problem.exact else InexactIterate)(problem, store)
+        return (ExactIterate if problem.operator.exact else InexactIterate)(problem, store)
 
     @abstractmethod
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        Only the part of the direction that known products do not give is new: this part and its
-        product are added to the store.
+        Known products give A times a part of the direction. The rest of the direction is new, and
+        is added to the store with its product.
 
         Args:
             direction: (size,) change of the multipliers; zero needs no product.
@@ -82,8 +82,8 @@ class Iterate(ABC):
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective.
 
-        No product is needed at zero, or if known products determine the gradient, for example at
-        the multipliers of the last solve with another load.
+        No product is needed at zero, or if known products determine the gradient, for example if a
+        solve with another load has ended at these multipliers.
 
         Args:
             multipliers: (size,) the point.
@@ -140,7 +140,7 @@ class Iterate(ABC):
         return r, error
 
     def refine(self, accuracy: float) -> None:
-        """Compute the gradient again if its error exceeds an accuracy. Collective.
+        """Compute the gradient again if its error exceeds `accuracy`. Collective.
 
         If the error is near the least error that the solver for K has reached, the gradient is not
         computed again.
@@ -168,7 +168,7 @@ class ExactIterate(Iterate):
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        Only the part of the direction that known products do not give is multiplied by A.
+        Known products give A times a part of the direction; only the rest is multiplied by A.
         """
         problem, known_pairs = self._problem, len(self._store)
         self.learned = False
@@ -179,7 +179,7 @@ class ExactIterate(Iterate):
         new, known = self._store.split(direction)
         if float(problem.inner(new, new)) == 0.0:
             return Step(direction, known, self.error)
-        product = problem.apply(new)
+        product = problem.operator.apply(new)
         self._store.add(new, product)
         self.learned = len(self._store) != known_pairs
         return Step(direction, known + product, self.error)
@@ -190,7 +190,7 @@ class ExactIterate(Iterate):
         if error <= wanted:
             return r, error
         new, known = self._store.split(multipliers)
-        product = self._problem.apply(new)
+        product = self._problem.operator.apply(new)
         self._store.add(new, product)
         return known + product - self._problem.b, 0.0
 
@@ -214,8 +214,8 @@ class InexactIterate(Iterate):
     def step(self, direction: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
-        The store keeps the part of the direction and of its product that known products do not
-        give.
+        Known products give A times a part of the direction. The rest of the direction is new, and
+        is added to the store with its product.
         """
         if float(self._problem.inner(direction, direction)) == 0.0:
             return self.zero_step()
@@ -234,7 +234,7 @@ class InexactIterate(Iterate):
         r, error, wanted = self._known_gradient(multipliers, part)
         if error <= wanted:
             return r, error
-        # an accuracy below the error of b is useless: for tiny multipliers the product would
+        # an accuracy below the error of b is useless: for tiny multipliers, the product would
         # consist of the error of b only
         r, error = problem.response.gradient(multipliers, max(wanted, problem.response.b_error))
         self._store.add(multipliers, r + problem.b, error + problem.response.b_error)

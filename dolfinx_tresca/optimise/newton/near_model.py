@@ -35,7 +35,7 @@ def solve(
     low-rank model made of known products with D. Each iteration solves the problem for M with D~ in
     place of D. It then computes a product with D, which gives the residual for M and improves D~. A
     product with D costs one solve with a small matrix, and no solve with K. Products with D are
-    kept as long as the products with A. Collective.
+    kept until the products with A are dropped. Collective.
 
     Args:
         problem: Lambda, D, and the known products with D and A.
@@ -55,7 +55,8 @@ def solve(
         near.add(new, product)
         return product
 
-    tolerance *= FORCING  # this costs no product with A and saves some, since the model is accurate
+    # a smaller tolerance costs no product with A, and saves some, since the model is accurate
+    tolerance *= FORCING
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):

@@ -112,9 +112,9 @@ class ProjectedNewton:
             return
         problem, near, x = self.problem, self.problem.near_products(), self.problem.b
         if near is None:
-            product = problem.apply(x)
+            product = problem.operator.apply(x)
             length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
-            store.add(x, product, problem.product_error * length)
+            store.add(x, product, problem.operator.product_error * length)
             return
         for _ in range(NEAR_POWERS):
             product = problem.near_field(x)

@@ -58,7 +58,7 @@ def conjugate_gradients(
         if np.sqrt(squared) <= tolerance:
             break
         direction = residual + (squared / before) * direction
-        image = problem.apply(direction)
+        image = problem.operator.apply(direction)
         curvature = float(problem.inner(direction, image))
         if curvature <= 0.0:  # rounding only: A is positive definite
             break

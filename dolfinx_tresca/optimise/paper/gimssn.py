@@ -31,7 +31,7 @@ def solve(
         target = multipliers - history.residual.rho * r
         projected = feasible_set.project(target)
         move = projected - multipliers
-        product = problem.apply(move)
+        product = problem.operator.apply(move)
         curvature = float(problem.inner(product, move) / problem.inner(move, move))
         # the Lanczos iteration missed an eigenvalue whose eigenvector is almost orthogonal to b
         if curvature * history.residual.rho >= 2.0:

@@ -70,7 +70,7 @@ def _iterate(
         target = multipliers - history.residual.rho * r
         face = feasible_set.face(target)
         fixed = np.where(face.active, multipliers, feasible_set.project(target))
-        r = r + problem.apply(fixed - multipliers)
+        r = r + problem.operator.apply(fixed - multipliers)
         inner = conjugate_gradients(problem, face.active, r, tolerance())
         multipliers = fixed + inner.step
         r = r + inner.product

@@ -35,7 +35,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     alphas: list[float] = []
     betas: list[float] = []
     while True:
-        w = problem.apply(basis[:, -1])
+        w = problem.operator.apply(basis[:, -1])
         alphas.append(float(problem.inner(basis[:, -1], w)))
         for _ in range(2):  # full orthogonalisation, twice: cheap for so few vectors
             w = w - basis @ problem.inner(basis, w)

@@ -35,7 +35,7 @@ def solve(
         derivative = feasible_set.projection_derivative(y)
 
         def image(v: Array, derivative: Callable[[Array], Array] = derivative) -> Array:
-            return v - derivative(v - history.residual.rho * problem.apply(v))
+            return v - derivative(v - history.residual.rho * problem.operator.apply(v))
 
         step = _bicgstab(
             problem,

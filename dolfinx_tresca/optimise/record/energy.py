@@ -17,7 +17,7 @@ def change_of_q(
         problem: the dual problem (38.4).
         x: (size,) multipliers.
         r: (size,) gradient at x.
-        origin: (size,) other multipliers.
+        origin: (size,) multipliers with which x is compared.
         origin_gradient: (size,) gradient at the origin.
     """
     step, constraints = x - origin, problem.constraints
@@ -26,13 +26,13 @@ def change_of_q(
 
 
 def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, product: Array) -> float:
-    """Return the part in [0, 1] of a step that minimises q, soft constraints included.
+    """Return the part t of a step, in [0, 1], at whose end q is least. Collective.
 
-    Collective.
+    Here q includes soft constraints.
 
     Args:
         problem: the dual problem (38.4).
-        x: (size,) multipliers.
+        x: (size,) multipliers at the start of the step.
         r: (size,) gradient at x.
         direction: (size,) the step.
         product: (size,) A times the direction.

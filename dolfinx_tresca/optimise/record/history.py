@@ -62,7 +62,7 @@ class History:
     def check_convergence(
         self, x: Array, r: Array, error: float | None = None
     ) -> ContactStatus | None:
-        """Record an iterate; return the status with which the iteration ends, or None. Collective.
+        """Record an iterate; return the status if the iteration ends here, else None. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.
@@ -81,7 +81,9 @@ class History:
             reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(
-            Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
+            Iteration(
+                number, problem.operator.products, self.residuals[-1], reached, wanted, self.q[-1]
+            )
         )
         if done:
             return ContactStatus.CONVERGED
@@ -156,11 +158,13 @@ def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
     The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
     """
     energy = float(problem.inner(x, r + problem.b))
-    return problem.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
+    return (
+        problem.operator.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
+    )
 
 
 def gradient(problem: DualProblem, x: Array) -> Array:
     """Return r = A x - b, without a product if x is zero. Collective."""
     if float(problem.inner(x, x)) == 0.0:
         return -problem.b
-    return problem.apply(x) - problem.b
+    return problem.operator.apply(x) - problem.b

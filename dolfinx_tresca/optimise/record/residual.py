@@ -21,8 +21,8 @@ class NaturalResidual:
     on the initial guess. If zero does not satisfy the equality constraints, the origin, which is
     the nearest point to zero that satisfies them, takes the place of zero. The scale is then at
     least |A lambda| at the origin. In a load step whose initial multipliers have a larger residual
-    than the origin, the scale is also at least |A lambda| at these multipliers: friction may
-    support a body that no load presses.
+    than the origin, the scale is also at least |A lambda| at these multipliers. An example is a
+    wedge that friction keeps in place after its load is removed: the residual at zero is zero.
 
     Attributes:
         rho: step length.
@@ -107,9 +107,9 @@ class NaturalResidual:
     def is_limited_by_rounding(self, residual: float) -> bool:
         """Return whether rounding may keep a residual from decreasing. Not collective.
 
-        The residual is then small compared with its scale or with b. If displacements by the loads
-        are tiny compared with a gap, the scale follows from the loads, but rounding errors follow
-        from the gap.
+        This is possible if the residual is small compared with its scale or with b. The size of b
+        matters if the loads move the bodies much less than the width of a gap: then the scale
+        follows from the loads, but rounding errors follow from the gap.
         """
         size = max(self.scale, self.rounding / ROUNDING)
         return residual <= EXHAUSTED * size

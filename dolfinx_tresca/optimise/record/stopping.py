@@ -26,11 +26,11 @@ UNPROVEN = 1e-6
 class Stopping:
     """The requested accuracy, which the discretisation error may determine.
 
-    With `accuracy=`, only the bound of the energy error is checked. By default the requested energy
-    error is a part of the discretisation error, and the traction of every node must be near its
-    local minimiser (`DualProblem.local_error`), since energies say little about peaks and states.
-    With `rtol=`, the residual is checked in addition: for slender bodies, for example, the energy
-    error may be large although the residual is small.
+    With `accuracy=`, only the bound of the energy error is checked. By default, the requested
+    energy error is a part of the discretisation error, and the traction of every node must be near
+    its local minimiser (`DualProblem.local_error`), since energies say little about peaks and
+    states. With `rtol=`, the residual is checked in addition: for slender bodies, for example, the
+    energy error may be large although the residual is small.
 
     Attributes:
         accuracy: relative error in the energy norm that is requested at present; inf if it is not
@@ -125,9 +125,9 @@ class Stopping:
 
     @property
     def residual_error(self) -> float:
-        """Norm sqrt(e'A^-1 e) up to which errors e of the gradient are sufficiently small.
+        """The largest tolerable norm sqrt(e'A^-1 e) of an error e of the gradient.
 
-        Their Euclidean norm |e| is then not larger than the requested residual.
+        The Euclidean norm |e| is then at most the requested residual.
         """
         rtol = UNPROVEN if self._rtol is None else self._rtol
         # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)

@@ -14,7 +14,7 @@ from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.positive_definite import factored
 
-#: The iteration ends without a solution if the rounding error of G z, divided by the terms of the
+#: The iteration ends without a solution if the rounding error of G z, relative to the terms of the
 #: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its
 #: solutions are on the boundary of Lambda.
 LOST = 1e-6
@@ -27,11 +27,11 @@ DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 #: longer where phi is flat. `MORE_DAMPING` is applied if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
-#: Line search for the part t of a step s, with the gradient g(t) of phi there. Let l be the longest
-#: part known to be too short. A part t is too long if (t - l) s'g(t) exceeds OVERSHOOT times the
-#: larger one of slope^2 / curvature and -l s'g(l), which is a lower bound of the descent at l. A
-#: shortened step is too short if the slope at its end is steeper than SLOPE_LEFT times the slope at
-#: its start.
+#: Line search for the part t of a step s. Let g(t) be the gradient of phi at this part, and l the
+#: longest part known to be too short. A part t is too long if (t - l) s'g(t) exceeds OVERSHOOT
+#: times the larger one of slope^2 / curvature and -l s'g(l), which is a lower bound of the descent
+#: at l. A shortened step is too short if the slope at its end is steeper than SLOPE_LEFT times the
+#: slope at its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
@@ -102,7 +102,7 @@ def constrained_projection(
         return x, p, agreed(matrix.along(p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
-        """Return two rounding errors (k,) of the residual: of its terms' sum, and of y + G z."""
+        """Return two rounding errors (k,) of the residual: from summing it, and from y + G z."""
         changes = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
         terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), changes])).T
         return agreed(ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(
@@ -145,7 +145,7 @@ def constrained_projection(
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
-                if above > after:  # where the secant of the slope has half of `SLOPE_LEFT`
+                if above > after:  # where the secant of the slope reaches half of `SLOPE_LEFT`
                     incline = (above - after) / (high - part)
                     root = part - (after - 0.5 * SLOPE_LEFT * slope) / incline
                 high, above = part, after

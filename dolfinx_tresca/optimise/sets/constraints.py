@@ -31,8 +31,8 @@ class EqualityConstraints:
     """The k equations G'x + S c = e for multipliers x in Lambda and multipliers c of the equations.
 
     Equations with S = 0 are exact, and c are their Lagrange multipliers. Equations with S > 0 are
-    soft: the term (e - G'x)'S^-1 (e - G'x) / 2 is added to q, and c = S^-1 (e - G'x). In both cases
-    the gradient in x is A x - b - G c. With k = 0 there are no equations, and no method
+    soft: the term (e - G'x)'S^-1 (e - G'x) / 2 is added to q, and c = S^-1 (e - G'x). In both
+    cases, the gradient in x is A x - b - G c. With k = 0, there are no equations, and no method
     communicates.
 
     The equations express the equilibrium of floating bodies (`floating/equilibrium.py`); this
@@ -89,10 +89,6 @@ class EqualityConstraints:
         softer, values = self.softness + softness * added, self.values + softness * c
         return dataclasses.replace(self, softness=softer, values=values)
 
-    def with_reduced_values(self, values: Array) -> EqualityConstraints:
-        """Return the equations with e - values in place of e; `values` (k,). Not collective."""
-        return dataclasses.replace(self, values=self.values - values)
-
     @property
     def are_soft(self) -> bool:
         """Whether any of the equations is soft. Not collective."""
@@ -146,7 +142,7 @@ class EqualityConstraints:
         ).shift
         result = feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
         for part in result:
-            part.flags.writeable = False  # it may be returned again
+            part.flags.writeable = False  # later calls may return this array again
         self._last[:] = feasible_set, y, c, rho, guess is not None, result
         return result
 
@@ -240,7 +236,7 @@ class EqualityConstraints:
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
-        For floating bodies the result is the energy norm of the rigid displacements that are
+        For floating bodies, the result is the energy norm of the rigid displacements that are
         missing for equilibrium.
         """
         missing = self.residual(x, c)
@@ -277,7 +273,7 @@ class EqualityConstraints:
 
     @cached_property
     def _range(self) -> tuple[Array, Matrix]:
-        """The eigenvalues of S above rounding, and their eigenvectors (k, number)."""
+        """The eigenvalues of S that exceed rounding errors, and their eigenvectors (k, number)."""
         if not self.are_soft:
             shape = (len(self), 0)
             return np.empty(0), csr_array(shape) if issparse(self.softness) else np.empty(shape)

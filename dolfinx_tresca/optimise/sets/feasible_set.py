@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
 #: Largest `circle_stiffness`, which takes the place of larger and infinite values.
 STIFFEST = 1e150
@@ -139,7 +139,7 @@ class FeasibleSet:
 
     @property
     def carrying(self) -> Mask:
-        """Which multipliers (size,) can be other than zero."""
+        """Which multipliers (size,) can be nonzero."""
         result = np.ones(self.size, dtype=np.bool_)
         result[self.tangential] = self.radius[self.node] > 0.0
         return result
@@ -225,25 +225,6 @@ class FeasibleSet:
         kappa = np.minimum(kappa, STIFFEST)
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]
-        return result
-
-    def gradient_at_rest(self, x: Array, r: Array) -> Array:
-        """Return the gradient (size,) nearest to r for which x in Lambda would be the solution.
-
-        Such a gradient is zero at pressed and at sticking nodes, not negative at open nodes, and
-        opposite to the multiplier at slipping nodes. Tangential parts of nodes without friction
-        are arbitrary and stay as they are. A path of loads starts with this gradient.
-        """
-        result = np.zeros_like(r)
-        open_ = x[self.normal] <= 0.0
-        result[self.normal] = np.where(open_, np.maximum(r[self.normal], 0.0), 0.0)
-        norms, t = self.norms(x), self.tangential
-        unit = np.zeros_like(x)
-        unit[t] = x[t]
-        unit = self.scaled_discs(unit, 1.0 / np.where(norms > 0.0, norms, 1.0))
-        slips = norms >= (1.0 - ROUNDING) * self.radius
-        along = np.where(slips, np.minimum(self.sums(unit * r), 0.0), 0.0)
-        result[t] = np.where((self.radius > 0.0)[self.node], unit[t] * along[self.node], r[t])
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:

@@ -22,8 +22,8 @@ from dolfinx_tresca.optimise.sets.friction_curves import Curve, NodalCurves
 class FrictionCones:
     """The convex set lambda_nu >= 0, |lambda_tau| <= c + min(F lambda_nu, l) of each node.
 
-    For c = 0 and without limit l each node has a second-order cone. The section of the set at given
-    pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
+    For c = 0 and without limit l, each node has a second-order cone. The section of the set at
+    given pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
     pressure minimises q over its own section, not over this set: see `fixed_point`.
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
@@ -59,7 +59,7 @@ class FrictionCones:
 
     @property
     def carrying(self) -> Mask:
-        """Which multipliers (size,) can be other than zero."""
+        """Which multipliers (size,) can be nonzero."""
         pressed = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
         has_friction = (self.constant > 0.0) | pressed
         return dataclasses.replace(self.discs, radius=has_friction.astype(np.float64)).carrying
@@ -72,10 +72,10 @@ class FrictionCones:
     def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere it is
+        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere, g is
         evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
-        distance rho v from the circle with radius g(v). At a solution of the problem this v equals
-        |r|. At other points this v depends less on r than |r| does, so that bounds that grow
+        distance rho v from the circle with radius g(v). At a solution of the problem, this v equals
+        |r|. At other points, this v depends less on r than |r| does, so that bounds that grow
         steeply with the slip stay moderate.
 
         Args:
@@ -302,8 +302,8 @@ class FrictionCones:
     def _nearest(self, y: Array) -> _Nearest:
         """Return the nearest points of the set in each node's half-plane (pressure, radius).
 
-        The boundary of the set in this plane has three edges: the axis up to c, the slope up to
-        c + l, and a line of constant radius beyond.
+        The boundary of the set in this plane has three edges: on the axis of zero pressure up to
+        the radius c, along a slope up to the radius c + l, and from there with constant radius.
         """
         p, s = self._pressures(y), self.discs.norms(y)
         c, grows = self.constant, (self.normal_of >= 0) & np.isfinite(self.constant)

@@ -15,10 +15,10 @@ from dolfinx_tresca._base.arrays import Array, Matrix
 
 
 def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
-    """Return a function that solves with the matrix; None if the matrix is not positive definite.
+    """Return a function that applies the inverse; None if the matrix is not positive definite.
 
     Sparse matrices are factored as L U without pivoting, which for positive definite matrices is as
-    stable as Cholesky's method. For other matrices this factorisation fails only at a zero pivot,
+    stable as Cholesky's method. For other matrices, this factorisation fails only at a zero pivot,
     not at a negative pivot.
     """
     try:

@@ -94,7 +94,7 @@ class Camera:
         return flat if flat.half < TURN * upright.half else upright
 
     def project(self, points: Array) -> Array:
-        """Return (n, 2) places of points in the view, 0 to 1 from its lower left corner."""
+        """Return positions (n, 2) of points in the view: (0, 0) lower left, (1, 1) upper right."""
         seen = (points - self.centre) @ self.axes[:2].T
         return np.asarray(0.5 + seen / (2.0 * self.half * np.array([self.aspect, 1.0])))
 
@@ -103,7 +103,7 @@ class Camera:
 
         Args:
             plotter: the plotter.
-            depth: extent of the scene along the view [length].
+            depth: extent of the scene along the viewing direction [length].
         """
         plotter.enable_parallel_projection()
         plotter.camera_position = [

@@ -34,7 +34,7 @@ class Contact:
         obstacle: the other side, if it is rigid; else None.
         label: number of the pair, to be written beside its curve; "" for a single pair.
         name: name of the pair for titles; "" for a single pair.
-        slip_of: "slip", or in a process "slip of step".
+        slip_of: name of the slip in titles and labels: "slip", or in a process "slip of step".
     """
 
     grid: Grid
@@ -67,7 +67,7 @@ class Contact:
     def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
         """Return the sticking nodes to mark: (True, pressed nodes) and (False, open nodes).
 
-        The list is empty if all nodes are pressed and stick, since this is said in the legend.
+        The list is empty if all nodes are pressed and stick, since the legend says so.
         """
         if not self.has_friction or self.all_stick:
             return []
@@ -94,7 +94,7 @@ class Contact:
 
 
 def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
-    """Return a surface on the first rank, None on others. Collective."""
+    """Return a whole surface on the first rank, None on other ranks. Collective."""
     grid = gather_grid((*surface.functions, surface.initial_gap))
     if grid is None:
         return None

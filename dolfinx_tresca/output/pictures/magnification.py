@@ -117,8 +117,9 @@ class _OverlapShifts:
         """Return the largest scale, minus 1, at which no gap in contact and no overlap is visible.
 
         The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is the
-        distance that the displacement closes beyond the shifts. With a tolerance of `invisible`
-        [length], the drawn distance must not be negative, and must be zero at pressed nodes.
+        reduction of the gap by the displacement, less the part that the shifts account for. With a
+        tolerance of `invisible` [length], the drawn distance must not be negative, and must be zero
+        at pressed nodes.
         """
         allowed = math.inf
         for contact, own, other in self._sides:

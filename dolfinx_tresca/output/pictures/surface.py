@@ -30,7 +30,7 @@ ARROWS = 350  #: approximate number of slip arrows on a surface
 #: Least cosine between the normal of a facet and the contact normal; lateral facets have smaller
 #: cosines.
 FACING = 0.15
-COARSE = 150  #: arrows and marks on a surface with fewer nodes are as small as with this number
+COARSE = 150  #: arrows and marks become no larger on a surface with fewer nodes than this
 
 
 def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
@@ -80,7 +80,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
 
 
 def _with_normals(surface: Any) -> Any:
-    """Return a surface with normals of its cells and points, all to one side of it."""
+    """Return a surface with normals of its cells and points, all on one side of the surface."""
     return surface.compute_normals(
         cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
     )
@@ -191,7 +191,7 @@ def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> No
 
 
 def view(surface: Any) -> tuple[Array, Array]:
-    """Return the direction towards the viewer, a surface's mean normal, and the upward direction.
+    """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
 
     A closed surface has no mean normal, and is seen obliquely.
     """
