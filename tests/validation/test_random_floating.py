@@ -355,7 +355,11 @@ def why_none_is_found(conic: Conic) -> str:
 def agrees_with_a_fresh_solve(
     scene: Floating, conic: Conic, solution: ContactSolution, asked: dict[str, float]
 ) -> bool:
-    """Compare a solution with a new problem's and the reference; False if that finds none."""
+    """Compare a solution with a new problem's, and this one with the reference.
+
+    Returns:
+        False if the new problem finds no solution.
+    """
     with scene.problem() as fresh:
         other = fresh.solve(**asked)
     if other.status in MISSES:
