@@ -9,7 +9,9 @@ residual, which our own code computes from the peer's multipliers after the cloc
 peer with another stopping criterion runs with several tolerances, the loosest first, until this
 residual is at most 1e-6; only the last run is counted. With `--error 0.01` the runs of each peer
 end instead when the error of the stresses, in L2 of the contact surface, is at most 1 %: users look
-at stresses, not at residuals.
+at stresses, not at residuals. `press_fit_steps`, a sequence of load steps with history, is judged
+in this way only, by the largest error of its steps. Each step starts from the last one; matrices
+are assembled once and, by this package, factored once.
 
     cholesky, multigrid     this package, projected Newton with K factored or with multigrid
     ssn, imssn, gimssn      algorithms of the paper, as implemented in this package; K factored
@@ -18,6 +20,8 @@ at stresses, not at residuals.
     monolithic_classical    the same with the derivative of Alart and Curnier
     penalty, augmented      penalty method, and augmented Lagrangians by Uzawa's method, with MUMPS
     getfem                  GetFEM (Debian: python3-getfem), its own assembly and Newton method
+    scikit_fem              scikit-fem's assembly, and the method of `monolithic` in scipy, whose
+                            sparse LU factorisation scikit-fem takes (SuperLU); PyPI
     mpgp                    Dostal's modified proportioning with gradient projections; K factored
     fista                   accelerated projected gradients with restarts; K factored
     clarabel_*, scs_*       cone programs: primal, sparse in (u, bounds of slips), or dual, with
@@ -43,8 +47,16 @@ from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
 from harness.figure import new_figure, plain_ticks, save
 from harness.memory import peak_memory, reset_peak_memory
 from harness.timing import spread, timed
-from peer_solvers import cones, getfem_bricks, gradients, monolithic, package, regularised
-from peer_solvers.discrete import Answer, exact_stresses, judge
+from peer_solvers import (
+    cones,
+    getfem_bricks,
+    gradients,
+    monolithic,
+    package,
+    regularised,
+    scikit_fem_bricks,
+)
+from peer_solvers.discrete import Answer, judge
 
 from dolfinx_tresca import Tresca
 from scenes import hertz, press_fit, two_bricks
@@ -89,14 +101,29 @@ def fit(comm: Comm, N: int) -> Scene:
     return replace(scene, pairs=[replace(scene.pair, friction=Tresca(bound))])
 
 
-#: Displacement of the pin [mm] at which a part of its surface slips.
-PUSH = 0.003
+def fit_in_steps(comm: Comm, N: int) -> Scene:
+    """Return the same, with the pin pushed out in load steps until it slips, and back. Collective.
+
+    Slip counts from the last step.
+    """
+    scene = fit(comm, N)
+    scene.data.pushes = PUSHES
+    return scene
+
+
+#: Displacement of the pin [mm] at which a part of its surface slips, and load steps.
+PUSH, PUSHES = 0.003, press_fit.PUSHES[1:9]
 
 SCENES: dict[str, Callable[[Comm, int], Scene]] = {
     **{end: partial(bricks, end=end) for end in two_bricks.ENDS},
     "ball": ball,
     "press_fit": fit,
+    "press_fit_steps": fit_in_steps,
 }
+
+#: Peers that start a load step from the last one, and those that have the mesh of the bricks alone.
+STEPPING = ("cholesky", "multigrid", "monolithic", "monolithic_classical", "penalty", "augmented")
+ON_BRICKS = ("getfem", "scikit_fem")
 
 
 def ours(method: str, stiffness: str = "cholesky") -> Solve:
@@ -118,6 +145,7 @@ def peers(rtol: float) -> dict[str, tuple[Solve, tuple[float, ...]]]:
         "penalty": (regularised.penalty, STEPS),
         "augmented": (regularised.augmented, STEPS),
         "getfem": (getfem_bricks.solve, FORCES),
+        "scikit_fem": (scikit_fem_bricks.solve, STEPS),
         "mpgp": (gradients.mpgp, (rtol,)),
         "fista": (gradients.fista, (rtol,)),
         "clarabel_primal": (partial(cones.primal, solver="clarabel"), CLARABEL),
@@ -144,7 +172,11 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         case = {"peer": peer, "scene": scene, "N": N, "rtol": arguments.rtol}
         if arguments.error:
             case["error"] = arguments.error
-        if peer != "getfem" or scene in two_bricks.ENDS:  # GetFEM meshes bricks only
+        steps = scene == "press_fit_steps"
+        left_out = (steps and not (arguments.error and peer in STEPPING)) or (
+            peer in ON_BRICKS and scene not in two_bricks.ENDS
+        )
+        if not left_out:
             yield {**case, "repeats": arguments.repeats}
 
 
@@ -163,7 +195,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     if wanted:
         tolerances = ERRORS
     scene = SCENES[case["scene"]](comm, case["N"])
-    exact = exact_stresses(scene)
+    exact = package.exact_stresses(scene)
     for tolerance in tolerances:
         if tolerance > case["loosest"] and len(tolerances) > 1:
             continue
@@ -207,6 +239,7 @@ NAMES = {
     "penalty": "penalty method",
     "augmented": "augmented Lagrangians (Uzawa)",
     "getfem": "GetFEM",
+    "scikit_fem": "scikit-fem, SciPy",
     "mpgp": "MPGP (Dostál)",
     "fista": "accelerated projected gradients",
     "clarabel_primal": "Clarabel, primal cone program",
@@ -300,6 +333,7 @@ LONG_NAMES = {
     "penalty": "penalty method, Newton",
     "augmented": "augmented Lagrangians (Uzawa), Newton",
     "getfem": "GetFEM, its own assembly and Newton method",
+    "scikit_fem": "scikit-fem's assembly, semismooth Newton in SciPy",
     "mpgp": "MPGP (Dostal)",
     "fista": "accelerated projected gradients (FISTA)",
     "clarabel_primal": "Clarabel, primal cone program, sparse",
@@ -326,6 +360,17 @@ def seconds_of(scene: str, N: int) -> Column:
     """Return the column of a scene and a size."""
     head = f"`{scene}`, n = {6 * N**3}"
     return Column(head, seconds, {"scene": scene, "N": N}, missing=DASH)
+
+
+def beside_ours(rows: list[Row]) -> list[Row]:
+    """Return rows with their seconds over those of this package with Cholesky on the same mesh."""
+    ours = {row["N"]: row["seconds"] for row in rows if row["peer"] == "cholesky"}
+    return [
+        {**row, "over_ours": row["seconds"] / ours[row["N"]]}
+        if row["status"] == "reached" and row["N"] in ours
+        else row
+        for row in rows
+    ]
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -385,8 +430,24 @@ BENCHMARK = Benchmark(
                 Column("of the normal force", "{normal_error:.1e}", missing=DASH),
                 Column("residual", "{residual:.0e}", missing=DASH),
             ],
-            chosen=lambda row: "error" in row,
+            chosen=lambda row: "error" in row and row["scene"] != "press_fit_steps",
             line=["scene", "N", "peer"],
+        ),
+        Table(
+            "peers_steps",
+            [
+                Column("solver", lambda rows: LONG_NAMES[rows[0]["peer"]]),
+                Column("n", "{n}"),
+                Column("processor seconds", seconds),
+                Column("over ours", "{over_ours:.1f}", missing=DASH),
+                Column("products", "{products}", missing=DASH),
+                Column("factorisations", "{factorisations}", missing=DASH),
+                Column("largest error of stresses", "{stress_error:.1e}", missing=DASH),
+                Column("of the normal force", "{normal_error:.1e}", missing=DASH),
+            ],
+            chosen=lambda row: row["scene"] == "press_fit_steps",
+            line=["N", "peer"],
+            derived=beside_ours,
         ),
     ],
 )

@@ -9,7 +9,8 @@ multipliers and keeps the products with A. Without history each solve is a stati
 friction depends on the total slip; with `problem.accept()` after each solve, slip counts from the
 last step. "rtol 1e-6" solves each step until the natural residual is 1e-6 of the residual at zero;
 "default" is `solve()`. Krylov iterations are all iterations of conjugate gradients in a step, on
-average over the steps.
+average over the steps. Seconds of a step are divided by those of the linear solve of cost.py, which
+includes assembly and factorisation.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from collections.abc import Iterator
 from statistics import mean
 
 import numpy as np
+from cost import linear
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.timing import timed
 
-from dolfinx_tresca import ContactStatus, Coulomb, Tresca
+from dolfinx_tresca import ContactSolution, ContactStatus, Coulomb, Tresca
 from scenes.scene import Scene
 from scenes.two_bricks import ENDS, SLIP_BOUND, two_bricks
 
@@ -31,6 +34,9 @@ FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
 
 #: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[str, Row] = {"default": {}, "rtol 1e-6": {"rtol": 1e-6}}
+
+#: Number of linear solves, of which the fastest counts.
+LINEAR = 3
 
 #: Seed of the signs of the changes; relative size of a change; number of changes.
 SEED, CHANGE, STEPS = 1, 0.1, 10
@@ -49,8 +55,18 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield a row for each accuracy, without history and with it. Collective."""
     scene = two_bricks(comm, case["N"], end=case["scene"])
     scene = scene.but(friction=FRICTION[case["friction"]])
+    linear(scene, case["backend"])  # compiles, loads and allocates what later solves need
+    seconds = min(timed(comm, lambda: linear(scene, case["backend"]))[0] for _ in range(LINEAR))
     for asked, history in itertools.product(case["asked"], (False, True)):
-        yield {"asked": asked, "history": history, **steps(scene, case["backend"], asked, history)}
+        found = steps(scene, case["backend"], asked, history)
+        ratio = mean(found["seconds"]) / seconds
+        yield {
+            "asked": asked,
+            "history": history,
+            **found,
+            "linear_seconds": seconds,
+            "ratio": ratio,
+        }
 
 
 def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
@@ -59,14 +75,21 @@ def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
     first = load.value.copy()
     signs = np.random.default_rng(SEED).choice([-1.0, 1.0], STEPS)
     factors = np.cumprod([1.0, *(1.0 + CHANGE * signs)])
-    solutions = []
+    solutions, seconds = [], []
     with scene.problem(stiffness=backend) as problem:
         n, m = problem.free_dofs, problem.contact_nodes
         for factor in factors:
             load.value[:] = factor * first
-            solutions.append(problem.solve(**ASKED[asked]))
-            if history:
-                problem.accept(unconverged=True)  # the row shows failures
+
+            def step() -> ContactSolution:
+                solution = problem.solve(**ASKED[asked])
+                if history:
+                    problem.accept(unconverged=True)  # the row shows failures
+                return solution
+
+            needed, solution = timed(scene.mesh.comm, step)
+            solutions.append(solution)
+            seconds.append(needed)
     load.value[:] = first
     cold, *warm = solutions
     failed = [one for one in solutions if one.status is not ContactStatus.CONVERGED]
@@ -77,6 +100,7 @@ def steps(scene: Scene, backend: str, asked: str, history: bool) -> Row:
         "cold": cold.products,
         "cold_krylov": cold.krylov_iterations,
         "products": [solution.products for solution in warm],
+        "seconds": seconds[1:],
         "krylov": [solution.krylov_iterations for solution in warm],
         "iterations": [solution.iterations for solution in warm],
         "failed": len(failed),
@@ -91,6 +115,11 @@ def counts(rows: list[Row]) -> str:
         return DASH
     text = f"{row['cold']} / {mean(row['products']):.1f} / {max(row['products'])}"
     return text + (f" ({row['failed']} not converged)" if row["failed"] else "")
+
+
+def products(rows: list[Row]) -> str:
+    """Return the mean of the products of a step."""
+    return f"{mean(rows[-1]['products']):.1f}"
 
 
 def krylov(rows: list[Row]) -> str:
@@ -142,6 +171,7 @@ BENCHMARK = Benchmark(
         Column("history", "{history}"),
         Column("cold / mean / most", counts, width=18),
         Column("Krylov", krylov),
+        Column("over linear", "{ratio:.2f}"),
     ],
     tables=[
         Table(
@@ -149,7 +179,21 @@ BENCHMARK = Benchmark(
             [*WHAT, *(column for backend in BACKENDS for column in each(backend))],
             chosen=lambda row: row["ranks"] == 1,
             line=["friction", "asked", "scene", "N"],
-        )
+        ),
+        Table(
+            "steps_cost",
+            [
+                *WHAT,
+                Column("back end", "{backend}"),
+                Column("n", "{n}"),
+                Column("step / linear solve", "{ratio:.2f}", {"history": False}),
+                Column("products, mean", products, {"history": False}),
+                Column("with `accept()`", "{ratio:.2f}", {"history": True}),
+                Column("products with it, mean", products, {"history": True}),
+            ],
+            chosen=lambda row: "ratio" in row and row["ranks"] == 1,
+            line=["friction", "asked", "scene", "N", "backend"],
+        ),
     ],
 )
 

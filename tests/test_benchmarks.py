@@ -97,6 +97,27 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
             assert table.markdown(rows) in printed
 
 
+def test_peers_find_the_same_stresses(tmp_path, monkeypatch):
+    """Also those with an assembly of their own, and after load steps with history."""
+    result = tmp_path / "rows.json"
+    peers = [
+        "cholesky",
+        "multigrid",
+        "monolithic",
+        "monolithic_classical",
+        "penalty",
+        "augmented",
+        "scikit_fem",
+    ]
+    arguments = ["--sizes", 4, "--scenes", "free_end_1", "press_fit_steps", "--error", 0.01]
+    arguments += ["--peers", *peers, "--here", "--changed", "--json", result]
+    run(monkeypatch, "peers", *arguments)
+    rows = kept(result)
+    assert len(rows) == 2 * len(peers) - 1  # scikit_fem has the bricks alone
+    for row in rows:
+        assert row["status"] == "reached", row
+
+
 def test_three_ways_to_hold_bodies_find_the_same_forces(tmp_path, monkeypatch):
     ways = importlib.import_module("holding_bodies")
     result = tmp_path / "rows.json"

@@ -6,7 +6,7 @@ Multipliers are stresses times sqrt(area of the node), and the rows of B are sca
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,17 +26,14 @@ from scenes.assembled import dual_program
 #: Limit for all kinds of iterations, which the limit of seconds ends before.
 MANY = 1_000_000
 
-#: Relative natural residual of the solution that counts as the exact discrete solution.
-REFERENCE = 1e-9
-
 
 @dataclass(frozen=True)
 class Answer:
     """The answer of a peer.
 
     Attributes:
-        multipliers: (size,) lambda; or, if there are `points`, (k, 3) tractions of the upper body
-            on the lower body.
+        multipliers: (size,) lambda, or (steps, size) after each of several load steps; or, if there
+            are `points`, (k, 3) tractions of the upper body on the lower body.
         work: numbers of products, factorisations or iterations, by name.
         note: message of the peer about the end of its iteration.
         stresses: whether the multipliers are stresses, without the factor sqrt(area).
@@ -82,32 +79,54 @@ def scipy_matrix(A: Any) -> Any:
     return csr_array((values, columns, pointers), shape=A.getSize())
 
 
-def primal_problem(scene: Any) -> Primal:
-    """Assemble K, f, N and T as matrices of scipy."""
+def apply_load_steps(scene: Any) -> Iterator[int]:
+    """Apply the pushes of a scene in turn and yield their numbers; without any: its load, once."""
+    for step, push in enumerate(getattr(scene.data, "pushes", (None,))):
+        if push is not None:
+            scene.data.push.value = -push
+        yield step
+
+
+def load_steps(scene: Any) -> list[Primal]:
+    """Assemble K, N and T once, as matrices of scipy, and f, d and s for each load step.
+
+    There s is without the slip of earlier steps.
+    """
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
-        system.assemble_load()
         pair = pair_surfaces(scene.V, system.prescribed, scene.pair)
         jump = assemble_B(scene.V, [pair])
         B, K = scipy_matrix(jump), scipy_matrix(system.K)
         jump.destroy()
-        f = system.f.x.array[: len(system.prescribed)]
-        free = np.flatnonzero(~system.prescribed)
+        free, prescribed = np.flatnonzero(~system.prescribed), np.flatnonzero(system.prescribed)
+        m = len(pair.normal_node)
+        K, N, T = K[free][:, free], B[:m][:, free], B[m:][:, free]
         size = np.sqrt(pair.weights)
         bound = SlipBounds(scene.V).at(scene.pair.friction, pair.nodes).constant * size
-        m = len(pair.normal_node)
-        jump_of_values = B[:, np.flatnonzero(system.prescribed)] @ system.prescribed_values()
-        return Primal(
-            K=K[free][:, free],
-            f=f[free],
-            N=B[:m][:, free],
-            T=B[m:][:, free],
-            gap=(pair.gap * size)[pair.normal_node] - jump_of_values[:m],
-            slip=-jump_of_values[m:],
-            node=pair.tangent_node,
-            bound=bound,
-            size=size,
-        )
+        steps = []
+        for _ in apply_load_steps(scene):
+            system.assemble_load()
+            jump_of_values = B[:, prescribed] @ system.prescribed_values()
+            steps.append(
+                Primal(
+                    K=K,
+                    f=system.f.x.array[free].copy(),
+                    N=N,
+                    T=T,
+                    gap=(pair.gap * size)[pair.normal_node] - jump_of_values[:m],
+                    slip=-jump_of_values[m:],
+                    node=pair.tangent_node,
+                    bound=bound,
+                    size=size,
+                )
+            )
+        return steps
+
+
+def primal_problem(scene: Any) -> Primal:
+    """Assemble K, f, N and T of a scene with one load as matrices of scipy."""
+    (data,) = load_steps(scene)
+    return data
 
 
 def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.ndarray], float]]:
@@ -117,25 +136,18 @@ def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.nd
     return rho, lambda x, r: residual.relative(residual.at(x, r))
 
 
-def exact_stresses(scene: Any) -> np.ndarray:
-    """Return the stresses (size,) of a solution that is accurate enough to measure errors by."""
-    with scene.problem(stiffness="cholesky") as problem:
-        result: np.ndarray = problem.solve(rtol=REFERENCE).multipliers
-    return result
-
-
 def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
     """Return the size of a problem, and relative errors of an answer. K is factored anew for this.
 
     Args:
         scene: the scene.
         answer: what a peer returned.
-        exact: (size,) result of `exact_stresses`.
+        exact: result of `package.exact_stresses`, (size,) or (steps, size).
 
     Returns:
         The number n of unknowns that are not prescribed, the number m of contact nodes, the natural
         residual, and the errors of the stresses in L2 of the contact surface and of the
-        normal force.
+        normal force. After several load steps: the largest of these errors, and no residual.
     """
     with dual_program(scene) as dual:
         pair, scale = dual.jump.pairs[0], dual.jump.stress_scale
@@ -144,17 +156,20 @@ def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
             x = along_directions(scene, pair, answer)
         if answer.points is not None or answer.stresses:
             x = x / scale
-        _, residual = residual_norm(dual)
         exact = exact / scale  # the Euclidean norm of multipliers is the L2 norm of stresses
         normal = slice(len(pair.normal_node))
-        force, missing = (abs(float((y / scale)[normal].sum())) for y in (exact, x - exact))
-        return {
+        force, missing = (np.abs((y / scale)[..., normal].sum(axis=-1)) for y in (exact, x - exact))
+        sizes = np.linalg.norm(x - exact, axis=-1) / np.linalg.norm(exact, axis=-1)
+        found = {
             "n": int((~dual.jump.system.prescribed).sum()),
             "m": len(pair.nodes),
-            "residual": residual(x, dual.operator.apply(x) - dual.b),
-            "stress_error": float(np.linalg.norm(x - exact) / np.linalg.norm(exact)),
-            "normal_error": missing / force,
+            "stress_error": float(np.max(sizes)),
+            "normal_error": float(np.max(missing / force)),
         }
+        if x.ndim == 1:
+            _, residual = residual_norm(dual)
+            found["residual"] = residual(x, dual.operator.apply(x) - dual.b)
+        return found
 
 
 def along_directions(scene: Any, pair: PairOperators, answer: Answer) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from petsc4py import PETSc
@@ -9,13 +10,16 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, vstack
 
-from peer_solvers.discrete import Answer, Primal, primal_problem
+from peer_solvers.discrete import Answer, Primal, load_steps
 
 #: Number of Newton steps after which the method counts as failed, since it cycles.
 MOST = 100
 
 #: c divided by E / h: of 0.01, 0.1, 1, 10 and 100 the best value for the classical derivative.
 STEP = 0.1
+
+#: Sparse matrix and right side -> solution.
+LinearSolve = Callable[[Any, np.ndarray], np.ndarray]
 
 OPTIONS = {
     "ksp_type": "preonly",
@@ -27,6 +31,18 @@ OPTIONS = {
 
 
 def solve(scene: Any, tolerance: float, *, classical: bool = False) -> Answer:
+    """Solve by the semismooth Newton method with MUMPS."""
+    return newton(load_steps(scene), scene.data.modulus, tolerance, lu_solve, classical=classical)
+
+
+def newton(
+    load_steps: Sequence[Primal],
+    modulus: float,
+    tolerance: float,
+    linear_solve: LinearSolve,
+    *,
+    classical: bool = False,
+) -> Answer:
     """Solve by Newton steps on K u + B'lambda = f, lambda = P(lambda + c (B u - d)).
 
     Without friction this is the primal-dual active set strategy (Hintermueller, Ito, Kunisch 2002).
@@ -35,31 +51,46 @@ def solve(scene: Any, tolerance: float, *, classical: bool = False) -> Answer:
     from remote starting points. Each step factors one sparse unsymmetric matrix. The iteration ends
     when |lambda - P(...)| is at most `tolerance` times |lambda|; the first equation, which is
     linear, holds after each step.
+
+    A load step starts from the lambda of the last one. With the modified derivative, nodes first
+    have the states of the last step; with the classical one, those at the last u and lambda. For
+    each this is the better start (press fit, N = 16: 19 factorisations in place of 31, and 30 in
+    place of 60). Slip counts from the last step.
     """
-    data = primal_problem(scene)
-    n, m = len(data.f), len(data.gap)
-    B = vstack([data.N, data.T], format="csr")
-    gap = np.concatenate([data.gap, data.slip])
-    c = STEP * scene.data.modulus / np.concatenate([data.size, data.size[data.node]])
+    K, N, T = load_steps[0].K, load_steps[0].N, load_steps[0].T
+    size, node = load_steps[0].size, load_steps[0].node
+    n, m = K.shape[0], N.shape[0]
+    B = vstack([N, T], format="csr")
+    c = STEP * modulus / np.concatenate([size, size[node]])
     scale, unscale, identity = diags_array(c), diags_array(1.0 / c), eye_array(len(c))
-    x = np.zeros(len(c))
+    u, x, slipped = np.zeros(n), np.zeros(len(c)), np.zeros(len(c) - m)
     y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
-    steps, error, projected = 0, np.inf, x
-    while error > tolerance * np.linalg.norm(projected) and steps < MOST:
-        steps += 1
-        projected, D = projection(data, y, None if classical else x)
-        # x = P(y) + D (x + c (B u - d) - y), divided by c
-        matrix = block_array(
-            [[data.K, B.T], [-unscale @ D @ scale @ B, unscale @ (identity - D)]], format="csr"
-        )
-        solution = lu_solve(matrix, np.concatenate([data.f, (projected - D @ (y + c * gap)) / c]))
-        x = solution[n:]
-        y = x + c * (B @ solution[:n] - gap)
-        projected, _ = projection(data, y, None)
-        error = np.linalg.norm(x - projected)
-    converged = error <= tolerance * np.linalg.norm(projected)
+    found: list[np.ndarray] = []
+    total, converged = 0, True
+    for data in load_steps:
+        gap = np.concatenate([data.gap, data.slip + slipped])
+        if classical and found:
+            y = x + c * (B @ u - gap)
+        steps, error, projected = 0, np.inf, x
+        while error > tolerance * np.linalg.norm(projected) and steps < MOST:
+            steps += 1
+            projected, D = projection(data, y, None if classical else x)
+            # x = P(y) + D (x + c (B u - d) - y), divided by c
+            matrix = block_array(
+                [[K, B.T], [-unscale @ D @ scale @ B, unscale @ (identity - D)]], format="csr"
+            )
+            right = np.concatenate([data.f, (projected - D @ (y + c * gap)) / c])
+            solution = linear_solve(matrix, right)
+            u, x = solution[:n], solution[n:]
+            y = x + c * (B @ u - gap)
+            projected, _ = projection(data, y, None)
+            error = np.linalg.norm(x - projected)
+        slipped += (y - projected)[m:] / c[m:]
+        found.append(projected)
+        total += steps
+        converged = converged and bool(error <= tolerance * np.linalg.norm(projected))
     note = "converged" if converged else "no convergence"
-    return Answer(projected, {"iterations": steps, "factorisations": steps}, note)
+    return Answer(np.squeeze(found), {"iterations": total, "factorisations": total}, note)
 
 
 def projection(data: Primal, y: np.ndarray, x: np.ndarray | None) -> tuple[np.ndarray, Any]:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.sparse import diags_array, vstack
 
-from peer_solvers.discrete import Answer, primal_problem
+from peer_solvers.discrete import Answer, Primal, load_steps
 from peer_solvers.monolithic import lu_solve, projection
 
-#: Number of Newton steps after which a solve counts as failed, and the residual, divided by the
+#: Number of Newton steps after which a load step counts as failed, and the residual, divided by the
 #: load, at which it ends.
 MOST, EQUILIBRIUM = 200, 1e-8
 
@@ -39,25 +39,53 @@ def augmented(scene: Any, tolerance: float) -> Answer:
 
 
 def _solve(scene: Any, factor: float, tolerance: float) -> Answer:
-    data = primal_problem(scene)
+    """Solve each load step from multipliers and states of the one before."""
+    steps = load_steps(scene)
+    m, nodes = len(steps[0].gap), np.concatenate([steps[0].size, steps[0].size[steps[0].node]])
+    c = factor * scene.data.modulus / nodes
+    x, slipped = np.zeros(len(c)), np.zeros(len(c) - m)
+    y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
+    found, updates, factorisations, converged = [], 0, 0, True
+    for data in steps:
+        start = x if np.isfinite(tolerance) else np.zeros(len(c))  # the penalty method has none
+        gap = np.concatenate([data.gap, data.slip + slipped])
+        x, y, work = _load_step(data, gap, c, tolerance, start, y)
+        slipped += (y - x)[m:] / c[m:]  # what is left of the jump is elastic
+        found.append(x)
+        updates, factorisations = updates + work[0], factorisations + work[1]
+        converged = converged and work[1] < MOST
+    note = "converged" if converged else "no convergence"
+    work = {"iterations": updates, "factorisations": factorisations}
+    return Answer(np.squeeze(found), work, note)
+
+
+def _load_step(
+    data: Primal,
+    gap: np.ndarray,
+    c: np.ndarray,
+    tolerance: float,
+    multipliers: np.ndarray,
+    y: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """Return x = P(y), y, and the numbers of updates of the multipliers and factorisations.
+
+    The first Newton step is linear: contact and slip are those of the given y.
+    """
     B = vstack([data.N, data.T], format="csr")
-    gap = np.concatenate([data.gap, data.slip])
-    c = factor * scene.data.modulus / np.concatenate([data.size, data.size[data.node]])
-    multipliers = np.zeros(len(c))
-    normal = np.where(np.arange(len(c)) < len(data.gap), 1.0, 0.0)
-    _, D = projection(data, normal, None)  # at first all nodes touch and stick
-    u = lu_solve((data.K + B.T @ D @ diags_array(c) @ B).tocsr(), data.f + B.T @ (D @ (c * gap)))
+    x, D = projection(data, y, None)
+    constant = x + D @ (multipliers - c * gap - y)
+    u = lu_solve((data.K + B.T @ D @ diags_array(c) @ B).tocsr(), data.f - B.T @ constant)
     steps, updates = 1, 0
 
-    def stress(u: np.ndarray) -> tuple[np.ndarray, Any, float]:
-        """Return P(y), its derivative and the energy, which is convex."""
+    def stress(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any, float]:
+        """Return y, P(y), its derivative and the energy, which is convex."""
         y = multipliers + c * (B @ u - gap)
         x, D = projection(data, y, None)
         spring = float(np.sum((y**2 - (y - x) ** 2) / (2.0 * c)))
-        return x, D, float(u @ (0.5 * (data.K @ u) - data.f)) + spring
+        return y, x, D, float(u @ (0.5 * (data.K @ u) - data.f)) + spring
 
     while True:
-        x, D, energy = stress(u)
+        y, x, D, energy = stress(u)
         residual = data.K @ u + B.T @ x - data.f
         if np.linalg.norm(residual) <= EQUILIBRIUM * np.linalg.norm(data.f):
             change, multipliers, updates = np.linalg.norm(x - multipliers), x, updates + 1
@@ -68,8 +96,7 @@ def _solve(scene: Any, factor: float, tolerance: float) -> Answer:
             break
         step = lu_solve((data.K + B.T @ D @ diags_array(c) @ B).tocsr(), residual)
         length = 1.0
-        while length > SHORTEST and stress(u - length * step)[2] > energy:
+        while length > SHORTEST and stress(u - length * step)[3] > energy:
             length *= 0.5
         u, steps = u - length * step, steps + 1
-    work = {"iterations": updates, "factorisations": steps}
-    return Answer(x, work, "converged" if steps < MOST else "no convergence")
+    return x, y, (updates, steps)
