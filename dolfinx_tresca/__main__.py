@@ -17,7 +17,7 @@ from dolfinx_tresca.errors import ContactError
 
 
 def main() -> None:
-    """Parse the command line and run the example or the check. Collective."""
+    """Parse the command line; solve the example, or print all versions. Collective."""
     parser = argparse.ArgumentParser(
         prog="python -m dolfinx_tresca",
         description="Solve two bricks in contact with friction, and write results to results/.",

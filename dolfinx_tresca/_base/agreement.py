@@ -265,7 +265,7 @@ class _Description:
     def _parts(self, value: Any) -> dict[str, Any] | None:
         """Return name -> part of a value; None if it has no parts.
 
-        The characters {} in a name stand for the name of the value itself.
+        Names are templates such as '{}.radius': the caller replaces {} by the value's name.
         """
         if hasattr(value, "values_to_agree"):
             return {f"{{}}.{name}": one for name, one in value.values_to_agree().items()}

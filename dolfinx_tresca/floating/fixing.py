@@ -177,11 +177,11 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
     Args:
         modes: rigid body modes that K resists little or not at all.
-        system: the `LinearSystem`. In a mixed space K is factored with pivots of any sign, and
-            softly held bodies need no springs.
+        system: the `LinearSystem`. In a mixed space softly held bodies get no springs, since the
+            factorisation of K does not need positive pivots there.
 
     Raises:
-        InputError: a body of a mixed space floats.
+        InputError: the space is mixed and a body floats.
     """
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None

@@ -185,7 +185,14 @@ def _products(
     body: npt.NDArray[np.int64],
     number: int,
 ) -> Array:
-    """Return the inner products (number, k, k) of fields (k, n, dim), for each body."""
+    """Return the inner products (number, k, k) of two sets of fields (k, n, dim), for each body.
+
+    Args:
+        modes: first set of fields.
+        others: second set of fields.
+        body: (n,) body of each node.
+        number: number of bodies.
+    """
     result = np.empty((number, len(modes), len(others)))
     for j, mode in enumerate(modes):
         for k, other in enumerate(others):

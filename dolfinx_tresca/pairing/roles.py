@@ -27,7 +27,10 @@ def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegr
     in_file = facets.file_numbers[:, :count]
 
     def rows(pairs: Indices) -> Indices:
-        """Return rows (node, its number in the file, number of an opposite node in the file)."""
+        """Return rows (node, its number in the mesh file, this number of an opposite node).
+
+        There is a row for each corner of the first facet of a pair, with each corner of the second.
+        """
         own, theirs = pairs.T
         columns = (
             np.repeat(nodes.facet_nodes[own], count, axis=1),

@@ -204,7 +204,8 @@ class ContactSurfaces(PetscOwner):
 
         Args:
             u: displacement [length] in the problem's space.
-            continues: whether u is the displacement of the last solve; see `LoadSteps.move`.
+            continues: whether u is the displacement of the last solve. The load step then stays
+                the same, and the next solve starts from its tractions (see `LoadSteps.move`).
 
         Raises:
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.

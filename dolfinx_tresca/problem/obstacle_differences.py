@@ -38,7 +38,8 @@ def obstacle_differences(
         constant: the Constant, on which positions of obstacles may depend.
         direction: change of the Constant, an array of the shape of its value.
         in_all_steps: whether the Constant changes in all load steps so far. If not, it changes only
-            after the accepted steps, whose slip is carried over to the displaced obstacle.
+            after the last accepted step: the slip of the accepted steps stays the same vector at
+            each node.
 
     Returns:
         The differences, which the caller destroys; None if no obstacle depends on the Constant.

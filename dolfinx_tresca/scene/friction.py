@@ -131,9 +131,9 @@ class Tresca(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a bound is not a real scalar, has no value at nodes, or is NaN; two bounds
-                have no direction, or one bound has a direction; the direction is not a vector; or
-                `only_in_contact` is not a bool.
+            InputError: a bound is not a real scalar, has no single value at a node, or is NaN;
+                `direction` is missing for two bounds, or given for one bound; it is not a vector;
+                or `only_in_contact` is not a bool.
         """
         _check_bound(self.slip_bound, self.direction, "the slip bound")
         if not isinstance(self.only_in_contact, bool):
@@ -214,10 +214,10 @@ class Coulomb(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a coefficient, the limit or the adhesion is not a real scalar, has no value
-                at nodes, or is NaN; a coefficient is a negative or infinite number; two
-                coefficients have no direction, or one coefficient has a direction; or the direction
-                is not a vector.
+            InputError: a coefficient, the limit or the adhesion is not a real scalar, has no single
+                value at a node, or is NaN; a coefficient is a negative or infinite number;
+                `direction` is missing for two coefficients, or given for one coefficient; or it is
+                not a vector.
         """
         name = "the coefficient of friction"
         if self.curve is None:
@@ -269,7 +269,7 @@ def _check_bound(
     """Check the type of one bound, or of two bounds and their direction.
 
     Raises:
-        InputError: two bounds have no direction, or one bound has a direction; see also
+        InputError: `direction` is missing for two bounds, or given for one bound; see also
             `check_scalar_field` and `check_vector_field`.
     """
     if not isinstance(bound, tuple):

@@ -104,8 +104,8 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
 
-    The modes are motions of all bodies together, and so rigid motions of each body: one set of
-    modes serves any number of bodies.
+    Each mode moves all bodies together as one rigid body, so it is a rigid motion of each body,
+    too: one set of modes serves any number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = PETSc.Vec().createMPI(

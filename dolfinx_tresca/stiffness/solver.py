@@ -323,7 +323,7 @@ class StiffnessSolver(PetscOwner):
 
         The estimate is sqrt(|r'M^-1 r|) times `uncertainty`, with the residual r and the
         preconditioner M. It is a bound if `uncertainty` is large enough. If M is indefinite, the
-        value has no meaning, except that it is not zero.
+        value is no estimate.
         """
         if self.exact:
             return 0.0

@@ -99,7 +99,10 @@ def offsets_at(facets: Facets, facet: Indices, x: Array) -> Array:
 
 
 def normals_at(facets: Facets, facet: Indices, x: Array) -> Array:
-    """Return outward unit normals (n, 3) of the exact surface; arguments as in `offsets_at`."""
+    """Return outward unit normals (n, 3) of the surface of the facets with their offsets.
+
+    The arguments are those of `offsets_at`.
+    """
     along = sum(
         np.einsum("dnk,nki->dni", tabulate(facets.cell, degree, 1, x)[1:], vectors[facet])
         for degree, vectors in ((facets.degree, facets.points), (OFFSET_DEGREE, facets.offsets))

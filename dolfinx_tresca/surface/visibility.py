@@ -179,12 +179,13 @@ class Visibility:
         return result
 
     def _occluders(self, own: bool, targets: Indices, reach: Array) -> _Occluders:
-        """Return the facets of one side that may hide primary points from secondary pieces.
+        """Return the facets of one side that may cross segments from pieces to primary points.
 
         Args:
             own: whether the occluders are on the secondary side.
             targets: (m,) secondary pieces, along whose normals the segments run.
-            reach: (m,) greatest height of the segments' ends over the pieces [length].
+            reach: (m,) largest distance of the segments' ends from the plane of each piece
+                [length].
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         # segments end at primary facets with opposed normals; such facets hide nothing

@@ -76,7 +76,7 @@ class LoadSteps:
         Args:
             jump: B.
             motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
-            depends_on_start: whether solutions of load steps may depend on the start of the solve.
+            depends_on_start: whether solutions may depend on the tractions at which a solve starts.
         """
         self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None

@@ -48,10 +48,10 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
     K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
     are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
     A couples multipliers only if they act on the same body. One solve with K finds one column of
-    each A_b: in this solve, the force of one multiplier acts on each body, without the opposite
-    force on the other body. The number of solves is the largest number of multipliers on a body,
-    however many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of
-    sparse Jacobian matrices.)
+    each A_b: in this solve, each body is loaded by one of its own multipliers, without the opposite
+    force on the other body of this multiplier. The number of solves is the largest number of
+    multipliers on a body, however many bodies there are. (Compare Curtis, Powell and Reid 1974, On
+    the estimation of sparse Jacobian matrices.)
 
     Args:
         operator: A. Each solve counts as a product.

@@ -72,8 +72,8 @@ def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
     """Return the numbers of the pairs in each group. Collective.
 
     If there are few pairs (`FEW_GROUPS`), each pair is a group of its own. Otherwise the pairs that
-    join the same bodies are one group: a body with 50 strips of surface responds to forces on the
-    strips as it responds to forces on one surface.
+    join the same bodies are one group, which saves products: as a whole, a body responds to forces
+    on 50 strips of its surface about as it responds to the same forces on one surface.
     """
     if len(jump.pairs) <= FEW_GROUPS:
         return [[k] for k in range(len(jump.pairs))]

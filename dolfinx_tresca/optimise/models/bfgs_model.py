@@ -42,7 +42,8 @@ class BlockBFGSModel(Model):
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
             W: (size, k) vectors with known products.
             Y: (size, k) products A W, with W'Y = I.
-            base: model that is updated in place of D; its diagonal replaces `diagonal`.
+            base: model that takes the place of D and is not changed; its diagonal replaces
+                `diagonal`.
         """
         self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal

@@ -74,8 +74,9 @@ class Curve:
 def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
     """Return the node numbers along each piece of a curve.
 
-    An open piece begins at its end with the least coordinates, a closed piece at its node with the
-    least coordinates. Pieces are sorted by their least coordinates.
+    An open piece begins at one of its ends, a closed piece at one of its nodes: at the first one if
+    they are sorted by x, then by y. Pieces are sorted by the lower left corners of their bounding
+    boxes.
     """
     neighbours: dict[int, list[int]] = {}
     for ends in lines:
@@ -153,7 +154,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
 
 
 def _label_axis(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
-    """Label the axis of the fields `names`; return the divisor by which their values are shown."""
+    """Label the axis of the fields `names`; return the divisor of their values."""
     pieces = range(len(curve.pieces))
     values = [curve.along(name, piece) for name in names for piece in pieces]
     how = scaled(label, unit, float(np.abs(np.concatenate(values)).max(initial=0.0)))
@@ -163,7 +164,7 @@ def _label_axis(curve: Curve, axes: Any, names: tuple[str, ...], label: str, uni
 
 
 def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
-    """Label the axis of arc length; return the divisor by which arc lengths are shown."""
+    """Label the axis of arc length; return the divisor of arc lengths."""
     how = scaled("arc length", unit, float(curve.arcs[-1][-1]))
     axes.set_xlabel(how.label)
     axes.xaxis.set_major_locator(locator())
