@@ -335,6 +335,7 @@ PARTS: dict[str, Patches] = {
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
     "tighten where unresolved": [(newton, "PROGRESS", math.inf)],
+    "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
     "start at the last multipliers": [
@@ -367,7 +368,8 @@ CONSTANTS = {
     "_base.arrays": "ROUNDING",
     "optimise.newton.near_model": "MOST",
     "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
-    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
+    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
+    "PRODUCT_ROUNDING",
     "optimise.models.far_field": "FAR_ENERGY",
     "optimise.models.bfgs_model": "LEAST_SOFTNESS",
     "optimise.newton.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
