@@ -128,9 +128,9 @@ class Series:
         return {int(Path(data.file).parent.name) for data in self._series}
 
     def _finish(self, unfinished: Path, step: Path, files: list[str], time: float) -> None:
-        """Rename the step, and replace the `.pvd`; at the first step remove the older series.
+        """Rename the folder of a step from `unfinished` to `step`, and write the `.pvd` anew.
 
-        Not collective.
+        At the first step, older steps that are not continued are removed. Not collective.
         """
         found = [
             DataSet(time, Path(file).stem, f"{self._folder.name}/{step.name}/{file}")

@@ -318,7 +318,8 @@ class RigidCylinder(RigidObstacle):
             hollow: whether the cylinder is a hole with the deformable body inside it.
 
         Raises:
-            InputError: the point or the axis is not a vector, or the radius is not positive.
+            InputError: the point or the axis is not a vector, the axis is zero, or the radius is
+                not positive.
         """
         if getattr(axis, "ufl_shape", np.shape(axis)) == (2,):
             raise InputError(

@@ -68,8 +68,8 @@ def check_expression(expression: Expr, name: str) -> None:
     """Check that a UFL expression is real and has a single value at each node.
 
     Raises:
-        InputError: the expression contains a complex or discontinuous part, a trial or test
-            function, or free indices.
+        InputError: the expression contains a part that is not float64 or not continuous, a trial or
+            test function, or free indices.
     """
     if expression.ufl_free_indices:
         raise InputError(f"{name} must have no free indices, found them in {_text(expression)}.")
