@@ -114,7 +114,8 @@ class BlockOnFloor:
         mine = np.linalg.norm(points[:, None] - self.points, axis=2).argmin(axis=1)
         pressure, slip = np.zeros((2, len(self.nodes)))
         pressure[mine] = np.maximum(fields["pressure"], 0.0)
-        slip[mine] = np.linalg.norm(fields["slip"], axis=1)
+        if "slip" in fields:  # else friction acts at no node
+            slip[mine] = np.linalg.norm(fields["slip"], axis=1)
         return pressure, slip
 
     def _displacement(self, solution: ContactSolution, unit: float) -> np.ndarray:
