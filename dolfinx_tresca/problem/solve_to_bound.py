@@ -65,6 +65,9 @@ def solve_to_bound(
             found, wanted=wanted, iterations=iterations, residuals=residuals, q=q
         )
         excess = evaluation.energy_error_bound / (SLACK * wanted)
+        if attempt > 0 and found.status is ContactStatus.STAGNATED and excess <= 1.0:
+            # rounding prevents the smaller bound, not the requested one
+            found = dataclasses.replace(found, status=ContactStatus.CONVERGED)
         if found.status is not ContactStatus.CONVERGED or not excess > 1.0:
             return found, evaluation, history
         start = found.multipliers
