@@ -20,7 +20,7 @@ from finite_sliding import RING_DEPTH, RING_FRICTION
 
 from dolfinx_tresca import Coulomb
 from dolfinx_tresca._base.compat import geometry_dofmap
-from peer_solvers.getfem_ironing import VIRTUAL_WORK
+from peer_solvers.getfem_ironing import CLAMPED, CONTACT, VIRTUAL_WORK, load_step
 from scenes.elasticity import lame_constants
 from scenes.large_sliding import (
     BLOCK_HALF,
@@ -34,8 +34,8 @@ from scenes.large_sliding import (
 
 POISSON = 0.3
 
-#: Regions of both meshes, and of the layers of the ring.
-CONTACT, CLAMPED, INNER, OUTER = 1, 2, 3, 4
+#: Regions of the layers of the ring, besides those of both meshes.
+INNER, OUTER = 3, 4
 
 #: Height of the middle of the ring.
 MIDDLE = RING_GAP + RING_RADIUS + RING_THICKNESS
@@ -44,8 +44,8 @@ MIDDLE = RING_GAP + RING_RADIUS + RING_THICKNESS
 #: by this size.
 RAY, AUGMENTATION = 6.0, 2.0
 
-#: Most Newton steps of a load step, and the residual [N] at which they end.
-MOST, RESIDUAL = 100, 1e-5
+#: Residual [N] at which the Newton steps of a load step end.
+RESIDUAL = 1e-5
 
 
 def forces(cells: int, steps: int) -> Iterator[tuple[float, np.ndarray, int]]:
@@ -102,17 +102,9 @@ def forces(cells: int, steps: int) -> Iterator[tuple[float, np.ndarray, int]]:
             )
     points_of_ring = kept[0][-1]
     for depth in np.linspace(0.0, RING_DEPTH, steps + 1):
-        model.set_variable("of_ring", [0.0, -RING_GAP - depth])
-        newton_steps, converged = model.solve(
-            "max_res", RESIDUAL, "max_iter", MOST, "lsolver", "mumps",
-            "lsearch", "simplest", "alpha min", 0.02,
-        )  # fmt: skip
-        if not converged:
-            raise RuntimeError(f"GetFEM's Newton method does not converge at {depth:g} mm")
-        for name in ("ring", "block"):
-            model.set_variable(f"last_{name}", model.variable(f"u_{name}"))
-        force = getfem.asm_generic(points_of_ring, 0, "traction", CONTACT, model)
-        yield depth, np.asarray(force), int(newton_steps)
+        displacement = [0.0, -RING_GAP - depth]
+        bodies = "ring", "block"
+        yield depth, *load_step(getfem, model, bodies, displacement, points_of_ring, RESIDUAL)
 
 
 def _mesh(getfem: Any, corners: np.ndarray, name: str) -> Any:

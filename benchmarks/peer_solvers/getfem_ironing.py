@@ -12,7 +12,7 @@ solves for displacements and multipliers at once.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from mpi4py import MPI
@@ -103,17 +103,43 @@ def forces(cells: int, steps: int) -> Iterator[tuple[float, np.ndarray, int]]:
     surface_of_block = kept[0][-1]
     for t in np.linspace(0.0, 2.0, steps + 1)[1:]:
         along, down = max(t - 1.0, 0.0) * IRONING_WAY, min(t, 1.0) * IRONING_DEPTH
-        model.set_variable("of_block", [along, -down])
-        newton_steps, converged = model.solve(
-            "max_res", RESIDUAL, "max_iter", MOST, "lsolver", "mumps",
-            "lsearch", "simplest", "alpha min", 0.02,
-        )  # fmt: skip
-        if not converged:
-            raise RuntimeError(f"GetFEM's Newton method does not converge at t = {t:g}")
-        for name in FACES:
-            model.set_variable(f"last_{name}", model.variable(f"u_{name}"))
-        force = getfem.asm_generic(surface_of_block, 0, "traction", CONTACT, model)
-        yield t, np.asarray(force), int(newton_steps)
+        yield t, *load_step(getfem, model, FACES, [along, -down], surface_of_block, RESIDUAL)
+
+
+def load_step(
+    getfem: Any,
+    model: Any,
+    bodies: Iterable[str],
+    displacement: list[float],
+    surface: Any,
+    residual: float,
+) -> tuple[np.ndarray, int]:
+    """Move the first body, solve, and let the slip of the next load step begin here.
+
+    Args:
+        getfem: the module.
+        model: GetFEM's model, with the variables `u_`, `last_` and `of_` of each body.
+        bodies: names of the bodies.
+        displacement: (2,) of the clamped side of the first body [mm].
+        surface: quadrature points (`MeshIm`) of the first body, over which tractions are summed.
+        residual: residual [N] at which Newton's method ends.
+
+    Returns:
+        the force (2,) on the first body [N], and the number of Newton steps.
+    """
+    first, *others = bodies
+    model.set_variable(f"of_{first}", displacement)
+    newton_steps, converged = model.solve(
+        "max_res", residual, "max_iter", MOST, "lsolver", "mumps",
+        "lsearch", "simplest", "alpha min", 0.02,
+    )  # fmt: skip
+    if not converged:
+        x, y = displacement
+        raise RuntimeError(f"GetFEM's Newton method fails with {first} at ({x:g}, {y:g}) mm")
+    for name in (first, *others):
+        model.set_variable(f"last_{name}", model.variable(f"u_{name}"))
+    force = getfem.asm_generic(surface, 0, "traction", CONTACT, model)
+    return np.asarray(force), int(newton_steps)
 
 
 def _mesh(getfem: Any, bodies: TaggedMesh, name: str, faces: dict[int, str]) -> Any:

@@ -328,7 +328,13 @@ def prescribed_before_coarser_facets(
 
 
 def _corners_of(corners: Indices, facets: Mask, count: int) -> Mask:
-    """Return which of `count` nodes are `corners` (n, k) of a facet in a mask (n,) of facets."""
+    """Return the mask (count,) of the nodes that are corners of facets in a mask.
+
+    Args:
+        corners: (n, k) corner nodes of each facet.
+        facets: (n,) mask of facets.
+        count: number of nodes.
+    """
     result = np.zeros(count, dtype=np.bool_)
     result[corners[facets]] = True
     return result

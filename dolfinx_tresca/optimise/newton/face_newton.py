@@ -14,7 +14,6 @@ from dolfinx_tresca.optimise.models.model import Model
 from dolfinx_tresca.optimise.newton.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
 #: model. With the value 1, each node would take the state that minimises q for fixed multipliers of
@@ -68,7 +67,6 @@ class FaceNewton:
         problem: DualProblem,
         model: Model,
         rho: float,
-        constraints: EqualityConstraints | None = None,
     ) -> None:
         """Prepare steps.
 
@@ -76,10 +74,8 @@ class FaceNewton:
             problem: admissible multipliers, constraints and inner product.
             model: model M of A.
             rho: step length with which natural residuals are measured.
-            constraints: equality constraints; None: those of the problem.
         """
         self._problem, self._model, self._rho = problem, model, rho
-        self._constraints = problem.constraints if constraints is None else constraints
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
@@ -88,7 +84,7 @@ class FaceNewton:
         The multipliers c of the constraints and the gradient r are given at z. The result contains
         their values at the projection.
         """
-        admissible, constraints = self._problem.admissible, self._constraints
+        admissible, constraints = self._problem.admissible, self._problem.constraints
         G, rho = constraints.columns, self._rho
         # Open nodes stay open unless c closes them. Otherwise rounding of c would cause pressures
         # at open nodes, and the work of these pressures across a wide gap would exceed the work of
@@ -110,7 +106,7 @@ class FaceNewton:
         `point`, which projects onto the constraints as well. Unlike `point`, it does not require
         that the section of z contains a point that satisfies the constraints.
         """
-        admissible, constraints = self._problem.admissible, self._constraints
+        admissible, constraints = self._problem.admissible, self._problem.constraints
         projected = admissible.at(z, r, self._rho).project(z)
         r = r + self._model.apply(projected - z)
         lam = admissible.at(projected, r, self._rho).section(projected)
@@ -141,7 +137,7 @@ class FaceNewton:
             softness: softness that is added to the constraints, but acts on the step in c only, as
                 in a proximal point method: solutions of the problem remain solutions.
         """
-        model, constraints = self._model, self._constraints
+        model, constraints = self._model, self._problem.constraints
         rho = np.asarray(RHO_DIAGONAL / self._size, dtype=np.float64)
         admissible = self._problem.admissible.at(z, r, rho)
         lam = admissible.section(z)

@@ -172,8 +172,8 @@ def _draw_slip(
     text = f"{contact.slip_of}, at most {quantity(largest, unit)}"
     if contact.has_path:
         path = float(np.asarray(surface.point_data["slip_path"]).max())
-        factor = scaled("", unit, path).factor
-        both = f"slip ≤ {largest / factor:.4g}, path ≤ {path / factor:.4g}"
+        divisor = scaled("", unit, path).factor
+        both = f"slip ≤ {largest / divisor:.4g}, path ≤ {path / divisor:.4g}"
         text = scaled(both, unit, path).label  # short: marks follow
     return tips, [mark(text, "$\u2192$")]
 
