@@ -2,14 +2,16 @@
 
     make measure
 
-Minutes and exit codes are logged in `results/measure.log`; a command that fails does not stop the
-other commands. Afterwards `make tables` writes the tables of the page. This script needs no
-DOLFINx, since each command calls `tools/fenicsx`.
+Commands that name no number of threads get one thread. Minutes and exit codes are logged in
+`results/measure.log`; a command that fails does not stop the other commands. Afterwards
+`make tables` writes the tables of the page. This script needs no DOLFINx, since each command calls
+`tools/fenicsx`.
 """
 
 from __future__ import annotations
 
 import datetime
+import os
 import re
 import subprocess
 import time
@@ -32,9 +34,10 @@ def commands(page: str) -> list[str]:
 def main() -> None:
     """Run the commands."""
     LOG.parent.mkdir(exist_ok=True)
+    environment = {"OMP_NUM_THREADS": "1", **os.environ}
     for command in commands((ROOT / "benchmarks" / "README.md").read_text()):
         start = time.perf_counter()
-        code = subprocess.run(command, shell=True, cwd=ROOT).returncode
+        code = subprocess.run(command, shell=True, cwd=ROOT, env=environment).returncode
         minutes = (time.perf_counter() - start) / 60
         now = datetime.datetime.now().isoformat(timespec="minutes")
         line = f"{now} {minutes:7.1f} minutes, exit code {code}: {command}"
