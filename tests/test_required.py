@@ -39,8 +39,11 @@ def test_a_mixed_scene_has_the_sum(comm):
     )
     with scene.problem() as problem:
         frictional, nodes = multipliers(comm, problem), problem.contact_nodes
+        before = entries(problem)
     with scene.problem(pairs=[scene.pair, plane]) as problem:
-        assert multipliers(comm, problem) == frictional + problem.contact_nodes - nodes
+        added = problem.contact_nodes - nodes
+        assert multipliers(comm, problem) == frictional + added
+        assert entries(problem) == before + added  # normals along an axis: one entry in each row
 
 
 def test_an_obstacle_has_one_side(comm):

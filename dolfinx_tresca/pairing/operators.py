@@ -220,7 +220,9 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
     values = jump.data[place, None] * directions[owner]
     ends = np.append(0, np.cumsum(counts, dtype=np.int64) * dim)
     shape = len(rows), jump.shape[1] * dim
-    return csr_array((values.ravel(), columns.ravel(), ends), shape)
+    result = csr_array((values.ravel(), columns.ravel(), ends), shape)
+    result.eliminate_zeros()  # no columns for directions normal to an axis
+    return result
 
 
 def _tangential_projections(
