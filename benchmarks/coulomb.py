@@ -130,7 +130,7 @@ WHAT = [
     Column("scene", "`{scene}`", width=15),
     Column("N", "{N}", width=2),
     Column("solver for K", "{backend}"),
-    Column("asked", "{asked}", width=7),
+    Column("requested", "{asked}", width=9),
 ]
 
 BENCHMARK = Benchmark(

@@ -26,7 +26,8 @@ from functools import partial
 from typing import Any
 
 from harness import Benchmark, Column, Comm, Row, Table
-from tradeoff_scenes import Reference, two_bricks
+from tradeoff_scenes import Mesh, Reference
+from tradeoff_scenes import two_bricks as graded_bricks
 
 import ufl
 from dolfinx import fem
@@ -35,6 +36,7 @@ from dolfinx_tresca import ContactSolution, TaggedMesh, solve_adaptively
 from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 from scenes.scene import Scene
+from scenes.two_bricks import on_bricks, two_bricks
 
 #: Accuracy that is never reached: a limit of unknowns ends the refinement of references.
 ACCURACY = 1e-12
@@ -82,7 +84,12 @@ def cylinder(comm: Comm, n: int, cell: str, degree: int) -> Scene:
 
 def bricks(comm: Comm, n: int, cell: str, degree: int) -> Scene:
     """Return the two bricks."""
-    return two_bricks(n, {"tetrahedron": "tetrahedra", "hexahedron": "hexahedra"}[cell], degree)
+    return two_bricks(comm, n, hexahedra=cell == "hexahedron", degree=degree)
+
+
+def fine_bricks() -> Scene:
+    """Return the two bricks with small cells at their edges, where stresses are singular."""
+    return on_bricks(graded_bricks(Mesh("hexahedra", 2, 9, grading=3.0)), degree=2)
 
 
 def of_blocks(name: str, narrow: bool = False, **kind: Any) -> Study:
@@ -135,11 +142,14 @@ STUDIES = {
     "bricks": Study(
         "two bricks",
         bricks,
-        fine=partial(two_bricks, 9, "hexahedra", 2, 3.0),
+        fine=fine_bricks,
         sizes=(4, 6, 8),
         dim=3,
     ),
 }
+
+#: Studies on adaptive meshes. They need finer references than the others (`--dofs`).
+ON_ADAPTIVE_MESHES = ("secondary_100", "secondary_100_3d", "primary_100")
 
 
 def reference(name: str, comm: Comm, dofs: int) -> tuple[Reference, float]:
@@ -219,7 +229,8 @@ def errors(rows: list[Row]) -> str:
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
-    parser.add_argument("--scenes", nargs="+", default=list(STUDIES), choices=STUDIES)
+    given = [name for name in STUDIES if name not in ON_ADAPTIVE_MESHES]
+    parser.add_argument("--scenes", nargs="+", default=given, choices=STUDIES)
     parser.add_argument("--dofs", type=int, default=40_000, help="of references, about")
     parser.add_argument("--coarse", type=int, default=3, help="only so many meshes of each kind")
 

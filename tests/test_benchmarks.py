@@ -45,7 +45,7 @@ RUNS = {
     "fixed_points": ("--number 3 --coefficients 3 --ways all", "found"),
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
-    "estimate": ("--scenes hertz --dofs 2000 --coarse 1", "estimate"),
+    "estimate": ("--scenes hertz bricks --dofs 2000 --coarse 1", "estimate"),
     "equilibrated": ("--sizes 4", "bound"),
     "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
     "finite_sliding": (
@@ -166,6 +166,13 @@ def test_cases_in_processes_of_their_own(tmp_path, echo):
     assert rows["fail"]["status"] == "AssertionError: as asked"
     assert rows["sleep"]["status"] == "stopped after 600 s"
     assert rows["sleep"]["found"] == 1  # what it had found until then
+
+
+def test_a_cell_without_its_figure_is_empty(monkeypatch):
+    """As in the row of a case that failed."""
+    table = importlib.import_module("harness.table")
+    for text in ("{found}", lambda rows: f"{rows[0]['found']}"):
+        assert table.Column("found", text, missing="none").cell([{"status": "stopped"}]) == "none"
 
 
 def test_rows_of_different_runs(tmp_path):

@@ -44,10 +44,8 @@ class Column:
         rows = self.rows(line)
         if not rows:
             return self.missing
-        if callable(self.text):
-            return self.text(rows)
         try:
-            return self.text.format(**rows[-1])
+            return self.text(rows) if callable(self.text) else self.text.format(**rows[-1])
         except (KeyError, TypeError):  # no such figure, or None
             return self.missing
 
