@@ -24,10 +24,11 @@ import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import mean
+from typing import Any
 
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 
-from dolfinx_tresca import ContactProblem
+from dolfinx_tresca.problem.contact_system import ContactSystem
 
 DEMOS = Path(__file__).parents[1] / "demos"
 
@@ -95,7 +96,7 @@ def without_checks(text: str) -> str:
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
     """Yield the models."""
-    for model in MODELS:
+    for model in arguments.models:
         yield {"model": model}
 
 
@@ -104,14 +105,14 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     name, size = MODELS[case["model"]]
     script = DEMOS / f"demo_{name}.py"
     products: list[int] = []
-    solve = ContactProblem.solve
+    solve = ContactSystem.solve
 
-    def counted(self: ContactProblem, **asked: object) -> object:
-        solution = solve(self, **asked)
-        products.append(solution.products)
-        return solution
+    def counted(self: ContactSystem, *arguments: Any, **named: Any) -> Any:
+        found = solve(self, *arguments, **named)
+        products.append(found.products)
+        return found
 
-    ContactProblem.solve = counted  # each case runs in a process of its own
+    ContactSystem.solve = counted  # each case runs in a process of its own
     sys.argv = [str(script), str(size)]
     os.chdir(tempfile.mkdtemp())
     start = time.perf_counter()
@@ -131,6 +132,11 @@ def solves(rows: list[Row]) -> str:
     return f"{len(products)}: {products[0]} / {mean(products[1:]):.1f}"
 
 
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the cases."""
+    parser.add_argument("--models", nargs="+", default=list(MODELS), choices=MODELS)
+
+
 def peer(name: str, rows: list[Row]) -> str:
     """Return the lines and the path of the most similar example of another package."""
     return PEERS.get(rows[-1]["model"], {}).get(name, DASH)
@@ -142,6 +148,7 @@ BENCHMARK = Benchmark(
     key=("model",),
     cases=cases,
     measure=measure,
+    options=options,
     shown=[
         Column("model", "{model}", width=18),
         Column("lines", "{lines}"),
