@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import io
-import os
 import re
 import runpy
 import sys
@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import mean
 from typing import Any
+from unittest import mock
 
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 
@@ -112,11 +113,14 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         products.append(found.products)
         return found
 
-    ContactSystem.solve = counted  # each case runs in a process of its own
-    sys.argv = [str(script), str(size)]
-    os.chdir(tempfile.mkdtemp())
     start = time.perf_counter()
-    runpy.run_path(str(script), run_name="__main__")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.chdir(folder),
+        mock.patch.object(sys, "argv", [str(script), str(size)]),
+        mock.patch.object(ContactSystem, "solve", counted),
+    ):
+        runpy.run_path(str(script), run_name="__main__")
     yield {
         "lines": code_lines(script.read_text()),
         "model_lines": code_lines(without_checks(script.read_text())),

@@ -59,7 +59,7 @@ RUNS = {
     "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
     "mutation": ("--number 1 --tests tests/optimise/test_stopping.py", "tests"),
     "ablation": ("--scenes dense --parts safeguard _base.forcing.FORCING", "total"),
-    "embedding": ("--models impact", "products"),
+    "embedding": ("--models impact", "lines"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }
 
