@@ -36,7 +36,7 @@ class ContactOperators(PetscOwner):
     N and T are PETSc matrices, which `ContactProblem.destroy()` frees.
 
     Example:
-        The cube of `ContactProblem`, pressed by a plane, on one rank. Non-negative least squares
+        The cube in the example of `ContactProblem`, on one rank. Non-negative least squares
         find the forces F >= 0 that minimise 1/2 F'A F - F'b, where A = N K^-1 N' = C C' and
         b = N K^-1 f - gap.
 

@@ -45,7 +45,7 @@ class LastSolve:
         dual: the dual problem.
         multipliers: (size,) solution of the dual problem.
         fields: the fields of the solution.
-        inputs: load, slip bounds and added gaps.
+        inputs: load, slip bounds and added gaps of this solve, to detect later changes.
         options: options of the contact algorithm.
         moved: (pairs,) whether the pair's obstacle moves in this load step.
     """

@@ -1,4 +1,4 @@
-"""Accepted load steps of a process, for derivatives through its slip history."""
+"""Accepted load steps of a problem, for derivatives through its slip history."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class _Recorded:
 
 
 class ProcessTape:
-    """The accepted load steps of a process, and derivatives of goals through all of them.
+    """The accepted load steps of a problem, and derivatives of goals through all of them.
 
     `ContactProblem.record` makes a tape. For each step, the tape keeps in memory the displacement,
     the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
@@ -85,8 +85,8 @@ class ProcessTape:
     with one adjoint solve for each step.
 
     Example:
-        The cube of `ContactProblem` on a floor with Tresca friction, pressed more and more in two
-        steps; the derivative of the force with respect to the displacement prescribed in each step:
+        The cube in the example of `ContactProblem`, pressed more and more in two steps; the
+        derivative of the force with respect to the displacement prescribed in each step:
 
         >>> from dolfinx_tresca import ContactProblem, NormalForce
         >>> down = fem.Constant(cube, (0.0, 0.0, -1e-3))
@@ -113,8 +113,8 @@ class ProcessTape:
 
         Args:
             contact: the problem whose load steps are recorded.
-            solved_for: function that returns the last solve of the problem, or raises an error; its
-                argument is the purpose that the error names.
+            solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
+                an error that names the purpose.
             forms_at: function that returns the forms and conditions of the problem at a given
                 displacement.
             checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
@@ -395,8 +395,8 @@ class ProcessTape:
 
         Raises:
             ContactError: an obstacle is not where it was in the recorded steps.
-            InputError: an obstacle depends on a control, and an obstacle moved in the process, or
-                there was slip at the start of the process.
+            InputError: an obstacle depends on a control, and either an obstacle moved while steps
+                were recorded, or there was slip when recording began.
         """
         contact = self._contact
         if self._surfaces.obstacles.changed(self._surfaces.jump).any():

@@ -110,10 +110,10 @@ class Differentiation:
     Here `explicit` is the derivative of J for fixed u and multipliers, d the gap, u_D the
     prescribed values, g the slip bound of a node, and t the direction of its traction; q_u and q_x
     are the derivatives of J with respect to u and to the multipliers. The derivative with respect
-    to the slip origin s is y, like the derivative with respect to the gap. In a process a node that
-    stuck in the previous step keeps the s of the previous step; for any other node s is its
-    tangential jump T u in the previous step. So y carries the derivatives of a step's goals back to
-    the previous step.
+    to the slip origin s is y, like the derivative with respect to the gap. A node that stuck in the
+    previous load step keeps the s of this previous step; for any other node s is its tangential
+    jump T u in the previous step. So y carries the derivatives of a step's goals back to the
+    previous step.
     """
 
     def __init__(

@@ -80,7 +80,10 @@ class ObstacleDifferences(PetscOwner):
         return (of(self.after) - of(self.before)) / (2.0 * self.step)
 
     def offset(self, u: fem.Function) -> Array:
-        """Return the directional derivative (size,) of (d; s) - B u for fixed u. Collective."""
+        """Return the directional derivative (size,) of (d; s) - B u for fixed u.
+
+        Here d are the gaps and s the slip origins. Collective.
+        """
         result = self.difference(lambda jump: jump.gap - jump.of_displacement(u))
         if self.origin is not None:
             origin, present = self.origin, self.present

@@ -43,7 +43,10 @@ class SolvedStep:
 
     @cached_property
     def gradient(self) -> Array:
-        """(size,) gradient (d; s) - B u of the dual energy. Collective at the first access."""
+        """(size,) gradient (d; s) - B u of the dual energy, with gaps d and slip origins s.
+
+        Collective at the first access.
+        """
         return self.dual.response.gradient_of(self.u.x.petsc_vec)
 
     @cached_property

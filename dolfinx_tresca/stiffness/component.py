@@ -31,7 +31,7 @@ class Component(PetscOwner):
     """
 
     def __init__(self, space: Any, index: int) -> None:
-        """Collapse the sub-space, which numbers its degrees of freedom anew. Collective.
+        """Collapse the sub-space, which gives its degrees of freedom other numbers. Collective.
 
         Args:
             space: the mixed space.

@@ -338,7 +338,7 @@ class StiffnessSolver(PetscOwner):
         return float(np.sqrt(abs(square))) * self.uncertainty
 
     def _note_eigenvalues(self) -> None:
-        """Update the smallest Ritz value of M^-1 K so far."""
+        """Update the smallest Ritz value of M^-1 K so far, with the preconditioner M."""
         if self._ksp.getType() == PETSc.KSP.Type.CG and self._ksp.getIterationNumber() > 1:
             values = self._ksp.computeEigenvalues().real
             if values.min() > 0.0:

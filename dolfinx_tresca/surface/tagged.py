@@ -153,7 +153,9 @@ def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
 
 
 def _check_areas(comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int, side: str) -> None:
-    """Check that no facet is degenerate: much smaller than `whole`, (n,) or for all. Collective.
+    """Check that no facet is degenerate: its area must not be rounding, compared with `whole`.
+
+    `whole` is one value for all facets, or an array (n,). Collective.
 
     Raises:
         PairingError: a facet has no area.
