@@ -121,7 +121,7 @@ def couple(
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
-    """Warn if nodes (n,) penetrate so little that errors of the `sagitta` (n,) matter. Collective."""
+    """Warn if nodes (n,) penetrate so little that errors of `sagitta` (n,) matter. Collective."""
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )

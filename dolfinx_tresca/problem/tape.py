@@ -115,8 +115,7 @@ class ProcessTape:
             contact: the problem whose load steps are recorded.
             solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
                 an error that names the purpose.
-            forms_at: function that returns the forms and conditions of the problem at a given
-                displacement.
+            forms_at: function (u) -> forms and conditions of the problem at the displacement u.
             checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
                 of all steps are kept.
             folder: folder for files of the checkpoints; None: checkpoints are kept in memory.
