@@ -329,7 +329,7 @@ class ContactProblem(ContactProcess):
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
-            ContactError: nothing was solved since the last change.
+            ContactError: nothing was solved since the problem changed.
             InputError: the goal is wrong, or `a` is no form of UFL, or is on a mixed space.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """

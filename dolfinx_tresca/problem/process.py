@@ -340,7 +340,7 @@ class ContactProcess(PetscOwner, Tabulated):
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
-            ContactError: nothing was solved since the last change.
+            ContactError: nothing was solved since K or the pairing changed.
             InputError: the goal is wrong.
         """
         self._contact.check_not_destroyed()
@@ -506,7 +506,7 @@ class ContactProcess(PetscOwner, Tabulated):
             purpose: name of the result that needs the solve, for errors.
 
         Raises:
-            ContactError: nothing was solved since the last change.
+            ContactError: nothing was solved since the problem changed.
             InputError: `a` is no form of UFL, or is on a mixed space.
         """
 

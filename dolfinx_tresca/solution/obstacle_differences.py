@@ -96,7 +96,7 @@ class ObstacleDifferences(PetscOwner):
         The multipliers are fixed; the tangents change.
 
         Args:
-            pair: number of the pair.
+            pair: number of the pair, from 0 on.
             rows: positions of the pair's tangential multipliers.
             x: (size,) multipliers, which are tractions divided by `JumpOperator.stress_scale`.
         """
@@ -112,7 +112,7 @@ class ObstacleDifferences(PetscOwner):
         The components of the slip are fixed; the tangents change.
 
         Args:
-            pair: number of the pair.
+            pair: number of the pair, from 0 on.
             rows: positions of the pair's tangential multipliers.
             slip: (size,) slip, divided by `JumpOperator.length_scale`.
         """

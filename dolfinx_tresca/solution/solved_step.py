@@ -27,7 +27,7 @@ class SolvedStep:
     """A solution, with the problem that it solves.
 
     Attributes:
-        dual: the problem.
+        dual: the dual problem.
         multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.

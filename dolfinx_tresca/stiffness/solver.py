@@ -72,7 +72,7 @@ class StiffnessSolver(PetscOwner):
         Args:
             name: name of the solver for tables.
             K: the matrix.
-            defaults: PETSc options.
+            defaults: PETSc options that define the solver.
             petsc_options: options of the user, which take precedence.
             prefix: prefix in PETSc's database of options. Options that this database has already,
                 from a command line, take precedence over `defaults`. None: a new prefix.

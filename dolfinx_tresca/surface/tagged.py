@@ -77,7 +77,7 @@ def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
 
     Args:
         V: the space of the displacement.
-        facets: the facets.
+        facets: the undeformed facets.
         u: (nodes, dim of space) displacement of this rank's nodes [length].
         tag: the tag of the surface, for error messages.
         side: "secondary" or "primary", for error messages.
