@@ -49,7 +49,8 @@ class ContactSurfaces(PetscOwner):
         nodal_values: object that evaluates users' fields at these nodes.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
         compliance: A = B K^-1 B', with K factored.
-        guess: displacements of earlier solves with the present B, for first guesses.
+        guess: displacements of earlier solves with the present B, for first guesses of iterative
+            solves with K.
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         sliding: the displacement at which surfaces were last paired, and a check of the slip since
             this pairing.

@@ -75,10 +75,10 @@ class ProcessTape:
     the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
     and Dirichlet conditions; values that do not change from one step to the next are kept once.
 
-    With checkpoints, the tape keeps no displacements. At each k-th step, it keeps the multipliers
-    and the origin of the slip, which are values on the contact surfaces, in memory or in files. For
-    derivatives, it then solves again, for k steps at a time. The first of these k solves starts
-    from the multipliers that were kept at its step, and costs a product or two.
+    With checkpoints at each k-th step, the tape keeps no displacements. At these steps, it keeps
+    the multipliers and the origin of the slip, which are values on the contact surfaces, in memory
+    or in files. For derivatives, it then solves again, for k steps at a time. The first of these k
+    solves starts from the multipliers that were kept at its step, and costs a product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history,

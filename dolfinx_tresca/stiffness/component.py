@@ -21,7 +21,7 @@ class Component(PetscOwner):
     """One sub-space of a mixed space, in a numbering of its own.
 
     A node on the border of two ranks may have one owner in the sub-space, and another owner in the
-    mixed space.
+    mixed space. So `of` needs ghost values.
 
     Owns PETSc objects: call `destroy()`.
 

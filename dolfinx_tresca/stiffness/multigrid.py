@@ -82,7 +82,7 @@ def multigrid(
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
             and columns for prescribed values.
-        V: the space to which the rows of K belong.
+        V: the space of the unknowns u.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
             apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
