@@ -58,7 +58,7 @@ def lacks_display() -> bool:
         return False
     if vtk_version() >= (9, 5):
         return True
-    import_module("vtkmodules.vtkRenderingOpenGL2")  # fills the factory of windows
+    import_module("vtkmodules.vtkRenderingOpenGL2")  # registers the kinds of window
     window = import_module("vtkmodules.vtkRenderingCore").vtkRenderWindow()
     return str(window.GetClassName()) == "vtkXOpenGLRenderWindow"
 

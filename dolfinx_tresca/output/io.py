@@ -101,8 +101,8 @@ def write(
 
     Raises:
         InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
-            a name that is taken, the angle is wrong, a format has no blocks, or the file cannot be
-            written.
+            a name that is taken, the angle is wrong, the format does not support `revolve` or
+            `by_body`, or the file cannot be written.
     """
     blocks = blocks_of(solution, fields)
     angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)

@@ -57,16 +57,16 @@ def plot(
     Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
     mean normal, or obliquely if they are closed. Surfaces that are bent about an axis, like holes
     and shafts, are unrolled and seen from outside. Colours show the pressure, and arrows the slip
-    of the secondary side against the primary side (in a process the slip of the step; with finite
-    sliding the legend also has the longest path of the slip over all steps). Black discs mark
-    pressed nodes that stick, rings open nodes that stick; open parts are grey.
+    of the secondary side against the primary side (after an accepted load step the slip of the new
+    step; with finite sliding the legend then also has the longest path of the slip over all steps).
+    Black discs mark pressed nodes that stick, rings open nodes that stick; open parts are grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
-    its arc length. In a process with finite sliding the length of the slip's path over all steps
-    replaces the slip. On the bodies the curve is thick and red where it is pressed, thin and black
-    where it is open. Its start is marked by a dot or, with several pairs, by the number of the
-    pair; a closed curve runs counterclockwise. Without friction there are no arrows, marks,
-    tractions and slips.
+    its arc length. After an accepted load step with finite sliding, the length of the slip's path
+    over all steps replaces the slip. On the bodies the curve is thick and red where it is pressed,
+    thin and black where it is open. Its start is marked by a dot or, with several pairs, by the
+    number of the pair; a closed curve runs counterclockwise. Without friction there are no arrows,
+    marks, tractions and slips.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
     the others, the range of colours ends below these, and the colour bar has an arrow and the
@@ -157,7 +157,7 @@ def compose(
     units: Units | None,
     angle: float = 0.0,
 ) -> Any:
-    """Return the picture as a matplotlib figure, in the current style. Not collective."""
+    """Return the picture as a figure, in matplotlib's current style. Not collective."""
     from matplotlib.figure import Figure
 
     height = HEIGHT if len(contacts) < 2 else ROW * len(contacts)

@@ -51,7 +51,7 @@ def error_rows(found: Evaluation) -> list[Row]:
 
 
 def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
-    """Return the rows of the contact, with the digits that `local_error` justifies."""
+    """Return the rows of the contact, with the digits that the error of nodal values justifies."""
     counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
     dim = 3 if found.axisymmetric else dim  # forces on whole rings
     has_friction = any(surface.traction is not None for surface in found.surfaces)

@@ -101,8 +101,8 @@ class Series:
     def _begin(self, time: float) -> Path:
         """Return the folder of the step, and create its temporary folder. Not collective.
 
-        The first step of a continued series reads the older steps, and drops all steps that are not
-        before its time.
+        Before the first step of a continued series, the index of older steps is read, and steps
+        that are not before `time` are dropped.
 
         Raises:
             InputError: the older series cannot be read.
@@ -128,7 +128,7 @@ class Series:
         return {int(Path(data.file).parent.name) for data in self._series}
 
     def _finish(self, unfinished: Path, step: Path, files: list[str], time: float) -> None:
-        """Rename the folder of a step from `unfinished` to `step`, and write the `.pvd` anew.
+        """Rename the temporary folder `unfinished` to `step`, and add the step to the `.pvd`.
 
         At the first step, older steps that are not continued are removed. Not collective.
         """

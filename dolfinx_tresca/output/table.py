@@ -34,7 +34,7 @@ class Tabulated(ABC):
 
 
 def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
-    """Return all rows of a list, or the first rows and a row with the number of other rows."""
+    """Return all rows of a list, or the first rows and a row like "and 5 other pairs" (`kind`)."""
     if len(rows) <= LISTED_ROWS:
         return list(rows)
     first = list(rows[: LISTED_ROWS - 1])

@@ -60,7 +60,7 @@ def pair_displaced_surfaces(
         V: the space of the displacement.
         pair: the contact pair.
         undeformed: the undeformed surfaces.
-        u: (nodes, dim of space) displacement of this rank's nodes [length], see `straightened`.
+        u: (nodes, dim of space) displacement of this rank's nodes [length], from `straightened`.
 
     Raises:
         InputError: the signed distance of the obstacle is wrong.

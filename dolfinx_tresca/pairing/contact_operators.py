@@ -36,7 +36,7 @@ class ContactOperators(PetscOwner):
     N and T are PETSc matrices, which `ContactProblem.destroy()` frees.
 
     Example:
-        The cube of `ContactProblem`, pressed by a plane, on one rank. Non-negative least squares
+        The cube in the example of `ContactProblem`, on one rank. Non-negative least squares
         find the forces F >= 0 that minimise 1/2 F'A F - F'b, where A = N K^-1 N' = C C' and
         b = N K^-1 f - gap.
 
@@ -225,11 +225,11 @@ class ContactOperators(PetscOwner):
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
         """Return the matrix C of a flux h (T_s - T_p) [per area] through the contact. Collective.
 
-        T is a scalar field of degree 1, such as a temperature. T_s are its values at secondary
-        nodes, T_p its `transfer` from the primary side, and T_p = 0 for a rigid obstacle. Row i of
-        C T is the flow out of node i. C is symmetric and positive semidefinite. Between two bodies
-        its rows sum to zero, and the flow out of one side equals the flow into the other side, up
-        to rounding.
+        Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
+        are its values at secondary nodes, T_p its `transfer` from the primary side, and T_p = 0 for
+        a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
+        semidefinite. Between two bodies its rows sum to zero, and the flow out of one side equals
+        the flow into the other side, up to rounding.
 
         The caller owns the matrix and may destroy it. Add it to the matrix of a form of T: `K + C`,
         or `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact

@@ -75,7 +75,8 @@ def couple(
     """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
-    is the negative jump of the positions minus the sagitta of both sides.
+    is the negative jump of the positions, minus the heights of both curved surfaces over their
+    facets (sagitta).
 
     Args:
         V: the space of the displacement.
@@ -120,7 +121,7 @@ def couple(
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
-    """Warn if nodes (n,) penetrate so little that the error of the sagitta matters. Collective."""
+    """Warn if nodes (n,) penetrate so little that errors of `sagitta` (n,) matter. Collective."""
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )

@@ -144,7 +144,7 @@ def _overlaps(
     limit: float,
     order: SelfContact | None,
 ) -> Iterator[Overlap]:
-    """Yield the integrals over blocks of pairs of pieces that may face each other.
+    """Yield integrals over the overlaps of pieces of facets that may face each other, in blocks.
 
     In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
     pieces of a surface that touches itself are first paired with pieces nearby. Only pieces that

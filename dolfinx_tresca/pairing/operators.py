@@ -64,7 +64,7 @@ class PairOperators:
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
             the node; 1 for circles.
-        undeformed: the undeformed surfaces, from which displaced ones are paired.
+        undeformed: the undeformed surfaces, which are displaced for each later pairing.
     """
 
     pairing: str

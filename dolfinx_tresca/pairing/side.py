@@ -37,7 +37,7 @@ class Side:
     Attributes:
         tag: tag of the facets.
         name: "secondary" or "primary", for messages.
-        facet_tags: tags of all facets.
+        facet_tags: tags of all facets of the mesh.
         halo: this rank's facets, and copies of facets of other ranks.
     """
 

@@ -37,7 +37,8 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class ContactSurfaces(PetscOwner):
     """The contact surfaces as they are paired now, B and A on them, and their load steps.
 
-    When surfaces are paired anew, B and A are replaced, and tractions and slip are carried over.
+    Surfaces are paired again on request, with finite sliding, or if an obstacle moves: then B and A
+    are replaced, and tractions and slip are carried over.
 
     Attributes:
         linear: the system K u = f.
@@ -48,7 +49,8 @@ class ContactSurfaces(PetscOwner):
         nodal_values: object that evaluates users' fields at these nodes.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
         compliance: A = B K^-1 B', with K factored.
-        guess: displacements of earlier solves with the present B.
+        guess: displacements of earlier solves with the present B, for first guesses of iterative
+            solves with K.
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         sliding: the displacement at which surfaces were last paired, and a check of the slip since
             this pairing.
@@ -205,7 +207,7 @@ class ContactSurfaces(PetscOwner):
         Args:
             u: displacement [length] in the problem's space.
             continues: whether u is the displacement of the last solve. The load step then stays
-                the same, and the next solve starts from its tractions (see `LoadSteps.move`).
+                the same, and the next solve starts from the last tractions (see `LoadSteps.move`).
 
         Raises:
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
@@ -231,7 +233,7 @@ class ContactSurfaces(PetscOwner):
     def begin_solve(self) -> None:
         """Let the next solve start at the last accepted step, if the start may affect the result.
 
-        Pairs whose obstacle has moved since they were paired are paired anew. Collective.
+        Pairs whose obstacle has moved since they were paired are paired again. Collective.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
@@ -243,7 +245,7 @@ class ContactSurfaces(PetscOwner):
         self.steps.begin_solve()
 
     def pair_where_changed(self, u: fem.Function) -> None:
-        """Pair surfaces anew where the geometry has changed. Collective.
+        """Pair surfaces again where the geometry has changed. Collective.
 
         This concerns pairs whose obstacle has moved, and pairs with finite sliding that are not yet
         paired at u.
@@ -297,7 +299,7 @@ class ContactSurfaces(PetscOwner):
 
         Args:
             u: displacement [length] in the problem's space.
-            anew: (pairs,) True for pairs that are paired anew.
+            anew: (pairs,) True for the pairs to be paired again.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.

@@ -45,7 +45,7 @@ class LastSolve:
         dual: the dual problem.
         multipliers: (size,) solution of the dual problem.
         fields: the fields of the solution.
-        inputs: load, slip bounds and added gaps.
+        inputs: load, slip bounds and added gaps of this solve, to detect later changes.
         options: options of the contact algorithm.
         moved: (pairs,) whether the pair's obstacle moves in this load step.
     """
@@ -346,9 +346,9 @@ class ContactSystem(PetscOwner):
 
 
 def _with_unit_maximum(values: Array, V: Any) -> fem.Function:
-    """Return the motion in V with these owned values, divided by its greatest nodal length.
+    """Return a motion of bodies in V, scaled so that the largest nodal displacement has length 1.
 
-    Collective.
+    The motion is given by its values (owned degrees of freedom of V,). Collective.
     """
     motion = fem.Function(V, name="motion")
     lengths = np.linalg.norm(values.reshape(-1, V.dofmap.bs), axis=1)

@@ -81,7 +81,7 @@ class Factorisation:
         With a mixed space, the modes are found in the first call only.
 
         Args:
-            jump: B.
+            jump: the operator B of A = B K^-1 B'.
             timings: phase -> seconds, to which the phases of this call are added.
             before: A with the former K, whose far field the new A keeps; None: there is none.
 

@@ -41,8 +41,8 @@ DEPENDENT = 1e-3
 #: to residuals, as in slender bodies, this change is as large as the errors of contact problems.
 #: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
 #: steps if the residual is 0.03 times the change of the forces, 165 with the value below, and 159
-#: with 0.003. The hemisphere of the same file (size 10, steps of 2 cells) takes, in this order, 63,
-#: 59 and 57 Newton steps with 381, 438 and 473 products.
+#: with 0.003. The hemisphere of the same file (size 10, which slides by 2 cells in each load step)
+#: takes, in this order, 63, 59 and 57 Newton steps with 381, 438 and 473 products.
 FORCING = 0.01
 
 #: Ratio of a change of forces or gaps to the previous change: the assumed value while it is

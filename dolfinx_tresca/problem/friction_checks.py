@@ -31,7 +31,7 @@ def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
     Args:
         dual: the dual problem.
         found: solution of the dual problem.
-        slip_bounds: evaluates the laws of friction at nodes.
+        slip_bounds: object that evaluates the laws of friction at nodes.
 
     Raises:
         InputError: F is negative, NaN or infinite at a node under pressure.

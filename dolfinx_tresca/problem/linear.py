@@ -53,14 +53,14 @@ class ContactProblem(ContactProcess):
     Forms and slip bounds may contain `fem.Constant` and `fem.Function`: change these in place, and
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
     coefficients of the form `a`, call `update_stiffness()`; until then, solves use the K that was
-    factored last, and the log warns. Each solve starts from the multipliers of the last solve (in a
-    process with Coulomb friction, from those of the last accepted step), and uses the products with
-    A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed, but their
-    values may change.
+    factored last, and the log warns. Each solve starts from the multipliers of the last solve (with
+    Coulomb friction, after an accepted step, from the multipliers of this step), and uses the
+    products with A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed,
+    but their values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
-    static load. For a process, call `accept()` after each `solve()`. Friction then resists the slip
-    since the last accepted step, and slip remains when the loads are removed.
+    static load. For a sequence of loads, call `accept()` after each `solve()`. Friction then
+    resists the slip since the last accepted step, and slip remains when the loads are removed.
 
     A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. If the
     problem is not destroyed, its PETSc objects are freed later: on one rank when Python frees the
@@ -329,7 +329,7 @@ class ContactProblem(ContactProcess):
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
-            ContactError: nothing was solved since the last change.
+            ContactError: nothing was solved since the problem changed.
             InputError: the goal is wrong, or `a` is no form of UFL, or is on a mixed space.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """

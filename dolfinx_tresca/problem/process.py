@@ -62,7 +62,7 @@ def check_units(units: Any) -> None:
 
 
 class ContactProcess(PetscOwner, Tabulated):
-    """A contact problem whose loads change: solves, accepted load steps, state files.
+    """A contact problem with a process, a sequence of load steps: solves, steps, state files.
 
     Attributes:
         pairs: the surfaces that may touch.
@@ -144,8 +144,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def accept(self, *, unconverged: bool = False) -> None:
         """Make the last solution a load step, from which the slip of later solutions counts.
 
-        Friction dissipates energy, so the result of a process depends on its load path, not only
-        on the last load. After this call, each `solve()` minimises
+        Friction dissipates energy, so the result depends on all previous loads, not only on the
+        last load. After this call, each `solve()` minimises
         1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
         solution that is not accepted leaves no trace: try another load instead. If slip bounds
         depend on the pressure, a solution may depend on where the solve starts; so each solve after
@@ -340,7 +340,7 @@ class ContactProcess(PetscOwner, Tabulated):
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
-            ContactError: nothing was solved since the last change.
+            ContactError: nothing was solved since K or the pairing changed.
             InputError: the goal is wrong.
         """
         self._contact.check_not_destroyed()
@@ -506,7 +506,7 @@ class ContactProcess(PetscOwner, Tabulated):
             purpose: name of the result that needs the solve, for errors.
 
         Raises:
-            ContactError: nothing was solved since the last change.
+            ContactError: nothing was solved since the problem changed.
             InputError: `a` is no form of UFL, or is on a mixed space.
         """
 

@@ -1,4 +1,4 @@
-"""Accepted load steps of a process, for derivatives through its slip history."""
+"""Accepted load steps of a problem, for derivatives through its slip history."""
 
 from __future__ import annotations
 
@@ -69,24 +69,24 @@ class _Recorded:
 
 
 class ProcessTape:
-    """The accepted load steps of a process, and derivatives of goals through all of them.
+    """The accepted load steps of a problem, and derivatives of goals through all of them.
 
     `ContactProblem.record` makes a tape. For each step, the tape keeps in memory the displacement,
     the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
     and Dirichlet conditions; values that do not change from one step to the next are kept once.
 
-    With checkpoints, the tape keeps no displacements. At each k-th step, it keeps the multipliers
-    and the origin of the slip, which are values on the contact surfaces, in memory or in files. For
-    derivatives, it then solves again, for k steps at a time. The first of these k solves starts
-    from the multipliers that were kept at its step, and costs a product or two.
+    With checkpoints at each k-th step, the tape keeps no displacements. At these steps, it keeps
+    the multipliers and the origin of the slip, which are values on the contact surfaces, in memory
+    or in files. For derivatives, it then solves again, for k steps at a time. The first of these k
+    solves starts from the multipliers that were kept at its step, and costs a product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
     with one adjoint solve for each step.
 
     Example:
-        The cube of `ContactProblem` on a floor with Tresca friction, pressed more and more in two
-        steps; the derivative of the force with respect to the displacement prescribed in each step:
+        The cube in the example of `ContactProblem`, pressed more and more in two steps; the
+        derivative of the force with respect to the displacement prescribed in each step:
 
         >>> from dolfinx_tresca import ContactProblem, NormalForce
         >>> down = fem.Constant(cube, (0.0, 0.0, -1e-3))
@@ -113,10 +113,9 @@ class ProcessTape:
 
         Args:
             contact: the problem whose load steps are recorded.
-            solved_for: function that returns the last solve of the problem, or raises an error; its
-                argument is the purpose that the error names.
-            forms_at: function that returns the forms and conditions of the problem at a given
-                displacement.
+            solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
+                an error that names the purpose.
+            forms_at: function (u) -> forms and conditions of the problem at the displacement u.
             checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
                 of all steps are kept.
             folder: folder for files of the checkpoints; None: checkpoints are kept in memory.
@@ -395,8 +394,8 @@ class ProcessTape:
 
         Raises:
             ContactError: an obstacle is not where it was in the recorded steps.
-            InputError: an obstacle depends on a control, and an obstacle moved in the process, or
-                there was slip at the start of the process.
+            InputError: an obstacle depends on a control, and either an obstacle moved while steps
+                were recorded, or there was slip when recording began.
         """
         contact = self._contact
         if self._surfaces.obstacles.changed(self._surfaces.jump).any():

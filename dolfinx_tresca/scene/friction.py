@@ -168,8 +168,8 @@ class Coulomb(DryFriction):
 
     A solve finds a fixed point: multipliers that solve the Tresca problem whose bounds follow from
     their own pressures. The discrete problem has a solution for any coefficient, and a unique one
-    for small coefficients; the status is NO_FIXED_POINT if none is found. In a process of several
-    steps the fixed point continues from the previous tractions. Nodes whose normal displacement is
+    for small coefficients; the status is NO_FIXED_POINT if none is found. After an accepted load
+    step, the search starts from the tractions of this step. Nodes whose normal displacement is
     prescribed have no pressure and so no friction; friction does not act along prescribed
     tangential directions either.
 

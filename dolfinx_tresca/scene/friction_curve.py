@@ -37,8 +37,8 @@ class FrictionCurve:
 
     Attributes:
         function: function that returns F >= 0 [1], a number or an array (n,), for the pressures
-            p >= 0 (n,) [stress] and the slips v >= 0 (n,) [length], both in the units of the scene.
-            A slip is the length of the tangential displacement since the last accepted step or, in
+            p >= 0 (n,) [stress] and the slips v >= 0 (n,) [length], in the units of the problem. A
+            slip is the length of the tangential displacement since the last accepted step or, in
             the first step, since the undeformed state; a law for the rate of slip divides the slip
             by the time step. The function is called with arrays of any length, and with any values
             that occur during the iteration.

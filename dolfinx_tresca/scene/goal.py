@@ -17,7 +17,7 @@ class NormalForce:
     """Integral of the contact pressure of a pair [force; in 2D force per length].
 
     Attributes:
-        pair: number of the pair.
+        pair: number of the pair in the list of the problem, from 0 on.
 
     Raises:
         InputError: `pair` is not the number of a pair.
@@ -37,7 +37,7 @@ class ContactForce:
 
     Attributes:
         direction: (d,) direction of the component, a vector of any length.
-        pair: number of the pair.
+        pair: number of the pair in the list of the problem, from 0 on.
 
     Raises:
         InputError: `pair` is not the number of a pair, or `direction` is not a nonzero vector.
@@ -69,7 +69,7 @@ class MeanPressure:
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.
         radius: radius R of the patch [length].
-        pair: number of the pair.
+        pair: number of the pair in the list of the problem, from 0 on.
 
     Raises:
         InputError: `pair` is not the number of a pair, or the point or the radius is wrong.
@@ -100,7 +100,7 @@ class MeanSlip:
         point: (d,) centre of the patch [length], on the secondary side or near it.
         radius: radius of the patch [length].
         direction: (d,) direction of the component, a vector of any length.
-        pair: number of the pair.
+        pair: number of the pair in the list of the problem, from 0 on.
 
     Raises:
         InputError: `pair` is not the number of a pair, or the point, the radius or the direction is
@@ -127,7 +127,7 @@ class PressureNorm:
 
     Attributes:
         exponent: m, at least 1; the norm for m = 1 is the normal force.
-        pair: number of the pair.
+        pair: number of the pair in the list of the problem, from 0 on.
 
     Raises:
         InputError: `pair` is not the number of a pair, or the exponent is less than 1 or infinite.

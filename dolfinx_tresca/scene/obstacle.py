@@ -124,7 +124,7 @@ class RigidObstacle:
         """Move the obstacle by a rotation, then a translation, from its original place.
 
         Not collective. The motion starts from where the obstacle was created, not from where it is
-        now. The next `solve()` pairs the surfaces anew if necessary, and the slip includes the
+        now. The next `solve()` pairs the surfaces again if necessary, and the slip includes the
         motion since the last accepted step: a turning wheel drives the body that it touches. The
         motion must be equal on all ranks.
 
@@ -346,7 +346,7 @@ def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callabl
     """Return a function that checks and returns the present value of a user's argument.
 
     Args:
-        check: function from the name and a value to the checked value.
+        check: function (name, value) -> checked value.
         name: the name of the argument, for error messages.
         value: a number or a vector, or a Constant, which may change.
 

@@ -243,9 +243,9 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """Return the largest change of a slip bound, relative to the largest bound. Collective.
 
     Args:
-        lam: Lambda with the bounds of a solution.
-        moved: Lambda with the bounds after the tractions of each node have moved to the node's own
-            minimiser, see `DualProgram.decoupled_minimiser`.
+        lam: feasible set with the bounds of a solution.
+        moved: feasible set with the bounds after the tractions of each node have moved to the
+            node's own minimiser, see `DualProgram.decoupled_minimiser`.
         comm: the communicator.
     """
     before, after = lam.radius, moved.radius
@@ -259,7 +259,7 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
 
 def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
-    """Return -B'x [force]. Collective."""
+    """Return the contact force -B'x [force] of multipliers x. Collective."""
     force = fem.Function(B.system.space)
     owned = B.whole_force(x).array
     force.x.array[: len(owned)] = -owned

@@ -71,8 +71,8 @@ class SurfaceFields:
         pressure: contact pressure [stress], positive in compression.
         traction: tangential traction lambda_tau [stress], a vector; it acts on the primary body,
             and the opposite traction acts on the secondary body. None without friction.
-        slip: tangential jump T u [length], a vector; secondary minus primary. In a process it is
-            the sum of the slip vectors of all steps. None without friction.
+        slip: tangential jump T u [length], a vector; secondary minus primary. With several load
+            steps it is the sum of their slip vectors. None without friction.
         slip_increment: slip since the last accepted step, T u - s [length], a vector along the
             traction; before the first accepted step it is `slip` itself. None without friction.
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
@@ -316,7 +316,7 @@ class Surface:
             slips: slip at the nodes.
             pressed: (n,) True at pressed nodes.
             sticking: (n,) True where the traction is below the slip bound.
-            rubbing: (n,) True where the slip bound is positive.
+            rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
         """
         nodes, count = operators.nodes, len(operators.nodes)
 

@@ -70,7 +70,7 @@ class GoalError:
         products: number of applications of A for this estimate.
 
     Example:
-        With the cube of `ContactProblem`, in which the stress is uniform:
+        With the cube in the example of `ContactProblem`, whose stress is uniform:
 
         >>> from dolfinx_tresca import NormalForce
         >>> solution = problem.solve()

@@ -38,7 +38,7 @@ class Forms:
     """The forms and conditions of the bodies, as users gave them.
 
     Attributes:
-        residual: function that returns the residual R(u; z), a form of rank 0, for a Function z.
+        residual: function (z) -> residual R(u; z), a form of rank 0, for a Function z.
         tangent: dR/du, a bilinear form.
         bcs: Dirichlet conditions.
         entity_maps: entity maps, needed if the forms contain Functions on surfaces; None: there are
@@ -110,10 +110,10 @@ class Differentiation:
     Here `explicit` is the derivative of J for fixed u and multipliers, d the gap, u_D the
     prescribed values, g the slip bound of a node, and t the direction of its traction; q_u and q_x
     are the derivatives of J with respect to u and to the multipliers. The derivative with respect
-    to the slip origin s is y, like the derivative with respect to the gap. In a process a node that
-    stuck in the previous step keeps the s of the previous step; for any other node s is its
-    tangential jump T u in the previous step. So y carries the derivatives of a step's goals back to
-    the previous step.
+    to the slip origin s is y, like the derivative with respect to the gap. A node that stuck in the
+    previous load step keeps the s of this previous step; for any other node s is its tangential
+    jump T u in the previous step. So y carries the derivatives of a step's goals back to the
+    previous step.
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class Differentiation:
             u: displacement in the forms, to which `backwards` gives the values of each solution.
             values: object that evaluates fields of friction and gaps at the nodes of u.
             controls: Constants and Functions with respect to which derivatives are taken.
-            find_differences: function that returns the central differences of B for displaced
-                obstacles; None: obstacles depend on no control.
+            find_differences: function (Constant, direction) -> central differences of B for
+                obstacles that the Constant moves; None: obstacles depend on no control.
         """
         self._find_differences = find_differences
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values
@@ -238,7 +238,8 @@ class Differentiation:
     ) -> Array | None:
         """Return the part of the derivative that is due to moved obstacles. Collective.
 
-        The result is None if no obstacle depends on the control.
+        The result is None if no obstacle depends on the control. For the arguments see
+        `ObstacleDifferences.derivative`.
         """
         assert self._find_differences is not None
         result = np.zeros(np.size(control.value))

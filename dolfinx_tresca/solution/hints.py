@@ -125,7 +125,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
 
     Args:
         comm: communicator of the mesh.
-        cones: admissible set at the pressures and slips of a solution.
+        cones: friction cones whose bounds F(p, v) p are evaluated at the slips of a solution.
         x: (size,) multipliers of the solution.
         compliance: the largest eigenvalue of A, or a lower bound.
     """

@@ -27,8 +27,8 @@ class NodalField:
         field: the scalar as the user gave it.
         nodes: (n,) local numbers of the nodes.
         name: name of the scalar in errors.
-        offset: (size, n) derivatives of the offsets (d; s), divided by `JumpOperator.length_scale`,
-            with respect to the nodal values.
+        offset: (size, n) derivatives of the offsets (gaps d; slip origins s), divided by
+            `JumpOperator.length_scale`, with respect to the nodal values.
         radius: (n_discs, n) derivatives of the radii of the discs with respect to the nodal values.
     """
 

@@ -80,7 +80,10 @@ class ObstacleDifferences(PetscOwner):
         return (of(self.after) - of(self.before)) / (2.0 * self.step)
 
     def offset(self, u: fem.Function) -> Array:
-        """Return the directional derivative (size,) of (d; s) - B u for fixed u. Collective."""
+        """Return the directional derivative (size,) of (d; s) - B u for fixed u.
+
+        Here d are the gaps and s the slip origins. Collective.
+        """
         result = self.difference(lambda jump: jump.gap - jump.of_displacement(u))
         if self.origin is not None:
             origin, present = self.origin, self.present
@@ -93,7 +96,7 @@ class ObstacleDifferences(PetscOwner):
         The multipliers are fixed; the tangents change.
 
         Args:
-            pair: number of the pair.
+            pair: number of the pair, from 0 on.
             rows: positions of the pair's tangential multipliers.
             x: (size,) multipliers, which are tractions divided by `JumpOperator.stress_scale`.
         """
@@ -109,7 +112,7 @@ class ObstacleDifferences(PetscOwner):
         The components of the slip are fixed; the tangents change.
 
         Args:
-            pair: number of the pair.
+            pair: number of the pair, from 0 on.
             rows: positions of the pair's tangential multipliers.
             slip: (size,) slip, divided by `JumpOperator.length_scale`.
         """

@@ -25,7 +25,7 @@ LARGE = 1.0
 class Sliding:
     """The displacement at which surfaces were paired, and a check of the slip since then.
 
-    A warning of large slip is logged once, and never after surfaces were paired anew.
+    A warning of large slip is logged once, and never after surfaces were paired again.
 
     Attributes:
         origin: displacement at which the surfaces were paired [length].
@@ -36,9 +36,9 @@ class Sliding:
         self._warned = False
 
     def begin(self, u: fem.Function) -> None:
-        """Note the displacement at which surfaces are paired anew. Not collective."""
+        """Note the displacement at which surfaces are paired again. Not collective."""
         self.origin.x.array[:] = u.x.array
-        self._warned = True  # surfaces are paired anew on purpose, and will be again
+        self._warned = True  # no warning: surfaces are paired again on purpose
 
     @property
     def moved_by(self) -> fem.Function | None:

@@ -27,7 +27,7 @@ class SolvedStep:
     """A solution, with the problem that it solves.
 
     Attributes:
-        dual: the problem.
+        dual: the dual problem.
         multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
@@ -43,7 +43,10 @@ class SolvedStep:
 
     @cached_property
     def gradient(self) -> Array:
-        """(size,) gradient (d; s) - B u of the dual energy. Collective at the first access."""
+        """(size,) gradient (d; s) - B u of the dual energy, with gaps d and slip origins s.
+
+        Collective at the first access.
+        """
         return self.dual.response.gradient_of(self.u.x.petsc_vec)
 
     @cached_property

@@ -30,12 +30,13 @@ def state_changes(
     solution is in contact on a slightly different part of the surface. So the error of a goal is
     a(e, e') + (y, r) + (lambda, w), where e and e' are the errors of the displacement and of the
     adjoint, (,) is an integral over the surface, r the gap of the discrete solution, and w = q_x -
-    B z the residual of the discrete adjoint at open nodes. The edges of stick zones add similar
-    terms, with the slip in place of the gap, and the distance of the traction from its bound in
-    place of the pressure. At each node one factor of each product is zero, so the integral over a
-    facet whose nodes have the same state vanishes; on a facet with nodes of two states both
-    factors, interpolated linearly, differ from zero. The signs of the terms are not reliable, so
-    their absolute values are added.
+    B z the residual of the discrete adjoint (z, y) at open nodes, with the derivative q_x of the
+    goal with respect to the multipliers. The edges of stick zones add similar terms, with the slip
+    in place of the gap, and the distance of the traction from its bound in place of the pressure.
+    At each node one factor of each product is zero, so the integral over a facet whose nodes have
+    the same state vanishes; on a facet with nodes of two states both factors, interpolated
+    linearly, differ from zero. The signs of the terms are not reliable, so their absolute values
+    are added.
 
     Args:
         dual: the dual problem.

@@ -158,9 +158,9 @@ def tangent_of(
         values: object that evaluates fields of friction and gaps at the nodes of u.
         controls: Constants and Functions that change.
         directions: changes of the controls, see `checked_directions`.
-        find_differences: function that returns the central differences of B for displaced
-            obstacles.
-        checked_goal: function that checks and returns a goal that a user gives to
+        find_differences: function (Constant, direction) -> central differences of B for obstacles
+            that the Constant moves.
+        checked_goal: function (goal) -> the checked goal, for goals that users give to
             `ContactTangent.of`.
 
     Raises:

@@ -58,7 +58,7 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
     """Check the arguments of `choose`. Not collective.
 
     Args:
-        method: the requested method.
+        method: the requested method; "auto": `choose` decides.
         expected_solves: expected number of contact solves with the same K.
         saddle: whether K belongs to a mixed space.
 

@@ -21,7 +21,7 @@ class Component(PetscOwner):
     """One sub-space of a mixed space, in a numbering of its own.
 
     A node on the border of two ranks may have one owner in the sub-space, and another owner in the
-    mixed space.
+    mixed space. So `of` needs ghost values.
 
     Owns PETSc objects: call `destroy()`.
 
@@ -31,7 +31,7 @@ class Component(PetscOwner):
     """
 
     def __init__(self, space: Any, index: int) -> None:
-        """Collapse the sub-space, which numbers its degrees of freedom anew. Collective.
+        """Collapse the sub-space, which gives its degrees of freedom other numbers. Collective.
 
         Args:
             space: the mixed space.

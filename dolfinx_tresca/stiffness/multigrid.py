@@ -74,14 +74,15 @@ def multigrid(
 
     The level below a space of degree 2 is the space of degree 1 on the same mesh; the levels below
     a space on a mesh from `adapt.refine` are spaces on the coarser meshes. Errors are smoothed on
-    each of these spaces, and GAMG is applied to the matrix P'KP of the coarsest space, or to K if
-    there are no levels below. If the options name a `pc_type`, GAMG or another, this preconditioner
-    is applied to K; if they name a smoother, `CHEBYSHEV` completes its options.
+    each of these spaces, and GAMG is applied to the matrix P'KP of the coarsest space, with the
+    interpolation P to V, or to K if there are no levels below. If the options name a `pc_type`,
+    GAMG or another, this preconditioner is applied to K; if they name a smoother, `CHEBYSHEV`
+    completes its options.
 
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
             and columns for prescribed values.
-        V: the space.
+        V: the space of the unknowns u.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
             apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,

@@ -72,7 +72,7 @@ class StiffnessSolver(PetscOwner):
         Args:
             name: name of the solver for tables.
             K: the matrix.
-            defaults: PETSc options.
+            defaults: PETSc options that define the solver.
             petsc_options: options of the user, which take precedence.
             prefix: prefix in PETSc's database of options. Options that this database has already,
                 from a command line, take precedence over `defaults`. None: a new prefix.
@@ -338,7 +338,7 @@ class StiffnessSolver(PetscOwner):
         return float(np.sqrt(abs(square))) * self.uncertainty
 
     def _note_eigenvalues(self) -> None:
-        """Update the smallest Ritz value of M^-1 K so far."""
+        """Update the smallest Ritz value of M^-1 K so far, with the preconditioner M."""
         if self._ksp.getType() == PETSc.KSP.Type.CG and self._ksp.getIterationNumber() > 1:
             values = self._ksp.computeEigenvalues().real
             if values.min() > 0.0:

@@ -464,8 +464,8 @@ class LinearSystem(PetscOwner):
             u: displacement [length] with the previous prescribed values.
 
         Returns:
-            the displacement [length] that is to be added to u, with the relative error `ROUGH`;
-            zero if the prescribed values are the same up to rounding.
+            the displacement [length] that is to be added to u, inaccurate (`ROUGH`), since it only
+            predicts a configuration; zero if the prescribed values are the same up to rounding.
 
         Raises:
             StiffnessError: the solve failed.

@@ -81,7 +81,7 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius [length] of all ranks' pieces; not defined on one rank."""
+        """Return the largest radius [length] of all ranks' pieces; for two or more ranks."""
         return float(self._boxes[:, -2].max())
 
     def add_near_lines(self, lines: Array) -> None:

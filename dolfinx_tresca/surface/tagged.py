@@ -77,7 +77,7 @@ def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
 
     Args:
         V: the space of the displacement.
-        facets: the facets.
+        facets: the undeformed facets.
         u: (nodes, dim of space) displacement of this rank's nodes [length].
         tag: the tag of the surface, for error messages.
         side: "secondary" or "primary", for error messages.
@@ -153,7 +153,9 @@ def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
 
 
 def _check_areas(comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int, side: str) -> None:
-    """Check that no facet is degenerate: much smaller than `whole`, (n,) or for all. Collective.
+    """Check that no facet is degenerate: its area must not be rounding, compared with `whole`.
+
+    `whole` is one value for all facets, or an array (n,). Collective.
 
     Raises:
         PairingError: a facet has no area.

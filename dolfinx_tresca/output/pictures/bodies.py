@@ -44,7 +44,7 @@ def draw_bodies(
         volume: the mesh with the displacement.
         contacts: the contact surfaces of all pairs.
         curves: the contact curves of 2D, drawn on the deformed edges.
-        scale: magnification; None chooses one.
+        scale: magnification of the displacement; None: `magnify` chooses it.
         unit: unit of length, or "".
         angle: angle in degrees by which a meridian is turned about the y axis; 0: not at all.
     """

@@ -171,8 +171,8 @@ def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
     Args:
         figure: a figure of matplotlib.
         box: box of the whole picture.
-        draw: function that draws the view, and returns the camera and the texts. Its two arguments
-            are a plotter of pyvista, and the ratio of the view's width to its height.
+        draw: function (plotter, aspect) -> camera and texts. It draws the view with a plotter of
+            pyvista; `aspect` is the width of the view divided by its height.
     """
     import pyvista
 

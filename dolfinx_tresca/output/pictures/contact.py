@@ -34,7 +34,8 @@ class Contact:
         obstacle: the other side, if it is rigid; else None.
         label: number of the pair, to be written beside its curve; "" for a single pair.
         name: name of the pair for titles; "" for a single pair.
-        slip_of: name of the slip in titles and labels: "slip", or in a process "slip of step".
+        slip_of: name of the slip in titles and labels: "slip", or "slip of step" after an accepted
+            load step.
     """
 
     grid: Grid

@@ -194,7 +194,7 @@ def _draw_line(
 
 
 def _draw_open(curve: Curve, charts: Any, over: float) -> list[Any]:
-    """Shade the open parts of the curve; return the legend."""
+    """Shade the open parts of the curve; return the legend. Arc lengths are divided by `over`."""
     is_open = ~curve.contact.pressed
     for piece, arc in zip(curve.pieces, curve.arcs, strict=True):
         s = arc / over

@@ -36,7 +36,7 @@ def draw_obstacle(
         revolved: whether the obstacle is given in the meridian plane and turned about the y axis.
 
     Returns:
-        the points that were drawn; none if no obstacle is near.
+        the points that were drawn; none if the obstacle is not near the bodies.
     """
     try:
         grid = sampled(obstacle, points, dim, revolved)
