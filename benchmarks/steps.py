@@ -117,11 +117,6 @@ def counts(rows: list[Row]) -> str:
     return text + (f" ({row['failed']} not converged)" if row["failed"] else "")
 
 
-def products(rows: list[Row]) -> str:
-    """Return the mean of the products of a step."""
-    return f"{mean(rows[-1]['products']):.1f}"
-
-
 def krylov(rows: list[Row]) -> str:
     """Return the mean of the Krylov iterations of a step; a direct solver has none."""
     found = mean(rows[-1].get("krylov", [0]))
@@ -184,15 +179,19 @@ BENCHMARK = Benchmark(
             "steps_cost",
             [
                 *WHAT,
-                Column("back end", "{backend}"),
                 Column("n", "{n}"),
-                Column("step / linear solve", "{ratio:.2f}", {"history": False}),
-                Column("products, mean", products, {"history": False}),
-                Column("with `accept()`", "{ratio:.2f}", {"history": True}),
-                Column("products with it, mean", products, {"history": True}),
+                *(
+                    Column(
+                        f"{backend}{' with `accept()`' * history}",
+                        "{ratio:.2f}",
+                        {"backend": backend, "history": history},
+                    )
+                    for backend in BACKENDS
+                    for history in (False, True)
+                ),
             ],
-            chosen=lambda row: "ratio" in row and row["ranks"] == 1,
-            line=["friction", "asked", "scene", "N", "backend"],
+            chosen=lambda row: row["ranks"] == 1,
+            line=["friction", "asked", "scene", "N"],
         ),
     ],
 )
