@@ -141,7 +141,7 @@ def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Reductions over the ranks for distributed vectors.
+    """Reductions over the ranks for distributed vectors, with `size` entries on this rank.
 
     All methods are collective.
     """

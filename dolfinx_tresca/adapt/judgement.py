@@ -30,7 +30,7 @@ class Judgement:
             such a goal is the pressure on a patch that is open on this mesh, and may close with
             smaller cells.
         cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
-        products: total number of applications of A.
+        products: number of applications of A in all solves on the mesh, adjoint ones included.
         goal_error: error of the goal, if there is one.
     """
 

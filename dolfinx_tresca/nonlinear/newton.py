@@ -230,9 +230,9 @@ class Newton:
             last = residual
 
     def _settled(self, residual: float, start: float) -> bool:
-        """Return whether u is an equilibrium; if not, pair surfaces with finite sliding anew.
+        """Return whether u is an equilibrium; if not, pair surfaces in the next configuration.
 
-        Collective.
+        Only pairs with finite sliding are paired. Collective.
 
         Args:
             residual: relative residual of Newton's method.

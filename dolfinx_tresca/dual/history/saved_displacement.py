@@ -174,10 +174,10 @@ def values_of(u: fem.Function) -> Array:
 def surroundings(V: Any) -> Array:
     """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
 
-    The first is the position of the node itself. The second is the mean of the midpoints of the
-    cells around the node, which distinguishes nodes of two bodies that touch. Together the
-    positions identify a node on any partition, up to rounding, also on refined meshes, where the
-    number of a node depends on the partition.
+    The first position, with d coordinates, is the position of the node itself. The second is the
+    mean of the midpoints of the cells around the node, which distinguishes nodes of two bodies that
+    touch. Together the positions identify a node on any partition, up to rounding, also on refined
+    meshes, where the number of a node depends on the partition.
 
     Args:
         V: the space of a displacement, or of values at points of quadrature.

@@ -66,7 +66,7 @@ class BlockBFGSModel(Model):
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
 
     def plus(self, R: Array) -> BlockBFGSModel:
-        """Return M + R R' for R of shape (size, k). Not collective."""
+        """Return M + R R', for example with the far field R R'; R is (size, k). Not collective."""
         result = copy.copy(self)
         identity = np.eye(R.shape[1])
         result._U = np.column_stack([self._U, R])
@@ -94,6 +94,10 @@ class BlockBFGSModel(Model):
         missing: Array,
     ) -> tuple[Array, Array]:
         """Return s and c with (M + C) s - G c = right and G's + S c = missing.
+
+        These are a step s of the multipliers, and the step c of the multipliers of equality
+        constraints with the matrices G and S (`EqualityConstraints`). C is the stiffness of
+        friction circles (`NodalMaps`).
 
         Woodbury's formula inverts both equations at once. S is increased by `LEAST_SOFTNESS`, so
         that the system has a solution even if the second equation has none. Collective.
