@@ -198,7 +198,7 @@ def check_agreement(
         except Exception as caught:
             error = caught
     digest = hashlib.blake2b(repr((where, texts)).encode(), digest_size=16).digest()
-    words = np.frombuffer(digest, dtype=np.int64) >> 1  # so that -words, needed below, cannot overflow
+    words = np.frombuffer(digest, dtype=np.int64) >> 1  # so that -words cannot overflow
     failed = 0 if error is None else comm.size - comm.rank
     largest = np.concatenate([words, -words, [failed]])
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)

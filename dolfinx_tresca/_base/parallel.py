@@ -172,7 +172,7 @@ class RankReductions:
         return csr_array(vstack(self.comm.allgather(rows)))
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x on all ranks, whose own x may differ by rounding. Collective."""
+        """Return the first rank's x; on the other ranks, x may differ by rounding. Collective."""
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:
