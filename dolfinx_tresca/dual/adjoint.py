@@ -376,7 +376,7 @@ def _solved(
             before, known = norm(dual, root * image), dual.inner(images, weight * image)
             step, image = step - steps @ known, image - images @ known
             new = norm(dual, root * image)
-            if new <= RESIDUAL_ROUNDING * before:  # the error of products, or there is no solution
+            if new <= RESIDUAL_ROUNDING * before:  # errors of products, or no solution exists
                 break
             step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])

@@ -161,7 +161,8 @@ class TangentProblem:
             change: change of the forces since the solve [force] at owned degrees of freedom.
 
         Raises:
-            ContactError: a Newton step would change the displacement by more than `UNCHANGED`.
+            ContactError: a Newton step would change the displacement by more than the fraction
+                `UNCHANGED`.
         """
         moved, size = self._norm_of_correction(change), self.energy_norm(self.u.x.array)
         if self.comm.bcast(not moved <= UNCHANGED * size):

@@ -42,7 +42,8 @@ def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str,
 
     Args:
         functions: the Functions, on any spaces.
-        kind: prefix of the names in the file, `MATERIAL` or `UNKNOWN`.
+        kind: prefix of the names in the file: `MATERIAL` for the material's history, `UNKNOWN` for
+            unknowns that are not displacements.
     """
     rows = {}
     for number, function in enumerate(functions):
@@ -60,7 +61,8 @@ def read_functions(
         path: path of the file.
         functions: Functions on the same spaces as the saved Functions; they are not changed.
         comm: the communicator.
-        kind: prefix of the names in the file, `MATERIAL` or `UNKNOWN`.
+        kind: prefix of the names in the file: `MATERIAL` for the material's history, `UNKNOWN` for
+            unknowns that are not displacements.
 
     Raises:
         InputError: the file cannot be read, or belongs to another mesh, other Functions or another

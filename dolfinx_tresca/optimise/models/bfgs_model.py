@@ -99,8 +99,8 @@ class BlockBFGSModel(Model):
         constraints with the matrices G and S (`EqualityConstraints`). C is the stiffness of
         friction circles (`NodalMaps`).
 
-        Woodbury's formula inverts both equations at once. S is increased by `LEAST_SOFTNESS`, so
-        that the system has a solution even if the second equation has none. Collective.
+        Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
+        so that the system has a solution even if the second equation has none. Collective.
 
         Args:
             inverse: function that applies (D + C)^-1, or its part along a face, to arrays of shape

@@ -110,7 +110,7 @@ class SparseModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, see `Model`; S is increased by `LEAST_SOFTNESS`. Collective."""
+        """Return V s and c, see `Model`; the tiny `LEAST_SOFTNESS` is added to S. Collective."""
         unit, k = self._unit, len(missing)
         test, trial, stiffness, fixed = (
             self._matrix(one)
