@@ -363,9 +363,8 @@ class TangentProblem:
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
 
-        Here R are internal minus external forces, and h is the part of the load that is not applied
-        yet (`TangentSystem`). The result is the energy norm of the displacement that would remove
-        the residual at unchanged contact forces. The tangent is the one of the previous step, so
+        See `TangentSystem` for R and h. This is the energy norm of the displacement that would
+        remove the residual at unchanged contact forces. The tangent is the one of the previous step, so
         this displacement is a simplified Newton correction (Deuflhard 2011, Newton methods for
         nonlinear problems, 2.1.1). In a mixed space, `MixedNorm` takes the place of the energy
         norm.

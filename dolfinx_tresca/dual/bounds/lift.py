@@ -32,7 +32,7 @@ DEPENDENT_ROWS = 1e-6
 
 
 class Lift(PetscOwner):
-    """The displacement w with B w = jump that has the least D^-1 norm, D B' (B D B')^-1 jump.
+    """The displacement w of least D^-1 norm with B w = jump: w = D B' (B D B')^-1 jump.
 
     Here D is diag(K)^-1. `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row
     for each row of B. If it has more than `MOST_FACTORED` rows, systems with it are solved by

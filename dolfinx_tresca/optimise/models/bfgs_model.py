@@ -95,9 +95,9 @@ class BlockBFGSModel(Model):
     ) -> tuple[Array, Array]:
         """Return s and c with (M + C) s - G c = right and G's + S c = missing.
 
-        These are a step s of the multipliers, and the step c of the multipliers of equality
-        constraints with the matrices G and S (`EqualityConstraints`). C is the stiffness of
-        friction circles (`NodalMaps`).
+        Here s is a step of the multipliers, and c is the step of the multipliers of equality
+        constraints with the matrices G and S (`EqualityConstraints`). C is the stiffness in
+        `NodalMaps`.
 
         Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
         so that the system has a solution even if the second equation has none. Collective.
