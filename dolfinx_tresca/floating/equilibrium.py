@@ -138,7 +138,7 @@ class FloatingBodies:
         Collective.
 
         Args:
-            load: f on this rank.
+            load: this rank's part of f, the right-hand side of K u = f - B'lambda.
             feasible_set: Lambda.
             reductions: object that computes sums over the ranks.
 

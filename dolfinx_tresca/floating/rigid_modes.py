@@ -34,7 +34,7 @@ class RigidBodyModes:
         comm: communicator of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
-            for a displacement of length 1.
+            for a displacement vector of length 1.
         floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
             springs.
         body: (k,) the body of each mode, ascending.

@@ -364,9 +364,9 @@ class TangentProblem:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
 
         See `TangentSystem` for R and h. This is the energy norm of the displacement that would
-        remove the residual at unchanged contact forces. The tangent is the one of the previous step, so
-        this displacement is a simplified Newton correction (Deuflhard 2011, Newton methods for
-        nonlinear problems, 2.1.1). In a mixed space, `MixedNorm` takes the place of the energy
+        remove the residual at unchanged contact forces. The tangent is the one of the previous
+        step, so this displacement is a simplified Newton correction (Deuflhard 2011, Newton methods
+        for nonlinear problems, 2.1.1). In a mixed space, `MixedNorm` takes the place of the energy
         norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))

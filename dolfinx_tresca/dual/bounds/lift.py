@@ -47,7 +47,7 @@ class Lift(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Factor B D B', or its blocks. Collective.
+        """Factor B D B', or for many rows the block of each rank's own rows. Collective.
 
         Args:
             jump: B, and the system with K.
@@ -105,7 +105,7 @@ class Lift(PetscOwner):
 
 
 def _solver(local: PETSc.Mat) -> StiffnessSolver | PETSc.KSP:
-    """Return a solver for B D B'. Collective.
+    """Return a solver for B D B', the matrix `local`. Collective.
 
     Raises:
         StiffnessError: the matrix is singular.

@@ -135,7 +135,7 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 for each disc, positive inside the cone; 1 if it has no cone."""
+        """Return first^2 - |v|^2 for discs in `round`, positive inside the cone; 1 for others."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
