@@ -78,7 +78,7 @@ def _energy_error(solution: ContactSolution) -> float:
 def _for_refinement(
     problem: ContactProblem, cell_errors: fem.Function | None
 ) -> fem.Function | None:
-    """Return the errors by which cells are refined. Collective."""
+    """Return the `refinement_indicators` of cell errors; None if they are unknown. Collective."""
     if cell_errors is None:
         return None
     return refinement_indicators(problem, cell_errors)

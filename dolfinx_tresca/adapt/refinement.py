@@ -333,10 +333,13 @@ def _check_cells(mesh: Any) -> None:
 
 
 def owned_values(mesh: Any, cell_errors: Any) -> Array:
-    """Return the errors (n,) of the cells that this rank owns. Not collective.
+    """Check the user's `cell_errors`, and return the errors (n,) of the cells that this rank owns.
+
+    Not collective.
 
     Raises:
-        InputError: the number of errors is wrong, or values are negative or not finite.
+        InputError: the number of errors is wrong, values are negative or not finite, or a Function
+            is on another mesh or not of degree 0.
     """
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):

@@ -247,7 +247,10 @@ def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:
 
 
 def _reason_to_end(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
-    """Return the reason why refinement ends with a level; None if it continues. Not collective."""
+    """Return the reason why refinement ends with a level; None if it continues.
+
+    `stop` is the answer of the user's observer. Not collective.
+    """
     if level.solution.status is not ContactStatus.CONVERGED:
         return AdaptiveStatus.FAILED
     if level.error <= accuracy:

@@ -204,7 +204,7 @@ def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
 
 
 def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> None:
-    """Check that pairs have the same kinds of multipliers. Not collective.
+    """Check that pairs have the same kinds of multipliers as in the file. Not collective.
 
     Raises:
         InputError: the kinds differ.

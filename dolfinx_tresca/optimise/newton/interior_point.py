@@ -241,7 +241,10 @@ class _CentralPath:
     def _reach_in_cone(
         self, first: Array, v: Array, size: Array, first_step: Array, step: Array
     ) -> float:
-        """Return the largest factor of a step with which the step stays in all friction cones."""
+        """Return the largest t with (first, v) + t (first_step, step) in all friction cones.
+
+        `size` is the root of `in_cone(first, v)`.
+        """
         turned = (first * first_step - self.dot(v, step)) / size
         factor = (turned + first_step) / (first + size)
         across = np.zeros_like(v)
