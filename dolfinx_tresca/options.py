@@ -37,9 +37,10 @@ class SolverOptions:
             (benchmarks/README.md); the number of nodes in a state may differ by
             `ContactSolution.counts.undecided`.
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
-            surface and relative to its value at lambda = 0; in (0, 1). If a value is given, the
-            solve stops when this criterion and the criteria of "balanced" are met. Nodal pressures
-            and tractions that are exact to several digits need a small value, such as 1e-6. None:
+            surface and relative to its value at lambda = 0; in (0, 1). Here P projects onto the
+            feasible set, and r is the gradient of the dual energy. If a value is given, the solve
+            stops when this criterion and the criteria of "balanced" are met. Nodal pressures and
+            tractions that are exact to several digits need a small value, such as 1e-6. None:
             `accuracy` alone decides.
         max_iterations: largest number of outer (Newton) iterations.
         rho_sigma: step length rho of the projection times the estimated largest eigenvalue of A.

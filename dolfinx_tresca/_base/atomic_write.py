@@ -42,9 +42,9 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
     Args:
         path: the file or folder that the block writes; the block may write further files beside
             the temporary path.
-        room: upper bound of the size of all files together [bytes]. The free space is checked
-            before the block, since libraries crash on a full disk: VTK ends with a segmentation
-            fault; HDF5 and ADIOS2 abort or hang.
+        room: upper bound of the size of all files together [bytes]; 0: unknown. So much free space
+            must exist before the block, since libraries crash on a full disk: VTK ends with a
+            segmentation fault; HDF5 and ADIOS2 abort or hang.
 
     Raises:
         InputError: files cannot be written to the folder of `path`.

@@ -18,9 +18,9 @@ FORCING = 0.1
 #: two at most.
 ROUGH = 1e-3
 
-#: Largest accepted ratio of an error to the requested error. It is above 1, since the evaluation
-#: that ended an iteration and a later evaluation differ by rounding. If its distance from 1 is
-#: doubled or halved, no number of products changes.
+#: Largest accepted ratio of an error to the requested error. It is above 1: an error is computed
+#: at the end of an iteration and again afterwards, and the two results differ by rounding. If the
+#: distance of the number from 1 is doubled or halved, no number of products changes.
 SLACK = 1.01
 
 #: Relative error, in the energy norm, that is requested where only rounding errors are allowed.

@@ -48,8 +48,8 @@ def free_unused(comm: MPI.Comm) -> None:
     collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
 
     Args:
-        comm: the communicator of the objects. Objects on a mesh have the communicator `mesh.comm`,
-            which is a duplicate of the communicator that the mesh was made with.
+        comm: the communicator of the objects; for objects on a mesh `mesh.comm`, which is not the
+            communicator that the mesh was made with, but a duplicate.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)

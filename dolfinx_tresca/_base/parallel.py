@@ -141,7 +141,7 @@ def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Reductions over the ranks for distributed vectors.
+    """Reductions over the ranks for distributed vectors, with `size` entries on this rank.
 
     All methods are collective.
     """
@@ -172,7 +172,7 @@ class RankReductions:
         return csr_array(vstack(self.comm.allgather(rows)))
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the x of the first rank on all ranks; ranks may differ by rounding. Collective."""
+        """Return the first rank's x; on the other ranks, x may differ by rounding. Collective."""
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:

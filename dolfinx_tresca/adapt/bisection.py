@@ -29,7 +29,7 @@ MOVED = 1e-5
 class BisectedCells:
     """The cells into which bisection cuts this rank's cells of a mesh, and the nodes of new cells.
 
-    A node is a corner of the mesh, or the middle of an edge.
+    A node is a corner of the mesh, or the middle of an edge. Cells have the dimension d.
 
     Attributes:
         parent: (n,) the cell of the mesh that contains each cell.
@@ -38,7 +38,8 @@ class BisectedCells:
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
         ends: (nodes, 2) the two ends of the edge of which the node is the middle; for a corner,
-            twice the corner itself. Nodes have the numbers that they got when `mesh` was created.
+            twice the corner itself. Corners have the numbers that they got when the mesh was
+            created.
         shared: numbering of the nodes over all ranks.
     """
 

@@ -30,7 +30,7 @@ class Judgement:
             such a goal is the pressure on a patch that is open on this mesh, and may close with
             smaller cells.
         cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
-        products: total number of applications of A.
+        products: number of applications of A in all solves on the mesh, adjoint ones included.
         goal_error: error of the goal, if there is one.
     """
 
@@ -78,7 +78,7 @@ def _energy_error(solution: ContactSolution) -> float:
 def _for_refinement(
     problem: ContactProblem, cell_errors: fem.Function | None
 ) -> fem.Function | None:
-    """Return the errors by which cells are refined. Collective."""
+    """Return the `refinement_indicators` of cell errors; None if they are unknown. Collective."""
     if cell_errors is None:
         return None
     return refinement_indicators(problem, cell_errors)

@@ -16,8 +16,8 @@ from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus
 
 #: Approximate growth of the number of cells from mesh to mesh: so large that all meshes before the
-#: last one cost about as much as the last, and so small that errors of cells are as expected. (On
-#: the two bricks and a ball, a solution after each single cut took 0.95 to 1.3 times as long as
+#: last one cost about as much as the last, and so small that errors of cells are as `cut` expects.
+#: (On the two bricks and a ball, a solution after each single cut took 0.95 to 1.3 times as long as
 #: this growth, with twice as many solutions; with degree 1 half of the time goes into cuts. For the
 #: same error a growth of 3 took 1.3 to 1.7 times, and a growth of 2 took 1.1 to 1.2 times, as many
 #: unknowns as solutions after each cut: at singular edges errors fall less than expected.)

@@ -49,9 +49,10 @@ def refine(
     1 and 2; cutting only the longest edges of triangles takes 1.3 times as many in Hertz's line
     contact.)
     New cells and facets have the tags of the cells and facets that contain them. The new mesh is
-    distributed over the ranks anew, with ghost cells if the old mesh had some; on any number of
-    ranks it is the same up to its numbering. The old mesh is unchanged, and stays in memory as long
-    as the new mesh, for which it is a level of `stiffness="multigrid"`.
+    partitioned independently of the old mesh, so cells may move to other ranks; it has ghost cells
+    if the old mesh had some. On any number of ranks it is the same up to its numbering. The old
+    mesh is unchanged, and stays in memory as long as the new mesh, for which it is a level of
+    `stiffness="multigrid"`.
 
     Args:
         tagged_mesh: mesh of triangles or tetrahedra with straight edges; `cell_tags` may be None.
@@ -332,10 +333,13 @@ def _check_cells(mesh: Any) -> None:
 
 
 def owned_values(mesh: Any, cell_errors: Any) -> Array:
-    """Return the errors (n,) of the cells that this rank owns. Not collective.
+    """Check the user's `cell_errors`, and return the errors (n,) of the cells that this rank owns.
+
+    Not collective.
 
     Raises:
-        InputError: the number of errors is wrong, or values are negative or not finite.
+        InputError: the number of errors is wrong, values are negative or not finite, or a Function
+            is on another mesh or not of degree 0.
     """
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):

@@ -39,7 +39,8 @@ from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 #: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 
-#: Error that is forecast for the last mesh, relative to the accuracy: forecasts are not exact.
+#: Error for which the size of the last mesh is forecast, divided by the wanted accuracy: a number
+#: below 1, since forecasts are not exact.
 SAFETY = 0.95
 
 #: Function that every rank calls with each level; if it returns True on any rank, this level is the
@@ -230,7 +231,9 @@ def _solve_roughly(problem: ContactProblem) -> ContactSolution:
 
 
 def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:
-    """Solve with the options of the problem and a `local_accuracy` for the mesh. Collective.
+    """Solve with the options of the problem; a large mesh error increases `local_accuracy`.
+
+    Collective.
 
     Args:
         problem: the problem on the last mesh.
@@ -244,7 +247,10 @@ def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:
 
 
 def _reason_to_end(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
-    """Return the reason why refinement ends with a level; None if it continues. Not collective."""
+    """Return the reason why refinement ends with a level; None if it continues.
+
+    `stop` is the answer of the user's observer. Not collective.
+    """
     if level.solution.status is not ContactStatus.CONVERGED:
         return AdaptiveStatus.FAILED
     if level.error <= accuracy:

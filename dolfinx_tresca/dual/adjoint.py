@@ -1,7 +1,8 @@
 """Tangent and adjoint of a solution at fixed contact states.
 
 With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
-along their circles, which grow with the pressure if the law says so), a solution obeys
+along their circles, which grow with the pressure if the law says so), a solution with the
+displacement u and the multipliers x obeys
 
     K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
@@ -65,8 +66,9 @@ UNMET = 1e-6
 #: the energy norm.
 SHARE = 0.03
 
-#: A node counts as about to change its contact state if a change of its traction by this multiple
-#: of the largest traction leads to another state, even if the solution is more accurate.
+#: A node counts as about to change its contact state if a change of its traction by at most the
+#: error of the tractions leads to another state. This number times the largest traction is the
+#: least error that is assumed.
 EDGE = 1e-9
 
 #: State that is assumed for nodes that are about to change their state: as in the solution (None),
@@ -338,8 +340,9 @@ def _solved(
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system, with A replaced by its model from all known products, including products of this call.
-    The equation G'y + S c = missing therefore holds from the first step on. The displacement is
-    updated with y, so that the error of a product only has to be small compared with its step.
+    The equation G'y + S c = missing therefore holds from the first step on. The displacement
+    `followed` is updated with y, so that the error of a product only has to be small compared with
+    its step.
 
     `terms` (size,) are the absolute values of the terms whose difference is `right`. If all nodes
     slip, `right` may be nothing but the rounding error of these terms.
@@ -373,7 +376,7 @@ def _solved(
             before, known = norm(dual, root * image), dual.inner(images, weight * image)
             step, image = step - steps @ known, image - images @ known
             new = norm(dual, root * image)
-            if new <= RESIDUAL_ROUNDING * before:  # the error of products, or there is no solution
+            if new <= RESIDUAL_ROUNDING * before:  # errors of products, or no solution exists
                 break
             step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])

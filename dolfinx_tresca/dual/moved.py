@@ -40,8 +40,8 @@ def moved_jump(
         before: the previous B.
         pairs: the pairs of B.
         u: displacement at which the surfaces are paired [length].
-        anew: for each pair whether it is paired anew; bonded pairs are never paired anew. None: all
-            pairs that are not bonded are paired anew.
+        anew: for each pair whether its surfaces are paired at u. Other pairs, and bonded pairs in
+            any case, stay as in `before`. None: True for all pairs.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.

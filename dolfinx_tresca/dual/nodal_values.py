@@ -87,13 +87,13 @@ class NodalValues:
     ) -> Array | None:
         """Return the derivative of a weighted sum of nodal values with respect to a control.
 
-        The adjoint gives the weights. Collective.
+        Collective.
 
         Args:
             field: the scalar whose nodal values are differentiated.
             control: the Constant or scalar Function that changes.
             nodes: nodes of this rank at which the field is taken.
-            weights: (n,) weights of the values.
+            weights: (n,) weights of the values: derivatives of a goal, from an adjoint solution.
             name: name of the field in error messages.
 
         Returns:

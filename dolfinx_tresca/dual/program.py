@@ -199,7 +199,7 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` divided by the largest traction; 0 if it is rounding. Collective.
+        """Return `local_change` divided by the largest traction; 0 for rounding. Collective.
 
         If springs alone carry the loads, the exact tractions are zero. The computed tractions and
         their changes are then rounding errors of the jumps, and their ratio means nothing.

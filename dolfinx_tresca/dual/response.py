@@ -79,8 +79,8 @@ class ElasticResponse(ABC):
     def solve_load(self) -> None:
         """Compute b from the displacement without contact: one solve with K. Collective.
 
-        An iterative solver computes b to `LOAD_ACCURACY`: only the scale of residuals and the
-        reported q depend on this b, while gradients do not.
+        An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
+        residuals and the reported q depend on this b, while gradients do not.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.

@@ -61,8 +61,8 @@ class NodalBounds:
 
     Attributes:
         constant: (n,) c [stress].
-        coefficient: (n,) F.
-        limit: (n,) l [stress].
+        coefficient: (n,) F, the coefficient of friction.
+        limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
         ellipses: friction ellipses, whose longer semi-axes are these bounds; None: the bounds are
             the radii of circles.
         curve: F as a function of pressure and slip; None: F is the coefficient.

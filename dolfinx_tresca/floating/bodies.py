@@ -72,7 +72,7 @@ class Bodies:
 
     @property
     def mean_nodes(self) -> float:
-        """The number of nodes of a node's body, averaged over all nodes: large bodies decide."""
+        """The mean number of nodes per body, weighted by this number: large bodies decide."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
     def describe(self, index: int) -> str:

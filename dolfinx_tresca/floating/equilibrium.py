@@ -138,7 +138,7 @@ class FloatingBodies:
         Collective.
 
         Args:
-            load: f on this rank.
+            load: this rank's part of f, the right-hand side of K u = f - B'lambda.
             feasible_set: Lambda.
             reductions: object that computes sums over the ranks.
 
@@ -243,8 +243,8 @@ def _unresisted(gram: csr_array, bodies: Indices) -> Array:
     """Return m motions that contact does not resist, by their components (k, m) in the modes.
 
     The number m may be zero. In each motion a single body moves while all others rest; if there is
-    no such motion, all bodies move together. The resistance of bodies that lean on each other falls
-    with their number n: the least eigenvalue of a stack of n bodies is about 1 / n^4.
+    no such motion, all bodies move together. The limit for joint motions of n bodies is smaller,
+    since the resistance falls with n: the least eigenvalue of a stack of n bodies is about 1 / n^4.
 
     Args:
         gram: (k, k) products of the modes' jumps, sparse, 1 on the diagonal.

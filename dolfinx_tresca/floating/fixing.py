@@ -28,8 +28,9 @@ RESPONSE_ACCURACY = 1e-10
 
 @dataclass(frozen=True)
 class FixingSprings:
-    """Springs Z on a few nodes of each body with weak modes: K_p = K + Z Z' is well conditioned.
+    """Springs with the stiffness Z Z', with which K_p = K + Z Z' is well conditioned.
 
+    The springs act on a few nodes of each body with modes that K resists little or not at all.
     Solves use K_p in place of K. The equilibrium of the bodies (`floating/equilibrium.py`) removes
     the effect of the fixing springs again. On floating bodies the fixing springs then have no
     force. On softly held bodies, which soft springs of the scene hold, the displacements of the

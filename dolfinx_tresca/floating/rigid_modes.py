@@ -33,8 +33,8 @@ class RigidBodyModes:
     Attributes:
         comm: communicator of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) approximate stiffness of the mode's body against deformation, per unit
-            length of a mode.
+        stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
+            for a displacement vector of length 1.
         floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
             springs.
         body: (k,) the body of each mode, ascending.

@@ -161,7 +161,8 @@ class TangentProblem:
             change: change of the forces since the solve [force] at owned degrees of freedom.
 
         Raises:
-            ContactError: a Newton step would change the displacement by more than `UNCHANGED`.
+            ContactError: a Newton step would change the displacement by more than the fraction
+                `UNCHANGED`.
         """
         moved, size = self._norm_of_correction(change), self.energy_norm(self.u.x.array)
         if self.comm.bcast(not moved <= UNCHANGED * size):
@@ -362,10 +363,11 @@ class TangentProblem:
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
 
-        This is the energy norm of the displacement that would remove the residual at unchanged
-        contact forces. The tangent is the one of the previous step, so this displacement is a
-        simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
-        In a mixed space, `MixedNorm` takes the place of the energy norm.
+        See `TangentSystem` for R and h. This is the energy norm of the displacement that would
+        remove the residual at unchanged contact forces. The tangent is the one of the previous
+        step, so this displacement is a simplified Newton correction (Deuflhard 2011, Newton methods
+        for nonlinear problems, 2.1.1). In a mixed space, `MixedNorm` takes the place of the energy
+        norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 

@@ -30,7 +30,9 @@ class MixedNorm(PetscOwner):
     """
 
     def __init__(self, tangent: TangentSystem, component: Component) -> None:
-        """Assemble A and S at the present u; K is left without Dirichlet conditions. Collective.
+        """Assemble A and S at the present u. Collective.
+
+        The K of `tangent` is then without Dirichlet conditions, and must be assembled again.
 
         Args:
             tangent: the system with K.

@@ -230,9 +230,9 @@ class Newton:
             last = residual
 
     def _settled(self, residual: float, start: float) -> bool:
-        """Return whether u is an equilibrium; if not, pair surfaces with finite sliding anew.
+        """Return whether u is an equilibrium; if not, pair surfaces in the next configuration.
 
-        Collective.
+        Only pairs with finite sliding are paired. Collective.
 
         Args:
             residual: relative residual of Newton's method.
@@ -289,10 +289,10 @@ class Newton:
             self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def _step(self) -> ContactSolution:
-        """Solve the contact problem of a step, with stiffness of `ADDED` if needed. Collective.
+        """Solve the contact problem of a step, with added stiffness if needed. Collective.
 
-        The trials begin with the entry of the last step, or with the entry before it if the entry
-        of the last step makes Newton's method slow.
+        Entries of `ADDED` are tried in turn, from the entry of the last step on, or from the entry
+        before it if the entry of the last step makes Newton's method slow.
 
         Raises:
             StiffnessError: no entry that was tried makes the tangent definite. In a new

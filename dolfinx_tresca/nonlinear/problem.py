@@ -237,7 +237,7 @@ class NonlinearContactProblem(ContactProcess):
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
         Derivatives need this tangent, but the last assembled tangent belongs to the previous
-        iterate. So a further Newton step is made.
+        iterate. So a further Newton step is made. Error messages name the `purpose`.
 
         Raises:
             ContactError: nothing was solved since the last accepted step, or inputs have changed

@@ -14,10 +14,10 @@ class NewtonOptions:
     """Options of Newton's method.
 
     Attributes:
-        accuracy: requested residual |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step,
-            relative to the larger of |u|_K and |u - u_0|_K, where u_0 is the displacement at the
-            start of the solve. The residual of the contact conditions has an accuracy of its own,
-            in `SolverOptions`.
+        accuracy: requested residual |R(u) + B'lambda|_{K^-1}, where R(u) are internal minus
+            external forces and K is the tangent of the last step. It is relative to the larger of
+            |u|_K and |u - u_0|_K, where u_0 is the displacement at the start of the solve. The
+            residual of the contact conditions has an accuracy of its own, in `SolverOptions`.
         max_iterations: largest number of Newton steps for a part of the load. Up to four times this
             number are taken while the error (with finite sliding also the error of the
             configuration) falls fast enough to reach the requested error within these steps.
@@ -61,8 +61,8 @@ class NewtonStep:
         fraction: fraction of the whole change of load at which the step seeks the equilibrium.
         correction: |u_{k+1} - u_k|_K relative to the larger of |u_{k+1}|_K and |u_{k+1} - u_0|_K,
             where u_0 is the displacement at the start of the solve.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, divided by the same norm as `correction`; NaN if
-            it cannot be computed.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, see `NewtonOptions.accuracy`, divided by the same
+            norm as `correction`; NaN if it cannot be computed.
         contact_residual: natural residual of the contact problem, relative to its value without
             contact.
         iterations: iterations of the contact solver.

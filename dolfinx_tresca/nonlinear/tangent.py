@@ -23,6 +23,9 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
+    Here R are internal minus external forces, and h is the part of the change of load that is not
+    applied yet.
+
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is added
     on both sides, so the solution of a converged iteration does not depend on this stiffness.
 
@@ -158,7 +161,7 @@ class TangentSystem(LinearSystem):
         return shown(wrong[0]) if wrong else ""
 
     def forget_material(self) -> None:
-        """Let the next assembly compute the material anew, even at the same u. Not collective."""
+        """Let the next assembly compute the material again, even at the same u. Not collective."""
         self._updated_at = None
 
     @property

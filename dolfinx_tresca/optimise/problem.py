@@ -217,8 +217,9 @@ class FrictionDeficit:
 
     Attributes:
         motion: (k,) unit vector of the motion's components, one for each equality constraint.
-        load: work of the load along the motion, e'motion.
-        friction: largest work of friction along the motion, the sum of g |G motion|.
+        load: work of the load along the motion, e'motion, with e of `EqualityConstraints`.
+        friction: largest work of friction along the motion: the sum of g |G motion|, with G of
+            `EqualityConstraints` and the slip bounds g.
     """
 
     motion: Array

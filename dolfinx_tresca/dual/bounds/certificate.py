@@ -40,7 +40,8 @@ class EnergyBound(PetscOwner):
 
         Args:
             jump: B, and the system with K.
-            local_stiffness: (size,) 1 / diag(B diag(K)^-1 B').
+            local_stiffness: (size,) 1 / diag(B diag(K)^-1 B'), the stiffness of a node with fixed
+                neighbours.
         """
         self._local_stiffness = local_stiffness
         system = jump.system

@@ -59,13 +59,14 @@ class DiscretisationError:
     materials. If the material varies from cell to cell without gaps between the stiffnesses, the
     estimate is too large.
 
-    For degree 2, the gradient differs from the true gradient by c h^2 P_2(x), with Legendre's
-    polynomial P_2. This difference is equal on both sides of a node if neighbouring cells are
-    alike. Where a smooth solution varies along one direction of such a mesh, gradients therefore
-    hardly jump, and the ratio of the estimate to the error falls with h; where the solution varies
-    in two directions, the ratio does not fall (Babuska and Yu, 1987, Asymptotically exact a
-    posteriori error estimator for biquadratic elements: errors of even degree are in the cells'
-    interiors, not in jumps). Edges of contact areas have no such symmetry.
+    For degree 2, the gradient differs from the true gradient by c h^2 P_2(x), with a factor c, the
+    size h of the cell, and Legendre's polynomial P_2 of the position x in the cell. This difference
+    is equal on both sides of a node if neighbouring cells are alike. Where a smooth solution varies
+    along one direction of such a mesh, gradients therefore hardly jump, and the ratio of the
+    estimate to the error falls with h; where the solution varies in two directions, the ratio does
+    not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator for
+    biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). Edges of
+    contact areas have no such symmetry.
 
     In bodies of revolution, the error of the hoop strain u_r / r counts as zero: it is of higher
     order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would

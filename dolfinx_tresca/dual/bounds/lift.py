@@ -32,7 +32,7 @@ DEPENDENT_ROWS = 1e-6
 
 
 class Lift(PetscOwner):
-    """The w with B w = jump that is least in the D^-1 norm, w = D B' (B D B')^-1 jump.
+    """The displacement w of least D^-1 norm with B w = jump: w = D B' (B D B')^-1 jump.
 
     Here D is diag(K)^-1. `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row
     for each row of B. If it has more than `MOST_FACTORED` rows, systems with it are solved by
@@ -47,7 +47,7 @@ class Lift(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Factor B D B', or its blocks. Collective.
+        """Factor B D B', or for many rows the block of each rank's own rows. Collective.
 
         Args:
             jump: B, and the system with K.
@@ -105,7 +105,7 @@ class Lift(PetscOwner):
 
 
 def _solver(local: PETSc.Mat) -> StiffnessSolver | PETSc.KSP:
-    """Return a solver for B D B'. Collective.
+    """Return a solver for B D B', the matrix `local`. Collective.
 
     Raises:
         StiffnessError: the matrix is singular.

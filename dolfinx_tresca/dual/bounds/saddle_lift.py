@@ -18,7 +18,9 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 class SaddleLift(PetscOwner):
-    """The w of least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
+    """The displacement of least energy with a given jump, and its pressure.
+
+    Both are in w, which satisfies K w + B'y = 0 and B w = jump with multipliers y.
 
     `Lift` moves contact nodes only. In a body that cannot change its volume, moving contact nodes
     alone costs infinite, or nearly infinite, energy. This lift has the least energy of all lifts,

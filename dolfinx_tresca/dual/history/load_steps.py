@@ -106,7 +106,7 @@ class LoadSteps:
         self._continues = False
 
     def begin(self, history: SlipHistory) -> None:
-        """Let the next step follow the steps of a history. Not collective."""
+        """Let the next step continue a history; the last solution is dropped. Not collective."""
         self.history = history
         self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
 
@@ -125,7 +125,7 @@ class LoadSteps:
         self._set_start(self.multipliers)
 
     def begin_with(self, history: SlipHistory) -> None:
-        """Begin with a slip history and the present positions of obstacles. Not collective."""
+        """Call `begin`, with the present positions of obstacles as accepted. Not collective."""
         self.accepted_motions = self.motions
         self.begin(history)
 
@@ -256,11 +256,12 @@ class LoadSteps:
         Args:
             jump: B of the displaced surfaces.
             u: displacement of the surfaces [length].
-            continues: whether u is the displacement of the last solve: the load step is still the
-                same, and the next solve continues from its tractions.
-            since_accepted: for each pair, True: slip is computed anew from the displacement since
-                the last accepted step, between nodes and their present partners; False: nodes keep
-                their slip so far. None: False for all pairs.
+            continues: whether the load step goes on. True: u is the displacement of the last solve,
+                and the next solve starts from the tractions of this last solve; False: it may start
+                from the tractions of the last accepted step, see `LoadSteps`.
+            since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
+                between nodes and their present partners, of the displacement since the last
+                accepted step; False: nodes keep their slip so far. None: False for all pairs.
         """
         before = self.jump
         kept = self._carry_over(jump).residuals(before.of_displacement(u) - self.history.origin)

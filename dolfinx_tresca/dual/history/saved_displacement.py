@@ -42,7 +42,8 @@ def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str,
 
     Args:
         functions: the Functions, on any spaces.
-        kind: prefix of the names in the file, `MATERIAL` or `UNKNOWN`.
+        kind: prefix of the names in the file: `MATERIAL` for the material's history, `UNKNOWN` for
+            unknowns that are not displacements.
     """
     rows = {}
     for number, function in enumerate(functions):
@@ -60,7 +61,8 @@ def read_functions(
         path: path of the file.
         functions: Functions on the same spaces as the saved Functions; they are not changed.
         comm: the communicator.
-        kind: prefix of the names in the file, `MATERIAL` or `UNKNOWN`.
+        kind: prefix of the names in the file: `MATERIAL` for the material's history, `UNKNOWN` for
+            unknowns that are not displacements.
 
     Raises:
         InputError: the file cannot be read, or belongs to another mesh, other Functions or another
@@ -174,10 +176,10 @@ def values_of(u: fem.Function) -> Array:
 def surroundings(V: Any) -> Array:
     """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
 
-    The first is the position of the node itself. The second is the mean of the midpoints of the
-    cells around the node, which distinguishes nodes of two bodies that touch. Together the
-    positions identify a node on any partition, up to rounding, also on refined meshes, where the
-    number of a node depends on the partition.
+    The first position, with d coordinates, is the position of the node itself. The second is the
+    mean of the midpoints of the cells around the node, which distinguishes nodes of two bodies that
+    touch. Together the positions identify a node on any partition, up to rounding, also on refined
+    meshes, where the number of a node depends on the partition.
 
     Args:
         V: the space of a displacement, or of values at points of quadrature.

@@ -53,7 +53,7 @@ class SavedState:
         multipliers: (size,) multipliers times `JumpOperator.stress_scale` [stress].
         history: slip and dissipation of the accepted load steps.
         step: a number chosen by the user, such as the number of the load step.
-        displacements: further displacements in the file, by name.
+        displacements: displacements in the file, by name, such as the last accepted one.
         material: Functions of the material's history.
         unknowns: unknowns of a mixed space that are not displacements.
     """
@@ -204,7 +204,7 @@ def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
 
 
 def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> None:
-    """Check that pairs have the same kinds of multipliers. Not collective.
+    """Check that pairs have the same kinds of multipliers as in the file. Not collective.
 
     Raises:
         InputError: the kinds differ.

@@ -39,9 +39,9 @@ NEAR_CAPACITY = 40
 #: direct solver and a single solve from zero with this K. (On two bricks, such a solve is as fast
 #: as without the near field at N = 26, and slower at N = 16.) `NEAR_SHARE` is for all other cases.
 #: (The near field has these effects: with multigrid, a plate 6 cells thick, which has the share
-#: 0.43, takes 1.3 times the time; with a Cholesky factorisation, refined meshes, and a start from
-#: the tractions of the previous mesh, solves take 14 products in place of 60, 12 in place of 29 and
-#: 12 in place of 24, in 0.83, 1.0 and 1.03 times the time.)
+#: 0.43, takes 1.3 times the time; with a Cholesky factorisation, three solves on refined meshes,
+#: started from the tractions of the previous mesh, take 14 products in place of 60, 12 in place of
+#: 29 and 12 in place of 24, in 0.83, 1.0 and 1.03 times the time.)
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 
 

@@ -66,7 +66,7 @@ class BlockBFGSModel(Model):
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
 
     def plus(self, R: Array) -> BlockBFGSModel:
-        """Return M + R R' for R of shape (size, k). Not collective."""
+        """Return M + R R', for example with the far field R R'; R is (size, k). Not collective."""
         result = copy.copy(self)
         identity = np.eye(R.shape[1])
         result._U = np.column_stack([self._U, R])
@@ -95,8 +95,12 @@ class BlockBFGSModel(Model):
     ) -> tuple[Array, Array]:
         """Return s and c with (M + C) s - G c = right and G's + S c = missing.
 
-        Woodbury's formula inverts both equations at once. S is increased by `LEAST_SOFTNESS`, so
-        that the system has a solution even if the second equation has none. Collective.
+        Here s is a step of the multipliers, and c is the step of the multipliers of equality
+        constraints with the matrices G and S (`EqualityConstraints`). C is the stiffness in
+        `NodalMaps`.
+
+        Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
+        so that the system has a solution even if the second equation has none. Collective.
 
         Args:
             inverse: function that applies (D + C)^-1, or its part along a face, to arrays of shape

@@ -26,10 +26,10 @@ class NodalMaps:
     multipliers of the same node, and is applied to arrays (size,) or (size, columns).
 
     Attributes:
-        test: T, with P T = T.
-        trial: V, with V P = V.
-        stiffness: C.
-        projector: P.
+        test: T, applied to both sides of the equation; P T = T.
+        trial: V, from s to the change of the multipliers; V P = V.
+        stiffness: C, such as the curvature of the circles of slipping nodes.
+        projector: P, such as the projector onto a face.
         inverse: V (T (D + C) V)^-1 T on the range of P, with the diagonal D of the model.
     """
 
@@ -55,8 +55,8 @@ class NodalMaps:
             face: face with the projector P.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
             stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc.
-            with_bound_change: the function of (P s, v) that `FrictionCones.with_bound_change`
-                returns.
+            with_bound_change: function (P s, v) -> (I + Q) P s, plus a term in v if bounds depend
+                on the slip; see `FrictionCones.with_bound_change`.
         """
         weight = 1.0 / (diagonal + stiffness)
         return cls(
@@ -135,8 +135,8 @@ class Model(ABC):
             G: (size, k) columns of length 1.
             softness: (k, k) S.
             missing: (k,) right-hand side of the second equation.
-            with_bound_change: the function of (P s, v) that `FrictionCones.with_bound_change`
-                returns.
+            with_bound_change: function (P s, v) -> (I + Q) P s, plus a term in v if bounds depend
+                on the slip; see `FrictionCones.with_bound_change`.
         """
         maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
         return self.solve_between(maps, right, G, softness, missing)

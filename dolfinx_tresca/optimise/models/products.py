@@ -66,8 +66,8 @@ class ProductStore(KnownProducts):
             newest pair, divided by the energy that this part has with diag(A) in place of A. The
             factor decreases, since new parts oscillate more and more, and diag(A) is too large for
             vectors that oscillate.
-        far: difference between an earlier A and the diagonal or near field of that A; None if there
-            was no earlier A.
+        far: `FarField`: the difference between an earlier A and the diagonal or near field of that
+            A; None if there was no earlier A.
         capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
             capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
     """
@@ -88,7 +88,7 @@ class ProductStore(KnownProducts):
         self.errors: Array = np.empty(0)
         self.scale = 1.0
         self.far: FarField | None = None
-        self._largest = 0.0  # Rayleigh quotient of new parts
+        self._largest = 0.0  # largest Rayleigh quotient of new parts so far
 
     @property
     def diagonal(self) -> Array:
@@ -108,7 +108,7 @@ class ProductStore(KnownProducts):
         Args:
             diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
             base: model of the near field of this A, which is subtracted from A in place of the
-                diagonal; None: the diagonal is subtracted. The other A has its own near field.
+                diagonal; None: the diagonal is subtracted.
             carry: function that maps the far field to another pairing; None: the pairing is the
                 same.
         """

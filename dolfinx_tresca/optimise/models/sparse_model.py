@@ -18,8 +18,8 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: 1e-4, 18 with 1e-5; with 1e-10, Newton's method on the model fails.
 SHIFT = 1e-4
 
-#: Least softness of the equality constraints in softened Newton steps, divided by the compliance of
-#: the multipliers. With 1e-10, a wall of 1,104 bricks is not solved.
+#: Least softness of the equality constraints in Newton steps with softened constraints, divided by
+#: the compliance of the multipliers. With 1e-10, a wall of 1,104 bricks is not solved.
 PROXIMAL = 1e-4
 
 
@@ -83,7 +83,7 @@ class SparseModel(Model):
 
     @property
     def size(self) -> Array:
-        """diag(M) without the shift, (size,)."""
+        """diag(A), (size,): diag(M) without the small shift."""
         return self.diagonal
 
     def product(self, x: Array) -> Array:
@@ -110,7 +110,7 @@ class SparseModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, see `Model`; S is increased by `LEAST_SOFTNESS`. Collective."""
+        """Return V s and c, see `Model`; the tiny `LEAST_SOFTNESS` is added to S. Collective."""
         unit, k = self._unit, len(missing)
         test, trial, stiffness, fixed = (
             self._matrix(one)

@@ -165,7 +165,7 @@ class _FixedPointNewton(ProjectedNewton):
         return True
 
     def accepted(self, newton: Array) -> Step:
-        """Return the step, or no step if the residual would increase too much."""
+        """Return the whole Newton step, or a zero step if the residual would increase too much."""
         at = self.at
         step = at.step(newton)
         residual = self.residual.at(at.multipliers + newton, at.r + step.product)

@@ -25,9 +25,10 @@ INITIAL_RADIUS = 0.9
 #: These numbers determine the number of steps, but not the point to which the steps converge.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0. Here s is
-#: the larger one of |x| and |r| / D. The number |r| / D is the distance of a multiplier x from its
-#: minimiser with all other multipliers fixed.
+#: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0. Here D is
+#: the diagonal of the model, and s is the larger one of |x| and |r| / D for a multiplier x with the
+#: gradient r. The number |r| / D is the distance of x from its minimiser with all other multipliers
+#: fixed.
 INITIAL_BARRIER = 1.0
 
 
@@ -134,7 +135,7 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 for each disc, positive inside the cone; 1 if it has no cone."""
+        """Return first^2 - |v|^2 for discs in `round`, positive inside the cone; 1 for others."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
@@ -164,7 +165,8 @@ class _CentralPath:
         """Take a Newton step, and lower the barrier."""
         feasible_set, x, dual = self.set, self.x, self.dual
         n, t, disc = feasible_set.normal, feasible_set.tangential, feasible_set.node
-        # the scaling W of discs: W^-2 = stiffness (2 (J w)(J w)' - J) with w = (w_0, along)
+        # the scaling W of discs: W^-2 = stiffness (2 (J w)(J w)' - J), where w = (w_0, along) and J
+        # is the diagonal matrix with 1, -1, ..., -1
         x_size, dual_size = np.sqrt(self.square), np.sqrt(self.in_cone(self.t, dual))
         both = self.t * self.g + self.dot(dual, x)
         double = np.sqrt(2.0 * (1.0 + both / (x_size * dual_size)))
@@ -239,7 +241,10 @@ class _CentralPath:
     def _reach_in_cone(
         self, first: Array, v: Array, size: Array, first_step: Array, step: Array
     ) -> float:
-        """Return the largest factor of a step with which the step stays in all friction cones."""
+        """Return the largest t with (first, v) + t (first_step, step) in all friction cones.
+
+        `size` is the root of `in_cone(first, v)`.
+        """
         turned = (first * first_step - self.dot(v, step)) / size
         factor = (turned + first_step) / (first + size)
         across = np.zeros_like(v)

@@ -153,7 +153,7 @@ class Iterate(ABC):
         self.move_to(self.multipliers + step.direction, self.r + step.product, step.error)
 
     def _known_gradient(self, multipliers: Array, part: float) -> tuple[Array, float, float]:
-        """Return the gradient from b and known products, its error, and the sufficient error."""
+        """Return the gradient from b and known products, its error, and the error that suffices."""
         problem = self._problem
         if float(problem.inner(multipliers, multipliers)) == 0.0:
             return -problem.b, problem.response.b_error, np.inf

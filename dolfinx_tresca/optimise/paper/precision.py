@@ -12,6 +12,8 @@ from dolfinx_tresca.options import SolverOptions
 class AdaptivePrecision:
     """The tolerance tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), tol^0 = r_tol / c_fact.
 
+    Here r_tol and c_fact are `SolverOptions`, and err^k is the residual of outer iteration k.
+
     The paper does not define the reference value of the inner residual. Here the reference is
     err^0: an inner iteration ends at the norm tol^{k+1} err^0, which is at most r_tol times the
     outer residual err^k.

@@ -40,9 +40,10 @@ def solve(
     """Find the fixed point by sweeps: Tresca problems with the slip bounds of the last pressures.
 
     The authors of the paper use this method, which extends algorithms for Tresca's problem to
-    Coulomb's law; `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed.
-    The result has the iterations and residuals of all sweeps. The last residual is measured with
-    the slip bounds that follow from the last pressures themselves.
+    Coulomb's law; `fixed_point` needs far fewer products. If sweeps do not contract, only a part of
+    the change by each sweep is taken. The result has the iterations and residuals of all sweeps.
+    The last residual is measured with the slip bounds that follow from the last pressures
+    themselves. `tresca` is the method for the Tresca problems.
 
     Collective.
     """

@@ -16,7 +16,7 @@ from dolfinx_tresca.optimise.sets.positive_definite import factored
 
 #: The iteration ends without a solution if the rounding error of G z, relative to the terms of the
 #: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its
-#: solutions are on the boundary of Lambda.
+#: solutions are on the boundary of Lambda. `constrained_projection` explains G, z, C and phi.
 LOST = 1e-6
 
 #: First, least and largest value of the damping, which is the fraction of the diagonal of the

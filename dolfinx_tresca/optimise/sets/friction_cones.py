@@ -116,7 +116,7 @@ class FrictionCones:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return the function of (s, v) with the value s + Q s + S v, for Newton steps.
+        """Return the function (s, v) -> s + Q s + S v, for Newton steps.
 
         Here s is a step along the face, and v the right-hand side of its equation: for example
         s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
@@ -146,7 +146,7 @@ class FrictionCones:
         return change
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the function of v with the value (I + Q') v, with the Q of `with_bound_change`.
+        """Return the function v -> (I + Q') v, with the Q of `with_bound_change`.
 
         The function is the transpose of I + Q if no bound depends on the slip.
         """

@@ -77,7 +77,8 @@ class NodalCurves:
     ) -> list[Array]:
         """Evaluate the curves of discs; discs without a curve keep their values in `others`.
 
-        Values of curves that are not finite become zero.
+        `evaluate` is a function (curve, pressures, slips) -> arrays. Values that are not finite
+        become zero.
         """
         result = [one.copy() for one in others]
         arguments = self.arguments(pressure, slip)
