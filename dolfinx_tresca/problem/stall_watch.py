@@ -62,7 +62,7 @@ class StallWatch:
         return self._observe(replace(iteration, stalled=stalled))
 
     def _stalled(self, iteration: Iteration) -> str:
-        """Return a text that says how long there was no progress; empty if there was progress."""
+        """Return a text that says why the solve counts as stalled; empty if it does not."""
         newton = iteration.newton
         if newton is not None and newton.number != self._step:
             self._step = newton.number

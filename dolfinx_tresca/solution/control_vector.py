@@ -120,7 +120,9 @@ class ControlVector:
 
     @collective(comm_of("derivatives"))
     def packed(self, derivatives: Sequence[Any]) -> Array:
-        """Return derivatives with respect to `values`, (n,). Collective.
+        """Return derivatives with respect to `values`, (n,): each times its control's scale.
+
+        Collective.
 
         Args:
             derivatives: derivatives with respect to the controls, as `gradient` returns them.

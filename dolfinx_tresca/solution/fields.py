@@ -244,9 +244,14 @@ class Surface:
         outside: float = 0.0,
         kind: type[fem.Function] = fem.Function,
     ) -> fem.Function:
-        """Return a Function with values (n,) or (n, d) at nodes (n,) of V. Collective.
+        """Return a Function on the surface, scalar or vector, of degree 1. Collective.
 
-        At all other nodes of the surface the value of the Function is `outside`.
+        Args:
+            name: name of the Function.
+            nodes: (n,) local numbers, in V, of nodes that this rank owns.
+            values: (n,) or (n, d) values at these nodes.
+            outside: value at all other nodes of the surface.
+            kind: class of the Function.
         """
         dim = self.mesh.geometry.dim
         whole = self.work.x.array.reshape(-1, dim)

@@ -92,9 +92,9 @@ def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
 
 
 def checked(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> Facets:
-    """Check the areas of facets; return the facets with `bent` and `plane` of the whole surface.
+    """Check the areas of facets; return the facets with `bent` and `plane` set for all ranks.
 
-    Collective.
+    Before the call these two may describe the facets of this rank only. Collective.
 
     Raises:
         PairingError: a facet has no area.

@@ -82,13 +82,16 @@ class ConstraintMatrix:
 
     @cached_property
     def _narrow(self) -> tuple[Array, Indices, csc_array]:
-        """The entries of G by nodes, and the positions of their products in G'D G. Collective.
+        """The rows of G without columns that are zero at their node, for G'D G. Collective.
+
+        D couples only multipliers of the same node, see `hessian`.
 
         Returns:
-            the entries of G (size, width), where a row has only those columns in which its node has
-            entries; for any two entries of a row, the position of their product in the values of
-            `pattern` (size * width^2,); and `pattern` (k, k), a matrix with the sparsity of G'D G
-            and a full diagonal.
+            the entries of G (size, width): each row has only the columns in which any row of its
+            node has an entry, in ascending order, and zeros up to the largest number of columns;
+            for any two entries of a row, the position of their product in the values of `pattern`
+            (size * width^2,); and `pattern` (k, k), a matrix with the sparsity of G'D G and a full
+            diagonal.
         """
         entries = csr_array(self.columns).tocoo()
         (size, k), row, column = entries.shape, entries.row, entries.col

@@ -129,7 +129,11 @@ class FeasibleSet:
         return lambda v: v
 
     def sums(self, v: Array) -> Array:
-        """Return the sums over each disc, (n_discs,) or (n_discs, k), of tangential parts of v."""
+        """Return the sum of the tangential entries of v in each disc, (n_discs,) or (n_discs, k).
+
+        Args:
+            v: (size,) or (size, k); the columns are summed separately.
+        """
         parts, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
             return np.bincount(self.node, parts, minlength=n).astype(np.float64)
