@@ -100,7 +100,7 @@ class Equilibrium:
         return result, float(sizes.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
-        """Return in words which body slides, and how much friction is exceeded. Collective."""
+        """Return which body slides, and by which factor the load exceeds friction. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
             f"Nothing holds {self.describe(deficit.motion)}. The loads along this motion are "

@@ -37,7 +37,7 @@ UNCHANGED = 1e-3
 
 
 class TangentProblem:
-    """The contact problem of a Newton step; its unknown is the whole displacement, not a change.
+    """The contact problem of a Newton step; its unknown is the total displacement, not a change.
 
     The `contact` system owns the PETSc objects.
 
@@ -71,7 +71,7 @@ class TangentProblem:
             F: residual form, internal minus external forces.
             u: displacement on which F depends, or all unknowns of a mixed space.
             J: derivative of F with respect to u.
-            bcs: Dirichlet conditions of the whole displacement.
+            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
             entity_maps: see `ContactProblem`.
             before_assembly: see `NonlinearContactProblem`.
             on_accept: see `NonlinearContactProblem`.

@@ -54,7 +54,7 @@ class NonlinearContactProblem(ContactProcess):
 
     The interface resembles `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u, from
     which a solve starts and which holds the solution afterwards. Each Newton step solves a
-    contact problem with the tangent at the present u; its unknown is the whole displacement. The
+    contact problem with the tangent at the present u; its unknown is the total displacement. The
     conditions of contact and friction are not linearised, so they hold after each step. Change
     Constants and Functions in forms and conditions in place, as for `ContactProblem`. Multipliers
     and the models of A are kept from step to step.
@@ -133,7 +133,7 @@ class NonlinearContactProblem(ContactProcess):
                 such as one of displacements and pressures, u has all unknowns, and Dirichlet
                 conditions must hold the bodies.
             pairs: surfaces that may touch.
-            bcs: Dirichlet conditions of the whole displacement.
+            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
             J: derivative of F, symmetric; None: `ufl.derivative(F, u)`.
             before_assembly: function without arguments that computes further coefficients of F and
                 J from u; ghosts of u are up to date, and the function must update the ghosts of

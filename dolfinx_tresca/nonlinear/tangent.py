@@ -1,4 +1,4 @@
-"""The linear system of one Newton step, whose solution is the whole displacement."""
+"""The linear system of one Newton step, whose solution is the total displacement."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class TangentSystem(LinearSystem):
         Args:
             J: derivative of F with respect to u.
             F: residual form, internal minus external forces.
-            bcs: Dirichlet conditions of the whole displacement.
+            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
             u: displacement on which the forms depend, or all unknowns of a mixed space.
             entity_maps: see `ContactProblem`.
             before_assembly: function that computes further coefficients of the forms from u.

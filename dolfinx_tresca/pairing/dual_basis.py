@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,21 +130,20 @@ def redistributed(values: Array, some: Mask) -> Array:
 
 
 def assemble_rows(
-    nodes: SurfaceNodes, parts: Sequence[tuple[Indices, GlobalNumbers, Array]], columns: int
+    nodes: SurfaceNodes, rows: Indices, columns: GlobalNumbers, values: Array, width: int
 ) -> Any:
-    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, columns).
+    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, width).
 
     Args:
         nodes: the secondary nodes, one row for each.
-        parts: sets of blocks: (n, corners) indices in `nodes` of the rows of each block, (n, k)
-            global numbers of its columns, and (n, corners, k) its values.
-        columns: number of columns.
+        rows: (n, corners) indices in `nodes` of the rows of each block.
+        columns: (n, k) global numbers of the columns of each block.
+        values: (n, corners, k) the blocks.
+        width: number of columns of the matrix.
     """
-    rows = [np.repeat(row, block.shape[2], axis=1).ravel() for row, _, block in parts]
-    numbers = [np.tile(column, block.shape[1]).ravel() for _, column, block in parts]
-    values = np.concatenate([block.ravel() for _, _, block in parts])
-    places = np.concatenate(rows), np.concatenate(numbers)
-    return coo_array((values, places), shape=(len(nodes.numbers), columns)).tocsr()
+    places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
+    entries = values.ravel(), (places[0].ravel(), places[1].ravel())
+    return coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
 
 
 def force_moments(

@@ -208,10 +208,8 @@ def mortar_rows(
     own = dual @ integrals.own.values
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
-    of_own = nodes.facet_nodes, secondary.nodes, own
-    of_other = nodes.facet_nodes[facet], primary.nodes[other], block
-    across = assemble_rows(nodes, [of_other], columns)
-    jump = assemble_rows(nodes, [of_own, (*of_other[:2], -block)], columns)
+    across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
+    jump = assemble_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns) - across
     heights, secondary_sagitta, distance = (
         summed(np.einsum("nab,nb->na", dual, of_hats))
         for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)

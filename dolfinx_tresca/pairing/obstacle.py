@@ -65,7 +65,7 @@ def couple(
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
     rows = redistributed(weighted, faces)
-    jump = assemble_rows(nodes, [(facet_nodes, facets.nodes, rows)], columns)
+    jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
     jump = scaled_rows(drop_rounding(jump, facets, facet_nodes, weights), scale)
 
     def nodal_means(at_nodes: Array) -> Array:

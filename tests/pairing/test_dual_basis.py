@@ -125,7 +125,7 @@ def test_rows_are_summed_over_facets():
     facets = sheet("interval", 3)
     nodes = nodes_of(facets)
     values = np.ones((3, 2, 2))
-    matrix = assemble_rows(nodes, [(nodes.facet_nodes, facets.nodes, values)], 6).toarray()
+    matrix = assemble_rows(nodes, nodes.facet_nodes, facets.nodes, values, 6).toarray()
     expected = np.zeros((4, 6))
     expected[:, :4] = [[1, 1, 0, 0], [1, 2, 1, 0], [0, 1, 2, 1], [0, 0, 1, 1]]
     assert np.array_equal(matrix, expected)
@@ -135,7 +135,7 @@ def test_drop_rounding():
     facets = sheet("interval", 1)
     nodes = nodes_of(facets)
     values = np.array([[[1.0, 1e-17], [1e-17, 1e-17]]])
-    matrix = assemble_rows(nodes, [(nodes.facet_nodes, facets.nodes, values)], 2)
+    matrix = assemble_rows(nodes, nodes.facet_nodes, facets.nodes, values, 2)
     cleaned = drop_rounding(matrix, facets, nodes.facet_nodes, np.array([1.0, 1e-17]))
     assert cleaned.nnz == 3
     assert np.array_equal(cleaned.toarray(), [[1.0, 0.0], [1e-17, 1e-17]])

@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.sets.feasible_set import Face
 
-#: Least softness S of the equality constraints G'lambda + S c = e, divided by the compliance of the
+#: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
 #: multipliers. With this softness, the linear systems have a solution even if the constraints have
 #: none.
 LEAST_SOFTNESS = 1e-10

@@ -18,7 +18,7 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: 1e-4, 18 with 1e-5; with 1e-10, Newton's method on the model fails.
 SHIFT = 1e-4
 
-#: Least softness of the equality constraints in Newton steps with softened constraints, divided by
+#: Least softness of the equality constraints in Newton steps with softened constraints, times
 #: the compliance of the multipliers. With 1e-10, a wall of 1,104 bricks is not solved.
 PROXIMAL = 1e-4
 
@@ -110,7 +110,11 @@ class SparseModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, see `Model`; the tiny `LEAST_SOFTNESS` is added to S. Collective."""
+        """Return V s and c, the solution of the equations in `Model.solve_between`. Collective.
+
+        `LEAST_SOFTNESS`, divided by the mean of diag(A), is added to the diagonal of S, so that the
+        equations have a solution even if the constraints have none.
+        """
         unit, k = self._unit, len(missing)
         test, trial, stiffness, fixed = (
             self._matrix(one)

@@ -121,10 +121,10 @@ class FrictionCones:
         Here s is a step along the face, and v the right-hand side of its equation: for example
         s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
         node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
-        to the change of the bound with the slip. The change of a bound itself changes the slip, by
-        -D times the change of the bound. So both maps contain the factor 1 / (1 + h D), with the
-        derivative h of the bound with respect to the slip. Both maps take arrays (size,) or
-        (size, k).
+        to the change of the bound that is due to the slip: along the multiplier, v is the change of
+        the slip for s = 0. The change of the bound itself changes the slip, by -D times the change
+        of the bound. So both maps contain the factor 1 / (1 + h D), with the derivative h of the
+        bound with respect to the slip. Both maps take arrays (size,) or (size, k).
 
         Args:
             x: (size,) multipliers.
