@@ -98,6 +98,15 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
             assert table.markdown(rows) in printed
 
 
+def test_pairing_takes_as_much_memory_as_the_page_says(tmp_path, monkeypatch):
+    """3.1 kB at the peak for each secondary facet; 4.9 with the entries of both sides at once."""
+    result = tmp_path / "rows.json"
+    counted = "--facets 10000 --count-bytes --here --changed --json"
+    run(monkeypatch, "pairing", *counted.split(), result)
+    (row,) = kept(result)
+    assert sum(row["bytes"]) <= 4000 * row["facets"]
+
+
 def test_peers_find_the_same_stresses(tmp_path, monkeypatch):
     """Also those with an assembly of their own, and after load steps with history."""
     result = tmp_path / "rows.json"
