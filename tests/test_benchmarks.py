@@ -99,7 +99,7 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
 
 
 def test_pairing_takes_as_much_memory_as_the_page_says(tmp_path, monkeypatch):
-    """3.1 kB at the peak for each secondary facet; 4.9 with the entries of both sides at once."""
+    """3.2 kB at the peak for each secondary facet; 5.2 with the entries of both sides at once."""
     result = tmp_path / "rows.json"
     counted = "--facets 10000 --count-bytes --here --changed --json"
     run(monkeypatch, "pairing", *counted.split(), result)
@@ -178,7 +178,7 @@ def test_cases_in_processes_of_their_own(tmp_path, echo):
     assert rows["sleep"]["found"] == 1  # what it had found until then
 
 
-def test_a_cell_without_its_figure_is_empty(monkeypatch):
+def test_a_cell_without_its_figure_is_empty():
     """As in the row of a case that failed."""
     table = importlib.import_module("harness.table")
     for text in ("{found}", lambda rows: f"{rows[0]['found']}"):
