@@ -11,6 +11,7 @@ import re
 import shlex
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -244,6 +245,28 @@ def test_commands_of_the_page_are_understood():
     for name, arguments in found:
         parser = importlib.import_module(name).BENCHMARK.parser()
         parser.parse_args(shlex.split(arguments, comments=True))
+
+
+def test_measure_runs_the_commands_of_the_named_scripts_only(monkeypatch, tmp_path, capsys):
+    measure = importlib.import_module("measure")
+    monkeypatch.setattr(measure, "LOG", tmp_path / "results" / "measure.log")
+    ran = []
+    monkeypatch.setattr(
+        measure.subprocess,
+        "run",
+        lambda command, **_: ran.append(command) or SimpleNamespace(returncode=0),
+    )
+    monkeypatch.setattr(sys, "argv", ["measure.py", "peers", "cattaneo"])
+    measure.main()
+    assert {re.search(r"benchmarks/(\w+)\.py", c)[1] for c in ran} == {"peers", "cattaneo"}
+    monkeypatch.setattr(sys, "argv", ["measure.py", "--list"])
+    with pytest.raises(SystemExit):
+        measure.main()
+    monkeypatch.setattr(sys, "argv", ["measure.py", "peer"])
+    with pytest.raises(SystemExit):
+        measure.main()
+    assert "has no command of peer" in capsys.readouterr().err
+    assert len(ran) == len((tmp_path / "results" / "measure.log").read_text().splitlines())
 
 
 @pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)
