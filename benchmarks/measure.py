@@ -3,10 +3,10 @@
     make measure
     python3 benchmarks/measure.py peers published
 
-The second line runs the commands of two scripts only. Commands that name no number of threads get one thread. Minutes and exit codes are logged in
-`results/measure.log`; a command that fails does not stop the other commands. Afterwards
-`make tables` writes the tables of the page. This script needs no DOLFINx, since each command calls
-`tools/fenicsx`.
+The second line runs the commands of two scripts only. Commands that name no number of threads get
+one thread. Minutes and exit codes are logged in `results/measure.log`; a command that fails does
+not stop the other commands. Afterwards `make tables` writes the tables of the page. This script
+needs no DOLFINx, since each command calls `tools/fenicsx`.
 """
 
 from __future__ import annotations
