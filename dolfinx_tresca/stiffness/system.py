@@ -23,6 +23,12 @@ from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.stiffness.checks import (
+    check_hoop_stiffness,
+    check_meridian,
+    check_signs,
+    check_symmetry,
+)
 from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.forms import (
     coefficients,
@@ -32,37 +38,6 @@ from dolfinx_tresca.stiffness.forms import (
     form_space,
 )
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
-
-#: Largest ratio of |x'K y - y'K x| to |x| |K y| that counts as rounding in the assembly of a
-#: symmetric K.
-SYMMETRY = 1e-10
-
-
-#: The force against a radial translation of length 1 counts as rounding up to this multiple of K's
-#: largest diagonal entry; the form then lacks the hoop strain.
-HOOP_ROUNDING = 1e-12
-
-#: A negative radius counts as zero if its absolute value is at most this fraction of the largest
-#: radius.
-RADIUS_ROUNDING = 1e-9
-
-
-def check_meridian(mesh: Any) -> None:
-    """Check that a mesh is the meridian of bodies of revolution about the axis x = 0. Collective.
-
-    Raises:
-        InputError: the mesh is not in 2D, or has negative radii.
-    """
-    dim, radii = mesh.geometry.dim, mesh.geometry.x[:, 0]
-    least, largest = reduce_array(
-        mesh.comm, [radii.min(initial=np.inf), -np.abs(radii).max(initial=0.0)], MPI.MIN
-    )
-    if dim != 2 or least < RADIUS_ROUNDING * largest:
-        found = f"a mesh in {dim}D" if dim != 2 else f"x[0] down to {least:.3g}"
-        raise InputError(
-            "axisymmetric=True needs a mesh in 2D, whose x[0] is the radius and not negative, and "
-            f"whose x[1] is along the axis, found {found}."
-        )
 
 
 class LinearSystem(PetscOwner):
@@ -220,7 +195,8 @@ class LinearSystem(PetscOwner):
         Raises:
             InputError: a is a matrix, given in place of a form, that `copied` cannot copy; or an
                 axisymmetric form describes a plane body.
-            StiffnessError: K is not symmetric or not finite, or fails `_check_signs`.
+            StiffnessError: K is not symmetric or not finite; or, in a mixed space, a diagonal entry
+                of an unknown that is no displacement is positive.
         """
         self.assemble_form()
         norm = self.K.norm(PETSc.NormType.FROBENIUS)
@@ -230,10 +206,11 @@ class LinearSystem(PetscOwner):
                 "of the form a that are, and for cells without volume."
             )
         if self.axisymmetric and self.component is None:
-            self._check_hoop_stiffness()
+            check_hoop_stiffness(self.K)
         self._eliminate()
-        self._check_symmetry()
-        self._check_signs()
+        check_symmetry(self.K, self.cure_of_asymmetry)
+        if self.component is not None:
+            check_signs(self.K, ~self.prescribed & ~self.moves)
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._coefficients = [np.copy(values) for values in coefficients(self.form)]
 
@@ -250,29 +227,6 @@ class LinearSystem(PetscOwner):
             self.K.zeroEntries()
             dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
         self.K.assemble()
-
-    def _check_hoop_stiffness(self) -> None:
-        """Check that K, before conditions are eliminated, resists a radial translation. Collective.
-
-        Raises:
-            InputError: K does not resist the translation: the form describes a plane body.
-        """
-        motion, force = self.K.createVecRight(), self.K.createVecLeft()
-        diagonal = self.K.getDiagonal()
-        motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
-        self.K.mult(motion, force)
-        resistance, largest = (
-            force.norm(PETSc.NormType.INFINITY),
-            diagonal.norm(PETSc.NormType.INFINITY),
-        )
-        for vector in (motion, force, diagonal):
-            vector.destroy()
-        if resistance <= HOOP_ROUNDING * largest:
-            raise InputError(
-                "the form a is that of a plane body: it does not resist a radial translation. An "
-                "axisymmetric form has the hoop strain u[0] / x[0] and the factor "
-                "2 * pi * x[0], with x = ufl.SpatialCoordinate(mesh)."
-            )
 
     def _eliminate(self) -> None:
         """Replace prescribed rows and columns of K by rows and columns of the identity.
@@ -319,52 +273,6 @@ class LinearSystem(PetscOwner):
             for now, then in zip(coefficients(self.form), self._coefficients, strict=True)
         )
         return bool(self.comm.allreduce(changed, op=MPI.LOR))
-
-    def _check_symmetry(self) -> None:
-        """Check that x'K y = y'K x for two oscillating vectors, which is cheaper than K - K'.
-
-        Raises:
-            StiffnessError: K is not symmetric.
-        """
-        x, y = self.K.createVecLeft(), self.K.createVecLeft()
-        Kx, Ky = x.duplicate(), x.duplicate()
-        first, last = x.getOwnershipRange()
-        rows = np.arange(first, last)
-        x.array = np.cos(12.9898 * rows)
-        y.array = np.sin(78.233 * rows)
-        self.K.mult(x, Kx)
-        self.K.mult(y, Ky)
-        defect = abs(x.dot(Ky) - y.dot(Kx))
-        scale = x.norm() * Ky.norm()
-        for vector in (x, y, Kx, Ky):
-            vector.destroy()
-        if defect > SYMMETRY * scale:
-            raise StiffnessError(
-                f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
-                f"the form a(u, v) must equal a(v, u). {self.cure_of_asymmetry}"
-            )
-
-    def _check_signs(self) -> None:
-        """Check that C of a saddle-point matrix has no negative diagonal entry. Collective.
-
-        The pivots do not show this: if C is negative, the matrix may have the same number of
-        negative pivots.
-
-        Raises:
-            StiffnessError: a diagonal entry of C is negative.
-        """
-        if self.component is None:
-            return
-        diagonal = self.K.getDiagonal()
-        others = diagonal.array[~self.prescribed & ~self.moves]
-        diagonal.destroy()
-        largest = self.comm.allreduce(float(others.max(initial=-np.inf)), op=MPI.MAX)
-        if largest > 0.0:
-            raise StiffnessError(
-                f"the stiffness matrix has {largest:.3g} on the diagonal of an unknown that is no "
-                "displacement: a mixed space needs the form a(u, v) + b(v, p) + b(u, q) - c(p, q) "
-                "with c(p, p) >= 0. Check the signs in it, and Poisson's ratio (at most 0.5)."
-            )
 
     @property
     def driven_by_forces(self) -> bool:
