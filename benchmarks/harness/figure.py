@@ -40,6 +40,8 @@ def percent_ticks(axis: Any) -> None:
 def _ticks(axis: Any, text: Callable[[float], str]) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    least, largest = axis.get_view_interval()
+    crowded = axis.axis_name == "x" and largest > 500.0 * least  # labels would touch side by side
+    axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if crowded else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
     axis.set_minor_locator(NullLocator())
