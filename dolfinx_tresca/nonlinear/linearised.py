@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
@@ -391,6 +392,22 @@ class TangentProblem:
             correction.x.scatter_forward()
             return self._norm.of(correction)
         return float(np.sqrt(max(square, 0.0)))
+
+    def rounding_norm(self) -> float:
+        """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
+
+        It is `ROUNDING` sqrt(n u_k'D u_k), where D is the diagonal of K in rows of displacements,
+        and n is the mean number of entries in a row. A force is the sum of n terms of the size
+        D_i |u_i|, and the rounding errors of n terms add up to sqrt(n) times one of them; and
+        (K^-1)_ii >= 1 / D_i. A rigid motion has rounding errors, but no energy.
+        """
+        K, moves = self.tangent.K, self.tangent.moves
+        entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
+        diagonal = K.getDiagonal()
+        terms = np.abs(diagonal.array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
+        diagonal.destroy()
+        total = self.comm.allreduce(float(terms.sum()))
+        return ROUNDING * math.sqrt(entries * total)
 
     def place_of_largest(self, values: Array) -> Array:
         """Return the point (dim,) [length] where a change of displacement is largest. Collective.

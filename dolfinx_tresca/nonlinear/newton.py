@@ -186,7 +186,11 @@ class Newton:
             # sums may differ between ranks in the last digit, verdicts must not
             correction, residual = problem.comm.bcast((change / size, residual / size))
             self._count(solution)
-            if self.fraction == 0.0 or residual <= self.options.accuracy:
+            falls = residual <= GROWTH * last
+            reached = residual <= self.options.accuracy or (
+                not falls and problem.comm.bcast(residual * size <= problem.rounding_norm())
+            )
+            if self.fraction == 0.0 or reached:
                 self.found = solution
             self.steps.append(
                 NewtonStep(
@@ -208,15 +212,15 @@ class Newton:
             if not math.isfinite(residual):
                 return f"{where}: {reason}"
             try:
-                if self._settled(residual, solution.residuals[0]):
+                if self._settled(reached, solution.residuals[0]):
                     return ""
             except PairingError as error:
                 return f"{where}: {str(error).rstrip('.')}"
             was_slow, slow = slow, self.level >= FIRST_SLOW
             other = self._sliding is not None  # residuals in two configurations are not comparable
-            if number > 2 and residual > GROWTH * last and not (slow or was_slow or other):
+            if number > 2 and not (falls or reached or slow or was_slow or other):
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
-            errors.append(residual / self.options.accuracy)
+            errors.append(1.0 if reached else residual / self.options.accuracy)
             if self._sliding is not None:
                 errors[-1] = max(errors[-1], self._sliding.error / self.contact.geometry_accuracy)
             if not self._may_continue(errors):
@@ -229,19 +233,18 @@ class Newton:
                 return failure
             last = residual
 
-    def _settled(self, residual: float, start: float) -> bool:
+    def _settled(self, reached: bool, start: float) -> bool:
         """Return whether u is an equilibrium; if not, pair surfaces in the next configuration.
 
         Only pairs with finite sliding are paired. Collective.
 
         Args:
-            residual: relative residual of Newton's method.
+            reached: whether the residual of Newton's method has reached the requested accuracy.
             start: relative residual that the step's contact problem started with.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
         """
-        reached = residual <= self.options.accuracy
         if self._sliding is None:
             return reached
         self._sliding.observe(self.problem.displacement, start)

@@ -167,8 +167,6 @@ def scene_of(comm, drawn: Drawn) -> Scene:
     }[drawn.obstacle]
     stiff = drawn.young * np.array([1.0, min(drawn.ratio, 1.0)])
     held = drawn.held if dim == 3 or drawn.held != FRONT else LEFT
-    # all forces of a body that is only translated are rounding errors: see docs/reliability.md
-    shrinks = drawn.material != "elastic"
     scene = block(
         comm,
         drawn.n,
@@ -178,7 +176,7 @@ def scene_of(comm, drawn: Drawn) -> Scene:
         poisson=drawn.poisson,
         load=stress * min(drawn.ratio, 1.0) * np.array(drawn.load),
         held=(held,),
-        moved=lambda x: -0.1 * drawn.strain * (up[:dim, None] + shrinks * x[:dim]),
+        moved=lambda x: np.broadcast_to(-0.1 * drawn.strain * up[:dim, None], x[:dim].shape),
         friction=law,
         obstacles=[(BELOW, obstacle)],
     )

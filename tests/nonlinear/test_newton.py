@@ -18,6 +18,7 @@ from dolfinx_tresca import (
     InputError,
     NewtonOptions,
     NonlinearContactProblem,
+    RigidPlane,
     SolverOptions,
     Tresca,
 )
@@ -321,6 +322,24 @@ def test_back_to_zero(comm):
             solution.raise_if_failed()
     assert len(solution.newton.steps) < 10
     assert np.abs(scene.u.x.array).max(initial=0.0) <= 1e-6
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(("n", "degree"), [((16, 16), 2), ((4, 4, 4), 1)])
+def test_rigid_motion(comm, n, degree):
+    """A body that touches nothing has no energy: the residual is nothing but rounding errors."""
+    dim = len(n)
+    far_below = RigidPlane(-np.eye(dim)[-1], np.eye(dim)[-1])
+    scene = rubber_block(comm, n, degree=degree, clamped=True, obstacle=far_below)
+    with scene.problem(newton=NewtonOptions(accuracy=1e-12)) as problem:
+        for step in range(1, 9):
+            scene.push.value[:] = -0.1 * step * np.arange(1, dim + 1) / dim
+            solution = problem.solve()
+            solution.raise_if_failed()
+            assert len(solution.newton.steps) < 10
+            moved = scene.u.x.array.reshape(-1, dim) - scene.push.value
+            assert np.abs(moved).max(initial=0.0) <= 1e4 * np.finfo(float).eps
+            problem.accept()
 
 
 def test_an_energy_is_no_residual(comm):
