@@ -396,18 +396,30 @@ class TangentProblem:
     def rounding_norm(self) -> float:
         """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
 
-        It is `ROUNDING` sqrt(n u_k'D u_k), where D is the diagonal of K in rows of displacements,
-        and n is the mean number of entries in a row. A force is the sum of n terms of the size
-        D_i |u_i|, and the rounding errors of n terms add up to sqrt(n) times one of them; and
-        (K^-1)_ii >= 1 / D_i. A rigid motion has rounding errors, but no energy.
+        It is `ROUNDING` sqrt(n u_k'D u_k + |x|_K^2), where D is the diagonal of K in rows of
+        displacements, n is the mean number of entries in a row, and x is the position. A force is
+        the sum of n terms of the size D_i |u_i|, and the rounding errors of n terms add up to
+        sqrt(n) times one of them; and (K^-1)_ii >= 1 / D_i. Stresses that depend on the deformation
+        gradient, the gradient of x + u_k, are rounded as if the strains had the size 1. A rigid
+        motion has such rounding errors, but no energy.
         """
         K, moves = self.tangent.K, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
         diagonal = K.getDiagonal()
         terms = np.abs(diagonal.array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
         diagonal.destroy()
-        total = self.comm.allreduce(float(terms.sum()))
-        return ROUNDING * math.sqrt(entries * total)
+        total = entries * self.comm.allreduce(float(terms.sum()))
+        return ROUNDING * math.hypot(math.sqrt(total), self.energy_norm(self._position()))
+
+    def _position(self) -> Array:
+        """Return the values of u, with ghosts, whose displacement is the position. Collective."""
+        position, component = fem.Function(self.tangent.V), self.tangent.component
+        position.interpolate(lambda x: x[: self.tangent.V.mesh.geometry.dim])
+        if component is None:
+            return np.array(position.x.array)
+        w = fem.Function(self.tangent.space)
+        component.compose(w, position, component.other_parts(w))
+        return np.array(w.x.array)
 
     def place_of_largest(self, values: Array) -> Array:
         """Return the point (dim,) [length] where a change of displacement is largest. Collective.
