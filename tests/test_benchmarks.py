@@ -33,6 +33,7 @@ RUNS = {
     ),
     "pairing": ("--facets 100", "seconds"),
     "cholesky": ("--sizes 2 --packages MUMPS", "solve"),
+    "choice": ("--scenes hertz --degrees 1 --most 1000 --repeats 1", "ratio"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
     "assemblies": ("--bricks 2", "push_products"),
     "holding_bodies": ("--bricks 2 --pushes 0.2", "springs_products"),
