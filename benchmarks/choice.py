@@ -29,10 +29,10 @@ SOLVERS = ("cholesky", "multigrid")
 
 #: Scene, degree, cells -> meshes; a refined mesh is the first one of a sequence.
 CASES = {
-    ("two_bricks", 1, "tetrahedra"): [Mesh("tetrahedra", 1, N) for N in (12, 16, 20)],
-    ("two_bricks", 2, "tetrahedra"): [Mesh("tetrahedra", 2, N) for N in (6, 8, 10)],
-    ("two_bricks", 2, "hexahedra"): [Mesh("hexahedra", 2, N) for N in (6, 10)],
-    ("two_bricks", 2, "graded hexahedra"): [Mesh("hexahedra", 2, N, 2.0) for N in (6, 10)],
+    ("two_bricks", 1, "tetrahedra"): [Mesh("tetrahedra", 1, N) for N in (16, 22, 28)],
+    ("two_bricks", 2, "tetrahedra"): [Mesh("tetrahedra", 2, N) for N in (8, 11, 14)],
+    ("two_bricks", 2, "hexahedra"): [Mesh("hexahedra", 2, N) for N in (8, 12)],
+    ("two_bricks", 2, "graded hexahedra"): [Mesh("hexahedra", 2, N, 2.0) for N in (8, 12)],
     ("hertz", 1, "tetrahedra"): [Mesh("tetrahedra", 1, h) for h in (0.1, 0.08, 0.065)],
     ("hertz", 2, "tetrahedra"): [Mesh("tetrahedra", 2, h) for h in (0.28, 0.22, 0.17)],
     ("two_bricks", 1, "refined"): [Mesh("tetrahedra", 1, 4)],
