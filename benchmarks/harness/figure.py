@@ -28,12 +28,12 @@ def save(figure: Any, path: Path) -> None:
 
 
 def plain_ticks(axis: Any) -> None:
-    """Write 0.5, 1, 2, 5, 10, ... at an axis with a logarithmic scale."""
+    """Write numbers such as 0.5, 1, 2, 5 and 10 at an axis with a logarithmic scale."""
     _ticks(axis, lambda value: f"{value:g}")
 
 
 def percent_ticks(axis: Any) -> None:
-    """Write 0.5 %, 1 %, 2 %, 5 %, ... at an axis with a logarithmic scale."""
+    """Write percentages such as 0.5 %, 1 %, 2 % and 5 % at an axis with a logarithmic scale."""
     _ticks(axis, lambda value: f"{100 * value:g} %")
 
 

@@ -397,11 +397,11 @@ class TangentProblem:
         """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
 
         It is `ROUNDING` sqrt(n u_k'D u_k + |x|_K^2), where D is the diagonal of K in rows of
-        displacements, n is the mean number of entries in a row, and x is the position. A force is
-        the sum of n terms of the size D_i |u_i|, and the rounding errors of n terms add up to
-        sqrt(n) times one of them; and (K^-1)_ii >= 1 / D_i. Stresses that depend on the deformation
-        gradient, the gradient of x + u_k, are rounded as if the strains had the size 1. A rigid
-        motion has such rounding errors, but no energy.
+        displacements, n is the mean number of entries in a row, and x is the position relative to
+        the middle of all nodes. A force is the sum of n terms of the size D_i |u_i|, and the
+        rounding errors of n terms add up to sqrt(n) times one of them; and (K^-1)_ii >= 1 / D_i.
+        Stresses that depend on the deformation gradient, the gradient of x + u_k, are rounded as if
+        the strains had the size 1. A rigid motion has such rounding errors, but no energy.
         """
         K, moves = self.tangent.K, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
@@ -412,9 +412,19 @@ class TangentProblem:
         return ROUNDING * math.hypot(math.sqrt(total), self.energy_norm(self._position()))
 
     def _position(self) -> Array:
-        """Return the values of u, with ghosts, whose displacement is the position. Collective."""
-        position, component = fem.Function(self.tangent.V), self.tangent.component
-        position.interpolate(lambda x: x[: self.tangent.V.mesh.geometry.dim])
+        """Return the values of u, with ghosts, whose displacement is the position. Collective.
+
+        The position is relative to the middle of all nodes: terms of F may resist a translation. In
+        a body of revolution a radial translation is a strain, and the radius is not changed.
+        """
+        V, component = self.tangent.V, self.tangent.component
+        dim, nodes = V.mesh.geometry.dim, V.dofmap.index_map
+        position = fem.Function(V)
+        position.interpolate(lambda x: x[:dim])
+        x = position.x.array.reshape(-1, dim)
+        middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
+        middle[0] *= not self.tangent.axisymmetric
+        x -= middle
         if component is None:
             return np.array(position.x.array)
         w = fem.Function(self.tangent.space)

@@ -171,9 +171,7 @@ class Newton:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
             from_start = problem.energy_norm(solution.w.x.array - self._start)
-            size = (
-                max(problem.energy_norm(solution.w.x.array), from_start) or 1.0
-            )  # u may go back to zero
+            size = max(problem.energy_norm(solution.w.x.array), from_start)  # u may go back to zero
             change = problem.energy_norm(solution.w.x.array - before)
             if number > 1:  # the first step moves the whole bodies
                 self._last_change = solution.w.x.array - before
@@ -183,13 +181,16 @@ class Newton:
                 residual = problem.residual_norm()
             except StiffnessError as error:
                 residual, reason = math.nan, str(error).rstrip(".")
+            rounding = problem.rounding_norm()
+            size = size or rounding / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
-            correction, residual = problem.comm.bcast((change / size, residual / size))
-            self._count(solution)
-            falls = residual <= GROWTH * last
-            reached = residual <= self.options.accuracy or (
-                not falls and problem.comm.bcast(residual * size <= problem.rounding_norm())
+            correction, residual, rounding = problem.comm.bcast(
+                (change / size, residual / size, rounding / size)
             )
+            self._count(solution)
+            was_slow, slow = slow, self.level >= FIRST_SLOW
+            grows = number > 2 and residual >= GROWTH * last and not (slow or was_slow)
+            reached = residual <= self.options.accuracy or (grows and residual <= rounding)
             if self.fraction == 0.0 or reached:
                 self.found = solution
             self.steps.append(
@@ -216,9 +217,8 @@ class Newton:
                     return ""
             except PairingError as error:
                 return f"{where}: {str(error).rstrip('.')}"
-            was_slow, slow = slow, self.level >= FIRST_SLOW
-            other = self._sliding is not None  # residuals in two configurations are not comparable
-            if number > 2 and not (falls or reached or slow or was_slow or other):
+            # residuals in two configurations are not comparable
+            if grows and self._sliding is None:
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
             errors.append(1.0 if reached else residual / self.options.accuracy)
             if self._sliding is not None:

@@ -273,10 +273,10 @@ class NonlinearContactProblem(ContactProcess):
             contact.solve(self.options, self.units, lambda _: False)
             solved = contact.solved
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
-            size = problem.energy_norm(self.u.x.array)
+            size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
         finally:
             problem.state = state
-        if self.comm.bcast(change > UNCHANGED * size):
+        if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
             raise ContactError(
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."

@@ -167,6 +167,7 @@ def scene_of(comm, drawn: Drawn) -> Scene:
     }[drawn.obstacle]
     stiff = drawn.young * np.array([1.0, min(drawn.ratio, 1.0)])
     held = drawn.held if dim == 3 or drawn.held != FRONT else LEFT
+    shrinks = drawn.material != "elastic" and drawn.rough % 2 == 1
     scene = block(
         comm,
         drawn.n,
@@ -176,7 +177,7 @@ def scene_of(comm, drawn: Drawn) -> Scene:
         poisson=drawn.poisson,
         load=stress * min(drawn.ratio, 1.0) * np.array(drawn.load),
         held=(held,),
-        moved=lambda x: np.broadcast_to(-0.1 * drawn.strain * up[:dim, None], x[:dim].shape),
+        moved=lambda x: -0.1 * drawn.strain * (up[:dim, None] + shrinks * x[:dim]),
         friction=law,
         obstacles=[(BELOW, obstacle)],
     )

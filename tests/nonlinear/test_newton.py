@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.nonlinear import newton
+from dolfinx_tresca.nonlinear.linearised import TangentProblem
 from scenes.blocks import ABOVE, block
 from scenes.rubber_block import neo_hookean, rubber_block, uniaxial_stress
 
@@ -324,13 +325,19 @@ def test_back_to_zero(comm):
     assert np.abs(scene.u.x.array).max(initial=0.0) <= 1e-6
 
 
+def falling_block(comm, n, degree, sliding="small"):
+    """Return a block of rubber far above its obstacle."""
+    down = -np.eye(len(n))[-1]
+    scene = rubber_block(comm, n, degree=degree, clamped=True, obstacle=RigidPlane(down, -down))
+    return scene.but(sliding=sliding)
+
+
 @pytest.mark.parallel
 @pytest.mark.parametrize(("n", "degree"), [((16, 16), 2), ((4, 4, 4), 1)])
-def test_rigid_motion(comm, n, degree):
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_rigid_motion(comm, n, degree, sliding):
     """A body that touches nothing has no energy: the residual is nothing but rounding errors."""
-    dim = len(n)
-    far_below = RigidPlane(-np.eye(dim)[-1], np.eye(dim)[-1])
-    scene = rubber_block(comm, n, degree=degree, clamped=True, obstacle=far_below)
+    scene, dim = falling_block(comm, n, degree, sliding), len(n)
     with scene.problem(newton=NewtonOptions(accuracy=1e-12)) as problem:
         for step in range(1, 9):
             scene.push.value[:] = -0.1 * step * np.arange(1, dim + 1) / dim
@@ -339,7 +346,17 @@ def test_rigid_motion(comm, n, degree):
             assert len(solution.newton.steps) < 10
             moved = scene.u.x.array.reshape(-1, dim) - scene.push.value
             assert np.abs(moved).max(initial=0.0) <= 1e4 * np.finfo(float).eps
+            if sliding == "small":
+                problem.tangent([scene.push], [scene.push.value])  # finds the solution up to date
             problem.accept()
+
+
+def test_residuals_above_their_rounding_errors_fail(comm, monkeypatch):
+    monkeypatch.setattr(TangentProblem, "rounding_norm", lambda _: 1e-30)
+    scene = falling_block(comm, (16, 16), 2)
+    with scene.problem(newton=NewtonOptions(accuracy=1e-12)) as problem:
+        scene.push.value[:] = -0.1
+        assert problem.solve().status is ContactStatus.NO_EQUILIBRIUM
 
 
 def test_an_energy_is_no_residual(comm):
