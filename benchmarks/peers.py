@@ -28,7 +28,9 @@ are assembled once and, by this package, factored once.
                             the dense A (a product for each multiplier, many at once); PyPI
 
 A peer is stopped if a run takes more than --limit seconds, and is then skipped on larger meshes. A
-peer that is not installed is skipped, too.
+peer that is not installed is skipped, too. GetFEM is installed by
+
+    tools/fenicsx sh -c 'apt-get update && apt-get install -y --no-install-recommends python3-getfem'
 """
 
 from __future__ import annotations
