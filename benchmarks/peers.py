@@ -30,7 +30,7 @@ are assembled once and, by this package, factored once.
 A peer is stopped if a run takes more than --limit seconds, and is then skipped on larger meshes. A
 peer that is not installed is skipped, too. GetFEM is installed by
 
-    tools/fenicsx sh -c 'apt-get update && apt-get install -y --no-install-recommends python3-getfem'
+    tools/fenicsx sh -c 'apt-get update && apt-get install -y python3-getfem'
 """
 
 from __future__ import annotations
@@ -346,7 +346,7 @@ LONG_NAMES = {
 
 
 #: Scenes and sizes in the table.
-SHOWN = [("free_end_1", 16), ("free_end_1", 26), ("free_end_2", 16)]
+SHOWN = [("free_end_1", 16), ("free_end_1", 26), ("free_end_2", 16), ("free_end_2", 26)]
 
 
 def seconds(rows: list[Row]) -> str:
