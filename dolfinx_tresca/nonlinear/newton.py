@@ -21,7 +21,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
-#: Growth of the residual from one step to the next above which Newton's method counts as
+#: Growth of the residual from one step to the next from which on Newton's method counts as
 #: diverging. The first two steps are excepted, since the residual of the first step may be small
 #: only because nothing had moved yet. Steps with the undeformed bodies' stiffness added, and the
 #: first step after them, are excepted as well. Such steps reduce the energy and lead from an
@@ -171,7 +171,8 @@ class Newton:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
             from_start = problem.energy_norm(solution.w.x.array - self._start)
-            size = max(problem.energy_norm(solution.w.x.array), from_start)  # u may go back to zero
+            # u may go back to zero
+            size = problem.comm.bcast(max(problem.energy_norm(solution.w.x.array), from_start))
             change = problem.energy_norm(solution.w.x.array - before)
             if number > 1:  # the first step moves the whole bodies
                 self._last_change = solution.w.x.array - before
@@ -181,16 +182,15 @@ class Newton:
                 residual = problem.residual_norm()
             except StiffnessError as error:
                 residual, reason = math.nan, str(error).rstrip(".")
-            rounding = problem.rounding_norm()
-            size = size or rounding / self.options.accuracy
+            size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
-            correction, residual, rounding = problem.comm.bcast(
-                (change / size, residual / size, rounding / size)
-            )
+            correction, residual = problem.comm.bcast((change / size, residual / size))
             self._count(solution)
             was_slow, slow = slow, self.level >= FIRST_SLOW
             grows = number > 2 and residual >= GROWTH * last and not (slow or was_slow)
-            reached = residual <= self.options.accuracy or (grows and residual <= rounding)
+            reached = residual <= self.options.accuracy or (
+                grows and problem.comm.bcast(residual * size <= problem.rounding_norm())
+            )
             if self.fraction == 0.0 or reached:
                 self.found = solution
             self.steps.append(
