@@ -65,7 +65,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     if case["cells"] != "refined":
         for mesh in meshes:
             scene = study.on(study.tagged(mesh), degree=degree)
-            if mesh is meshes[0] or unknowns(scene) <= case["most"]:
+            if mesh is meshes[0] or scene.unknowns <= case["most"]:
                 yield compared(scene, None, case["repeats"])[0]
         return
     tagged, before = [study.tagged(meshes[0])], None  # levels of multigrid need all meshes
@@ -101,16 +101,10 @@ def compared(
             seconds[solver].append(time.process_time() - start)
             solution.raise_if_failed()
             products[solver] = solution.products
-    row: Row = {"unknowns": unknowns(scene)}
+    row: Row = {"unknowns": scene.unknowns}
     for solver in SOLVERS:
         row |= {solver: median(seconds[solver]), f"{solver}_products": products[solver]}
     return row | {"ratio": row["cholesky"] / row["multigrid"]}, solution
-
-
-def unknowns(scene: Scene) -> int:
-    """Return the number of displacement unknowns."""
-    dofmap = scene.V.dofmap
-    return int(dofmap.index_map.size_global * dofmap.index_map_bs)
 
 
 def ratios(rows: list[Row]) -> str:

@@ -85,12 +85,11 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
                 row["linear_problems"] = row["contact"] / row["linear"]
             found[degree, N, solver].append(row)
     for (degree, N, solver), rows in found.items():
-        index_map = scenes[degree, N].V.dofmap.index_map
         yield {
             "degree": degree,
             "N": N,
             "solver": solver,
-            "unknowns": index_map.size_global * 3,
+            "unknowns": scenes[degree, N].unknowns,
             "repeats": case["repeats"],
             **{figure: median(row[figure] for row in rows) for figure in rows[0]},
         }

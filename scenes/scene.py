@@ -57,6 +57,12 @@ class Scene:
         return self.V.mesh
 
     @property
+    def unknowns(self) -> int:
+        """The number of displacement unknowns on all ranks."""
+        dofmap = self.V.dofmap
+        return int(dofmap.index_map.size_global * dofmap.index_map_bs)
+
+    @property
     def tagged_mesh(self) -> TaggedMesh:
         """The mesh with its tags and their names, as it was read."""
         return TaggedMesh(self.mesh, self.cell_tags, self.facet_tags, self.tags, self.geometry)
