@@ -104,11 +104,6 @@ class DenseProblem(OneRank):
             return self
         return self._with(feasible_set=self.cones.section(x), cones=None)
 
-    def relaxed(self, part: float, softness: float, c: np.ndarray) -> DenseProblem:
-        """The problem with a part of the coefficients of friction, and softer constraints."""
-        cones = None if self.cones is None else self.cones.with_reduced_friction(part)
-        return self._with(cones=cones, constraints=self.constraints.softened(softness, c))
-
     def _with(self, **changes: Any) -> DenseProblem:
         """The problem with other restrictions; this problem counts and keeps the products."""
         changed = DenseProblem(

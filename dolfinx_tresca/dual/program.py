@@ -112,21 +112,6 @@ class DualProgram:
         lam = self.admissible.section(x)
         return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
 
-    def relaxed(self, part: float, softness: float, c: Array) -> DualProgram:
-        """Return the program with scaled coefficients of friction and softer constraints.
-
-        Args:
-            part: factor of the coefficients of friction, not negative.
-            softness: number that is added to the diagonal of the constraints' matrix S.
-            c: (k,) multipliers of the constraints for which the given and the softer constraints
-                have the same solutions x.
-        """
-        return dataclasses.replace(
-            self,
-            admissible=self.admissible.with_reduced_friction(part),
-            constraints=self.constraints.softened(softness, c),
-        )
-
     @property
     def is_load_step(self) -> bool:
         """Whether this is a load step of a process: a step was accepted before."""

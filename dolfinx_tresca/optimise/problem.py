@@ -134,19 +134,6 @@ class DualProblem(InnerProduct, Protocol):
         """
         ...
 
-    def relaxed(self, part: float, softness: float, c: Array) -> DualProblem:
-        """Return the program with scaled coefficients of friction and softer constraints.
-
-        The fixed points of such programs lead to the fixed point of the given program.
-
-        Args:
-            part: factor of the coefficients of friction, not negative.
-            softness: number that is added to the diagonal of the constraints' matrix S.
-            c: (k,) multipliers of the constraints for which the given and the softer constraints
-                have the same solutions x.
-        """
-        ...
-
     @property
     def is_load_step(self) -> bool:
         """Whether this is a load step, whose solution continues the solution of the last step."""

@@ -14,8 +14,7 @@ from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
-from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.newton import continuation, fixed_point
+from dolfinx_tresca.optimise.newton import fixed_point
 from dolfinx_tresca.optimise.record.residual import EXHAUSTED
 from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
@@ -134,27 +133,16 @@ def test_every_method_converges_somewhere():
         assert run(problem, method, rtol=RTOL).status is ContactStatus.CONVERGED, method
 
 
-@pytest.mark.parametrize("seed", [39, 35])
-def test_smaller_coefficients_lead_to_it(seed):
-    """Newton's method alone ended at a residual of 0.03 in the first one, of three nodes."""
-    problem = random_cone_problem(seed, 3, 3.0, 0.5)
+@pytest.mark.parametrize(
+    "seed, nodes, decades, most",
+    [(39, 3, 3.0, 0.5), (35, 3, 3.0, 0.5), (13, 5, 4.0, 1.0), (43, 3, 4.0, 3.0)],
+)
+def test_skewed_problems_with_one_fixed_point_far_from_zero(seed, nodes, decades, most):
+    """Newton's method needs shortened steps, and patience, in each of these problems."""
+    problem = random_cone_problem(seed, nodes, decades, most)
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.CONVERGED
     check_fixed_point(problem, found.multipliers, RTOL, found.rho)
-
-
-@pytest.mark.parametrize("seed, nodes, most", [(13, 5, 1.0), (43, 3, 3.0)])
-def test_tresca_problems_lead_to_it(seed, nodes, most):
-    """Where neither Newton's method does nor smaller coefficients do, though all of A is known."""
-    problem = random_cone_problem(seed, nodes, 4.0, most)
-    values, vectors = np.linalg.eigh(problem.A)
-    roots = np.sqrt(values)
-    model = BlockBFGSModel(problem, problem.diagonal, vectors / roots, vectors * roots)
-    b, rho = problem.b, 1.0 / values[-1]
-    found, _ = fixed_point.fixed_point_of_model(
-        problem, model, np.zeros_like(b), -b, rho, 0.1 * RTOL * np.linalg.norm(b)
-    )
-    assert problem.natural_residual(found, rho) <= RTOL
 
 
 def test_where_there_is_no_fixed_point_none_is_claimed():
@@ -184,8 +172,6 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
     Whether there is a fixed point is beyond double precision then; with a smaller gap it is not.
     """
     monkeypatch.setattr(fixed_point, "PATIENCE", 1)  # no more would find it
-    for name, few in {"MOST_STEPS": 2, "LEAST_PART": 0.25}.items():
-        monkeypatch.setattr(continuation, name, few)
     statuses = []
     for gap in (1.0, 1e9):
         problem = wedge(0.5)

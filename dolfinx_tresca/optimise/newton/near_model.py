@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca.optimise.models.model import Model
 from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.newton.semismooth_newton import NewtonPoint, solve_model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 
 #: Limit on products with the near field in one iteration.
 MOST = 8
 
-#: A function that solves the problem for a model of A: `face_newton.minimise`, or another function
-#: with the same arguments.
-SolveModel = Callable[[DualProblem, Model, Array, Array, float, float], Array]
-
 
 def solve(
     problem: DualProblem,
-    solve_model: SolveModel,
     multipliers: Array,
     gradient: Array,
     residual: NaturalResidual,
     tolerance: float,
-) -> Array:
+) -> tuple[Array, NewtonPoint | None]:
     """Return an approximate solution of the dual problem with the model M in place of A.
+
+    The result is that of `solve_model`.
 
     With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
     the basic model has a diagonal. The error of M is then smaller by an order of magnitude, but
@@ -39,7 +34,6 @@ def solve(
 
     Args:
         problem: Lambda, D, and the known products with D and A.
-        solve_model: function that solves the problem for M with D~ in place of D.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
         residual: the natural residual, with its step length.
@@ -48,7 +42,7 @@ def solve(
     store, near = problem.known_products(), problem.near_products()
     store.fit_far(None if near is None else near.updated_model())
     if near is None or not isinstance(store, ProductStore):
-        return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)
+        return solve_model(problem, store.model(), multipliers, gradient, residual, tolerance)
 
     def apply_near(new: Array) -> Array:
         product = problem.near_field(new)
@@ -61,18 +55,18 @@ def solve(
     best, least = None, float("inf")
     for _ in range(MOST):
         model = store.updated_model(near.updated_model())
-        target = solve_model(problem, model, x, r, residual.rho, tolerance)
+        target, missed = solve_model(problem, model, x, r, residual, tolerance)
         step = target - x
         if float(problem.inner(step, step)) == 0.0:
             break
         at_target = r + store.apply(step, apply_near)
         rest = residual.at(target, at_target)
         if rest < least:
-            best, least = target, rest
+            best, least = (target, missed), rest
         if rest < left:
             x, r, left = target, at_target, rest
         if left <= tolerance:
             break
     if best is None:  # solve with the diagonal as base; a product with A then checks the step
-        return solve_model(problem, store.model(), x, r, residual.rho, tolerance)
+        return solve_model(problem, store.model(), x, r, residual, tolerance)
     return best

@@ -11,9 +11,9 @@ from dolfinx_tresca._base.forcing import FORCING, ROUGH
 from dolfinx_tresca._base.patience import PROGRESS
 from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING
-from dolfinx_tresca.optimise.newton import face_newton, near_model
+from dolfinx_tresca.optimise.newton import near_model
 from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
-from dolfinx_tresca.optimise.newton.near_model import SolveModel
+from dolfinx_tresca.optimise.newton.semismooth_newton import NewtonPoint
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.record.energy import best_part
 from dolfinx_tresca.optimise.record.history import History, Observe
@@ -38,9 +38,9 @@ def solve(
 ) -> DualSolution:
     """Minimise q over Lambda by Newton steps on a model of A.
 
-    The model M (`near_model`) equals A on all vectors with known products. Newton's method on the
-    faces of Lambda (`face_newton`) minimises q with M in place of A by small dense algebra, and
-    finds active sets and slip directions at the same time. Let d be the step to this minimiser. The
+    The model M (`near_model`) equals A on all vectors with known products. The semismooth Newton
+    method (`semismooth_newton`) minimises q with M in place of A by small dense algebra, and finds
+    active sets and slip directions at the same time. Let d be the step to this minimiser. The
     product A d is computed, the iteration goes to the minimiser of q along d, and M is updated with
     the pair (d, A d). While the face does not change, the method is the conjugate gradient method
     with M as the preconditioner; changes of the face need no products.
@@ -73,12 +73,14 @@ class ProjectedNewton:
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
         at: the present point.
+        missed: the last point of Newton's method with the model, if it did not converge.
     """
 
     store: KnownProducts
     residual: NaturalResidual
     history: History
     at: Iterate
+    missed: NewtonPoint | None = None
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
         """Keep the arguments; `run` solves. Not collective."""
@@ -166,21 +168,13 @@ class ProjectedNewton:
         self.largest = max(self.largest, *known)
         return self.options.step_factor / (self.largest or 1.0)
 
-    @property
-    def solve_model(self) -> SolveModel:
-        """The function that minimises q with a model of A."""
-        return face_newton.minimise
-
     def target(self) -> Array:
-        """Return an approximate minimiser of q with the model in place of A."""
-        return near_model.solve(
-            self.problem,
-            self.solve_model,
-            self.at.multipliers,
-            self.at.r,
-            self.residual,
-            self.options.r_tol * self.history.error,
+        """Return an approximate solution of the problem with the model in place of A."""
+        at, tolerance = self.at, self.options.r_tol * self.history.error
+        target, self.missed = near_model.solve(
+            self.problem, at.multipliers, at.r, self.residual, tolerance
         )
+        return target
 
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
         """Return the solution, changed such that it satisfies soft constraints to rounding.

@@ -152,10 +152,6 @@ class FeasibleSet:
         """Return the set itself: its bounds do not depend on the pressures of x (size,)."""
         return self
 
-    def with_reduced_friction(self, part: float) -> FeasibleSet:
-        """Return the set itself: it has no coefficients of friction."""
-        return self
-
     def dissipation(self, slip: Array) -> float:
         """Return the sum of g |slip| over this rank's discs of finite radius."""
         bounded = np.isfinite(self.radius)

@@ -40,7 +40,6 @@ class FrictionCones:
         curves: coefficients that depend on pressure and slip; None: there are none.
         slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; None:
             zeros.
-        part: factor of the curves' coefficients.
     """
 
     discs: FeasibleSet
@@ -50,7 +49,6 @@ class FrictionCones:
     limit: Array
     curves: NodalCurves | None = None
     slip: Array | None = None
-    part: float = 1.0
 
     @property
     def size(self) -> int:
@@ -101,11 +99,6 @@ class FrictionCones:
         pressure = self._pressures(x)
         radius = self._bound(pressure, self._coefficients(pressure))
         return dataclasses.replace(self.discs, radius=radius)
-
-    def with_reduced_friction(self, part: float) -> FrictionCones:
-        """Return the cones with the coefficients of friction times `part`."""
-        coefficient = part * self.coefficient
-        return dataclasses.replace(self, coefficient=coefficient, part=part * self.part)
 
     def slip_along(self, face: Face) -> Array:
         """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
@@ -217,7 +210,7 @@ class FrictionCones:
         grows = (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         by_pressure, by_slip = coefficient, np.zeros_like(coefficient)
         if self.curves is not None and self.slip is not None:
-            pressed = self.part * np.maximum(pressure, 0.0)
+            pressed = np.maximum(pressure, 0.0)
             of_pressure, of_slip = self.curves.slopes(pressure, self.slip)
             by_pressure, by_slip = coefficient + pressed * of_pressure, pressed * of_slip
         return np.where(grows, by_pressure, 0.0), np.where(grows, by_slip, 0.0)
@@ -238,7 +231,7 @@ class FrictionCones:
         if self.curves is None:
             return self.coefficient
         slip = np.zeros_like(pressure) if self.slip is None else self.slip
-        found = self.part * self.curves.coefficients(np.zeros_like(pressure), pressure, slip)
+        found = self.curves.coefficients(np.zeros_like(pressure), pressure, slip)
         return np.where(self.has_curve, found, self.coefficient)
 
     def _slips(self, pressure: Array, length: Array, rho: Array) -> Array:
