@@ -42,7 +42,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.optimise import methods
-from dolfinx_tresca.optimise.models.known_products import SparseProducts
+from dolfinx_tresca.optimise.models.known_products import WholeProducts
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.positive_definite import factored
@@ -85,7 +85,7 @@ class AugmentedLagrangian:
             self.products += 1
             return (
                 store.product(x)[0]
-                if isinstance(store, SparseProducts)
+                if isinstance(store, WholeProducts)
                 else program.operator.apply(x)
             )
 

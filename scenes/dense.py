@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, issparse
+from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise import methods
+from dolfinx_tresca.optimise.models.known_products import KnownProducts, WholeProducts
 from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
@@ -115,9 +118,17 @@ class DenseProblem(OneRank):
         changed.store, changed.near_store = self.store, self.near_store
         return changed
 
-    def known_products(self) -> ProductStore:
+    def known_products(self) -> KnownProducts:
         """Return the store of known products."""
         return self.store
+
+    def complete_products(self) -> bool:
+        """Keep A as the store of known products; each column counts as a product."""
+        if not isinstance(self.store, WholeProducts):
+            rows = np.column_stack([self.apply(unit) for unit in np.eye(len(self.b))])
+            nodes, local = self.admissible.nodes(), 1.0 / np.diag(np.linalg.inv(self.A))
+            self.store = WholeProducts(WholeModel(self, rows, 0, nodes, local, spsolve))
+        return True
 
     def near_products(self) -> ProductStore | None:
         """Return the store of known products with the near field of A."""
@@ -125,8 +136,9 @@ class DenseProblem(OneRank):
 
     def forget(self) -> None:
         """Drop the products."""
-        self.store = ProductStore(self, self.diagonal)
-        self.near_store: ProductStore | None = self.store.empty(40)
+        store = ProductStore(self, self.diagonal)
+        self.store: KnownProducts = store
+        self.near_store: ProductStore | None = store.empty(40)
 
     @property
     def products(self) -> int:

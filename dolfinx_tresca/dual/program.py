@@ -136,6 +136,10 @@ class DualProgram:
         """Return all known products with A; the first call for a K computes some. Collective."""
         return self.compliance.known_products()
 
+    def complete_products(self) -> bool:
+        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
+        return self.compliance.complete_products()
+
     def near_products(self) -> ProductStore | None:
         """Return known products with the near field; None if the near field does not pay.
 

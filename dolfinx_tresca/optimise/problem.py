@@ -148,6 +148,10 @@ class DualProblem(InnerProduct, Protocol):
         """Return the store of known products; the first call may compute some. Collective."""
         ...
 
+    def complete_products(self) -> bool:
+        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
+        ...
+
     def near_products(self) -> ProductStore | None:
         """Return known products with the near field; None if the near field is not used.
 

@@ -22,7 +22,7 @@ from dolfinx_tresca import (
     MechanismError,
     RigidPlane,
 )
-from dolfinx_tresca.optimise.models.sparse_model import SparseModel
+from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
@@ -259,13 +259,13 @@ def test_a_push_of_a_thousand_bricks_needs_few_newton_steps(monkeypatch):
     that follows solves 443 Newton systems in place of 71.
     """
     solved = []
-    solve_between = SparseModel.solve_between
+    solve_between = WholeModel.solve_between
 
     def counted(*arguments):
         solved.append(1)
         return solve_between(*arguments)
 
-    monkeypatch.setattr(SparseModel, "solve_between", counted)
+    monkeypatch.setattr(WholeModel, "solve_between", counted)
     scene = wall(MPI.COMM_SELF, 20, 50, friction=Coulomb(0.4))
     course = scene.data.weights.sum() / 50
     with scene.problem() as problem:

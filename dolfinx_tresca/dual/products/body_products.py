@@ -1,4 +1,4 @@
-"""The sparse matrix A of an assembly of many bodies, from solves that serve all bodies at once."""
+"""A as a matrix: sparse for many bodies, from solves that serve all bodies at once, or dense."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.optimise.models.sparse_model import SparseModel
+from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies
 
@@ -38,7 +38,7 @@ MINIMUM_FILL = 2
 BLOCK = 32
 
 
-def sparse_model(operator: DualOperator) -> SparseModel | None:
+def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel | None:
     """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
 
     The matrix does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The
@@ -55,6 +55,7 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
 
     Args:
         operator: A. Each solve counts as a product.
+        local_compliance: (size,) compliance of nodes whose neighbours are fixed.
     """
     jump = operator.jump
     if not operator.exact or jump.system.component is not None:
@@ -77,7 +78,25 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
     kept = column >= 0
     rows = csr_array((values[kept], (row[kept], column[kept])), shape=(len(jump.gap), size))
     first = jump.matrix.getOwnershipRange()[0]
-    return SparseModel(jump.reductions, rows, first, _nodes(jump), _solve)
+    return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
+
+
+def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel:
+    """Return A as a dense matrix: one solve with K for each multiplier, in blocks. Collective.
+
+    Args:
+        operator: A. Each solve counts as a product.
+        local_compliance: (size,) compliance of nodes whose neighbours are fixed.
+    """
+    jump = operator.jump
+    first, end = jump.matrix.getOwnershipRange()
+    size = jump.matrix.getSize()[0]
+    rows = np.empty((end - first, size))
+    for start in range(0, size, BLOCK):
+        columns = np.arange(start, min(start + BLOCK, size))
+        units = (np.arange(first, end)[:, None] == columns).astype(np.float64)
+        rows[:, columns] = operator.apply_to_all(units)
+    return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:

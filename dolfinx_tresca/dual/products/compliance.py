@@ -17,7 +17,7 @@ from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.dual.moved import Carry
-from dolfinx_tresca.dual.products.body_products import sparse_model
+from dolfinx_tresca.dual.products.body_products import dense_model, sparse_model
 from dolfinx_tresca.dual.products.diagonal import rescaled_diagonal
 from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import DualOperator
@@ -25,7 +25,7 @@ from dolfinx_tresca.dual.products.seed_products import seed_products
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.models.far_field import FarField
-from dolfinx_tresca.optimise.models.known_products import KnownProducts, SparseProducts
+from dolfinx_tresca.optimise.models.known_products import KnownProducts, WholeProducts
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
@@ -43,6 +43,11 @@ NEAR_CAPACITY = 40
 #: started from the tractions of the previous mesh, take 14 products in place of 60, 12 in place of
 #: 29 and 12 in place of 24, in 0.83, 1.0 and 1.03 times the time.)
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
+
+
+#: A is computed as a dense matrix if it has at most this number of rows: a step of Newton's method
+#: takes some seconds at this number, and A 72 MB on each rank.
+LARGEST_DENSE = 3000
 
 
 class ContactCompliance(PetscOwner):
@@ -181,8 +186,9 @@ class ContactCompliance(PetscOwner):
         """
         if self._store is None:
             self._store = self._far_field()
-        if self._store is None and (matrix := sparse_model(self.operator)) is not None:
-            self._store = SparseProducts(matrix)
+        if self._store is None:
+            matrix = sparse_model(self.operator, self.nodal_compliance)
+            self._store = None if matrix is None else WholeProducts(matrix)
         if self._store is None:
             near = None
             if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
@@ -191,6 +197,16 @@ class ContactCompliance(PetscOwner):
                 self.operator, self.nodal_compliance, self._starts_from_zero, near
             )
         return self._store
+
+    def complete_products(self) -> bool:
+        """Compute A as a dense matrix, unless it is known; return whether it is known. Collective.
+
+        A is not computed if it is too large (`LARGEST_DENSE`), or if K has an iterative solver.
+        """
+        affordable = self.operator.exact and self.jump.matrix.getSize()[0] <= LARGEST_DENSE
+        if affordable and not isinstance(self._store, WholeProducts):
+            self._store = WholeProducts(dense_model(self.operator, self.nodal_compliance))
+        return isinstance(self._store, WholeProducts)
 
     def expect_start(self) -> None:
         """Prepare for a solve that starts near the solution. Not collective.

@@ -1,4 +1,4 @@
-"""The interface of known products with A, and its implementation for a sparse matrix A."""
+"""The interface of known products with A, and its implementation for a known matrix A."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.models.model import Model
-from dolfinx_tresca.optimise.models.sparse_model import SparseModel
+from dolfinx_tresca.optimise.models.whole_model import WholeModel
 
 
 class KnownProducts(ABC):
@@ -60,10 +60,10 @@ class KnownProducts(ABC):
         return
 
 
-class SparseProducts(KnownProducts):
-    """All products with A, which is known as a sparse matrix."""
+class WholeProducts(KnownProducts):
+    """All products with A, which is known as a matrix."""
 
-    def __init__(self, matrix: SparseModel) -> None:
+    def __init__(self, matrix: WholeModel) -> None:
         """Wrap A. Not collective."""
         self._matrix = matrix
 
@@ -82,7 +82,7 @@ class SparseProducts(KnownProducts):
         """Return A x (size,), and its error, which is zero. Collective."""
         return self._matrix.product(x), 0.0
 
-    def model(self) -> SparseModel:
+    def model(self) -> WholeModel:
         """Return the matrix with its shift."""
         return self._matrix
 

@@ -78,14 +78,6 @@ class Model(ABC):
     diagonal: Array
 
     @property
-    def proximal_softness(self) -> float:
-        """Softness to add to the constraints after a Newton step that failed; 0: none.
-
-        The softness keeps steps short on faces whose system is nearly singular.
-        """
-        return 0.0
-
-    @property
     @abstractmethod
     def size(self) -> Array:
         """diag(M), (size,)."""

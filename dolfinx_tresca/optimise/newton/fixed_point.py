@@ -68,12 +68,19 @@ class _FixedPointNewton(ProjectedNewton):
         """Return an approximate fixed point of the model; record how much friction is missing."""
         result, self.deficit = super().target(), None
         if self.missed is not None:
-            z = self.missed.multipliers
+            x = self.missed.x
             self.deficit = friction_deficit(
-                self.problem.at(z, self.missed.gradient, self.residual.rho), z
+                self.problem.at(x, self.missed.r, self.residual.rho), x
             )
         self.failures = 0 if self.deficit is None else self.failures + 1
         return result
+
+    def complete_products(self) -> bool:
+        """Compute the rest of A, unless it is known or too large; return whether it was computed."""
+        completed = super().complete_products()
+        if completed:
+            self.failures, self.has_stalled = 0, False
+        return completed
 
     def run(self, start: Array) -> DualSolution:
         """Iterate until the end; return the deficit of friction if there is no fixed point."""
@@ -109,7 +116,8 @@ class _FixedPointNewton(ProjectedNewton):
 
     def check_convergence(self) -> ContactStatus | None:
         """Check convergence at the present point, and whether residuals decrease."""
-        status, residuals = super().check_convergence(), self.history.residuals
+        status = super().check_convergence()
+        residuals = self.history.residuals[self.completed_at :]
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )

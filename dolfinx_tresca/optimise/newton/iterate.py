@@ -42,6 +42,7 @@ class Iterate(ABC):
             large as the change of the gradient by a step.
         resolved: whether the new part of the last product was larger than the product's error.
         learned: whether the last step may have changed the model of A.
+        store: known products with A, to which new products are added.
     """
 
     def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
@@ -52,7 +53,7 @@ class Iterate(ABC):
             store: known products, to which new products are added.
         """
         self._problem = problem
-        self._store = store
+        self.store = store
         self.finest = 0.0
         self._least = 0.0
         self._part = FORCING
@@ -127,7 +128,7 @@ class Iterate(ABC):
 
     def _expected_length(self, direction: Array) -> float:
         """Return the energy norm of a vector, with the model in place of A. Collective."""
-        image = self._store.model().apply(direction)
+        image = self.store.model().apply(direction)
         return float(np.sqrt(float(self._problem.inner(direction, image))))
 
     def _gradient(
@@ -157,7 +158,7 @@ class Iterate(ABC):
         problem = self._problem
         if float(problem.inner(multipliers, multipliers)) == 0.0:
             return -problem.b, problem.response.b_error, np.inf
-        known, error = self._store.product(multipliers)
+        known, error = self.store.product(multipliers)
         wanted = max(part * self._expected_length(multipliers), self.finest)
         return known - problem.b, error + problem.response.b_error, wanted
 
@@ -170,18 +171,18 @@ class ExactIterate(Iterate):
 
         Known products give A times a part of the direction; only the rest is multiplied by A.
         """
-        problem, known_pairs = self._problem, len(self._store)
+        problem, known_pairs = self._problem, len(self.store)
         self.learned = False
         if float(problem.inner(direction, direction)) == 0.0:
             return self.zero_step()
         # only the new part is multiplied by A: subtracting the known part from a product of the
         # whole direction would leave rounding errors that grow from pair to pair
-        new, known = self._store.split(direction)
+        new, known = self.store.split(direction)
         if float(problem.inner(new, new)) == 0.0:
             return Step(direction, known, self.error)
         product = problem.operator.apply(new)
-        self._store.add(new, product)
-        self.learned = len(self._store) != known_pairs
+        self.store.add(new, product)
+        self.learned = len(self.store) != known_pairs
         return Step(direction, known + product, self.error)
 
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
@@ -189,9 +190,9 @@ class ExactIterate(Iterate):
         r, error, wanted = self._known_gradient(multipliers, FULL_ACCURACY)
         if error <= wanted:
             return r, error
-        new, known = self._store.split(multipliers)
+        new, known = self.store.split(multipliers)
         product = self._problem.operator.apply(new)
-        self._store.add(new, product)
+        self.store.add(new, product)
         return known + product - self._problem.b, 0.0
 
 
@@ -223,7 +224,7 @@ class InexactIterate(Iterate):
         r, error = self._gradient(self.multipliers + direction, self._wanted(), self.multipliers)
         # the difference of gradients: errors of gradients do not accumulate over the steps
         product = r - self.r
-        self.resolved = self._store.add(direction, product, error + self.error)
+        self.resolved = self.store.add(direction, product, error + self.error)
         if self.resolved:
             self._part = FORCING
         return Step(direction, product, error)
@@ -237,7 +238,7 @@ class InexactIterate(Iterate):
         # an accuracy below the error of b is useless: for tiny multipliers, the product would
         # consist of the error of b only
         r, error = problem.response.gradient(multipliers, max(wanted, problem.response.b_error))
-        self._store.add(multipliers, r + problem.b, error + problem.response.b_error)
+        self.store.add(multipliers, r + problem.b, error + problem.response.b_error)
         return r, error
 
     def increase_accuracy(self) -> bool:

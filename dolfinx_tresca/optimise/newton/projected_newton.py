@@ -10,7 +10,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING, ROUGH
 from dolfinx_tresca._base.patience import PROGRESS
 from dolfinx_tresca.optimise.models.known_products import KnownProducts
-from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING
+from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.newton import near_model
 from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
 from dolfinx_tresca.optimise.newton.semismooth_newton import NewtonPoint
@@ -28,6 +28,13 @@ NEAR_POWERS = 2
 
 #: Limit on reductions of rho in one iteration, each of which takes a product with A.
 MOST_REDUCTIONS = 20
+
+#: If the residual is not halved in this number of iterations, the rest of A is computed, unless A
+#: is too large (`ContactCompliance.complete_products`).
+SLOW = 6
+
+#: Statuses with which an iteration ends only if A is known whole, or is too large.
+FAILED = ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED
 
 
 def solve(
@@ -74,6 +81,7 @@ class ProjectedNewton:
         history: residuals and energies of the iterates, and the criterion of convergence.
         at: the present point.
         missed: the last point of Newton's method with the model, if it did not converge.
+        completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
     store: KnownProducts
@@ -81,6 +89,7 @@ class ProjectedNewton:
     history: History
     at: Iterate
     missed: NewtonPoint | None = None
+    completed_at = 0
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
         """Keep the arguments; `run` solves. Not collective."""
@@ -91,7 +100,11 @@ class ProjectedNewton:
         """Iterate until a status ends the iteration. Collective."""
         self.compute_first_products()
         self.begin_at(start)
-        while (status := self.check_convergence()) is None:
+        while (status := self.check_convergence()) is None or (
+            status in FAILED and self.complete_products()
+        ):
+            if self.is_slow():
+                self.complete_products()
             newton = self.target() - self.at.multipliers
             if self.at.refine_for_step(newton):
                 newton = self.target() - self.at.multipliers
@@ -101,6 +114,23 @@ class ProjectedNewton:
                 self.at.increase_accuracy()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def is_slow(self) -> bool:
+        """Return whether the last products have not halved the residual, above rounding."""
+        residuals = self.history.residuals
+        slow = len(residuals) > SLOW and min(residuals[-SLOW:]) > 0.5 * min(residuals[:-SLOW])
+        return slow and not self.residual.is_limited_by_rounding(self.history.error)
+
+    def complete_products(self) -> bool:
+        """Compute the rest of A, unless it is known or too large; return whether it was computed.
+
+        Collective.
+        """
+        if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
+            return False
+        self.store = self.at.store = self.problem.known_products()
+        self.completed_at = len(self.history.residuals)
+        return True
 
     def compute_first_products(self) -> None:
         """Compute first products to bound sigma_max, unless some are known. Collective.

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca.optimise.models.model import NodalMaps
-from dolfinx_tresca.optimise.models.sparse_model import SHIFT, SparseModel
+from dolfinx_tresca.optimise.models.whole_model import SHIFT, WholeModel
 from scenes.dense import cones_over, random_problem
 from scenes.scene import EPS
 
@@ -22,7 +22,7 @@ def test_solutions_along_a_face(coefficient):
     values, vectors = np.linalg.eigh(problem.A)
     A = vectors[:, 3:] * values[3:] @ vectors[:, 3:].T
     cones = cones_over(lam, coefficient)
-    model = SparseModel(problem, csr_array(A), 0, cones.nodes(), spsolve)
+    model = WholeModel(problem, csr_array(A), 0, cones.nodes(), spsolve)
     M = model.apply(np.eye(size))
     shift = SHIFT * np.diag(A).mean()
     assert np.allclose(M, A + shift * np.eye(size), atol=16 * EPS * np.abs(A).max())
@@ -57,7 +57,7 @@ def test_maps_of_nodes_become_matrices():
     size = len(nodes)
     blocks = rng.standard_normal((size, size)) * (nodes[:, None] == nodes)
     problem = random_problem(1, 2, 2.0)
-    model = SparseModel(problem, csr_array(np.eye(size)), 0, nodes, spsolve)
+    model = WholeModel(problem, csr_array(np.eye(size)), 0, nodes, spsolve)
     right = rng.standard_normal(size)
     maps = NodalMaps(
         test=lambda v: v,
