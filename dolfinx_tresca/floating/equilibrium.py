@@ -16,7 +16,7 @@ from scipy.sparse.linalg import eigsh
 from dolfinx_tresca._base.arrays import Array, Indices, dense
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
-from dolfinx_tresca.floating.fixing import FixingSprings, SpringResponse
+from dolfinx_tresca.floating.fixing import SpringResponse
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
@@ -113,20 +113,13 @@ class Equilibrium:
 class FloatingBodies:
     """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps."""
 
-    def __init__(
-        self,
-        springs: FixingSprings,
-        response: SpringResponse,
-        jump: Callable[[csr_array], csr_array],
-    ) -> None:
+    def __init__(self, response: SpringResponse, jump: Callable[[csr_array], csr_array]) -> None:
         """Compute the jumps of the displacements in `response`. Collective.
 
         Args:
-            springs: springs that fix the bodies.
-            response: displacements that forces of the springs alone cause.
+            response: displacements that forces of the springs that fix the bodies alone cause.
             jump: function that returns B U for a sparse matrix U of displacements.
         """
-        self.springs = springs
         self._response = response
         self._jumps = jump(response.displacements)
 

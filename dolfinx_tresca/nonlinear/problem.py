@@ -261,7 +261,7 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the derivative of F, and symmetrize=True takes its symmetric "
                 "part."
             )
-        state = problem.state
+        state = problem.surfaces.state
         try:
             try:
                 problem.factor()
@@ -275,7 +275,7 @@ class NonlinearContactProblem(ContactProcess):
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
         finally:
-            problem.state = state
+            problem.surfaces.return_to(state)
         if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
             raise ContactError(
                 "loads, prescribed values, slip bounds or coefficients have changed since the "

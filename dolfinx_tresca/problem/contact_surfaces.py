@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -32,6 +34,31 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+@dataclass(frozen=True)
+class ProcessState:
+    """The whole state of a process, to which `ContactSurfaces.return_to` returns.
+
+    Attributes:
+        steps: multipliers, slip, accepted step and last solve, with the B to whose rows they
+            belong; PETSc objects of this B may be destroyed meanwhile.
+        u: values of the displacement of nonlinear bodies, or of all unknowns of a mixed space; None
+            for linear bodies.
+        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
+        configuration: displacement at which surfaces were last paired.
+        geometry: displacement at which pairs without finite sliding were paired.
+        accepted_configuration: `configuration` of the last accepted step; None: there is none.
+        summary: the sizes of the problem.
+    """
+
+    steps: LoadSteps
+    u: Array | None
+    motions: Array
+    configuration: fem.Function
+    geometry: fem.Function
+    accepted_configuration: fem.Function | None
+    summary: ProblemSummary
 
 
 class ContactSurfaces(PetscOwner):
@@ -228,7 +255,36 @@ class ContactSurfaces(PetscOwner):
         """
         self.steps.accept(unconverged)
         if self.slides_far:
-            self._accepted_configuration = self.sliding.origin.copy()
+            self._accepted_configuration = self.sliding.origin
+
+    @property
+    def state(self) -> ProcessState:
+        """The present state of the process. Not collective."""
+        u = self.steps.u
+        return ProcessState(
+            copy(self.steps),
+            None if u is None else u.x.array.copy(),
+            self.obstacles.motions,
+            self.sliding.origin,
+            self.geometry,
+            self._accepted_configuration,
+            self.summary,
+        )
+
+    def return_to(self, state: ProcessState) -> None:
+        """Return to a former state, with its displacement, pairing and obstacles. Collective.
+
+        K stays as it is, and need not be factored.
+        """
+        self.steps = copy(state.steps)
+        if self.steps.u is not None:
+            self.steps.u.x.array[:] = state.u
+        self.obstacles.motions = state.motions
+        self.sliding.origin, self.geometry = state.configuration, state.geometry
+        self._accepted_configuration, self.summary = state.accepted_configuration, state.summary
+        if self.steps.jump is not self.jump:
+            self.steps.jump = JumpOperator(self.linear, self.steps.jump.pairs)
+            self._replace_jump(self.steps.jump)
 
     def begin_solve(self) -> None:
         """Let the next solve start at the last accepted step, if the start may affect the result.
@@ -241,7 +297,7 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         accepted = self._accepted_configuration
-        self.pair_where_changed(self.sliding.origin.copy() if accepted is None else accepted)
+        self.pair_where_changed(self.sliding.origin if accepted is None else accepted)
         self.steps.begin_solve()
 
     def pair_where_changed(self, u: fem.Function) -> None:

@@ -224,18 +224,16 @@ class ContactSystem(PetscOwner):
 
     @contextmanager
     def restored(self) -> Iterator[None]:
-        """Restore the accepted steps and the last solve at the end of the block. Collective.
+        """Restore the state of the process and the last solve at the end of the block. Collective.
 
-        Inside the block, solves may start from other steps and with other inputs, but the pairing
-        must not change. If K changes inside the block, the last solve is dropped.
+        Inside the block, solves may start from other steps and with other inputs. If K or the
+        pairing changes inside the block, the last solve is dropped.
         """
-        steps, last_solve = self.surfaces.steps, self._last_solve
-        start, multipliers, last = steps.start, steps.multipliers, steps.last
+        state, last_solve = self.surfaces.state, self._last_solve
         try:
             yield
         finally:
-            steps.return_to(start)
-            steps.multipliers, steps.last = multipliers, last
+            self.surfaces.return_to(state)
             self._last_solve = last_solve
             self.linear.assemble_load()
             self.surfaces.update_gaps()

@@ -294,16 +294,13 @@ class ContactProcess(PetscOwner, Tabulated):
         self._check_material(material)
         remembered = read_functions(path, material, self.comm, MATERIAL)
         found = read_displacements(path, V, ("u", "moved_by", "accepted_u"))
-        before = surfaces.sliding.origin.copy()
-        moved_by = found.get("moved_by", fem.Function(V))
-        places = surfaces.obstacles.motions
-        surfaces.obstacles.motions = read_motions(path, self.comm, len(self.pairs))
-        self._pair_at(moved_by)
+        motions, state = read_motions(path, self.comm, len(self.pairs)), surfaces.state
         try:
+            surfaces.obstacles.motions = motions
+            self._pair_at(found.get("moved_by", fem.Function(V)))
             step = surfaces.steps.load(path, found.get("u"), found.get("accepted_u"))
-        except InputError:
-            surfaces.obstacles.motions = places
-            self._pair_at(before)
+        except ContactError:
+            surfaces.return_to(state)
             raise
         surfaces.compliance.expect_start()
         for function, values in zip(material, remembered, strict=True):
