@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
@@ -109,21 +109,25 @@ class FiniteSliding:
         Collective.
 
         The change of gaps is relative to the largest displacement since the last accepted step, or
-        to `SMALL_STEP` times the largest displacement if this is larger.
+        to `SMALL_STEP` times the largest displacement if this is larger. Changes that the rounding
+        of positions causes count as zero: a body that returns to rest has no other changes.
 
         Args:
             u: solution of the contact problem in the present configuration [length].
             start: relative residual that this problem started with, at the previous tractions.
         """
         self._start = self._surfaces.comm.bcast(min(start, 1.0))
+        jump = self._surfaces.jump
+        pressures = self._surfaces.compliance.stress_rounding / jump.stress_scale
+        rounding = np.array(jump.contact_force(pressures).array)
         forces = np.array(self._surfaces.contact_forces())
         last, self._forces = self._forces, forces
         changed = forces if last is None else forces - last
         w = self._surfaces.sliding.origin.x.array.copy()
         residual = (u.x.array - w)[: len(self._surfaces.linear.prescribed_displacements)]
-        square, size, distance = reduce_array(
+        square, size, distance, rounding_square = reduce_array(
             self._surfaces.comm,
-            [float(one @ one) for one in (changed, forces, residual)],
+            [float(values @ values) for values in (changed, forces, residual, rounding)],
         )
         residual_before, self._residual = self._residual, distance
         before, gaps = self.change, self._gaps
@@ -136,7 +140,11 @@ class FiniteSliding:
             sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step, u.x.array)]
             largest, moved, displaced = reduce_array(self._surfaces.comm, sizes, MPI.MAX)
             moved = max(moved, SMALL_STEP * displaced)
-            self.change = max(_ratio(square, size), _ratio(largest**2, moved**2))
+            resolution = ROUNDING * (self._surfaces.obstacles.extent + displaced)
+            self.change = max(
+                _ratio(square, size, rounding_square),
+                _ratio(largest**2, moved**2, resolution**2),
+            )
         change, ratio = self.change, UNKNOWN_RATIO
         if math.isfinite(before) and before > 0.0:
             least = min(LEAST_RATIO, _ratio(self._residual, residual_before))
@@ -271,8 +279,8 @@ def summed_timings(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
     return result
 
 
-def _ratio(square: float, size: float) -> float:
-    """Return the square root of square / size; 0 for 0 / 0."""
-    if square == 0.0:
+def _ratio(square: float, size: float, rounding: float = 0.0) -> float:
+    """Return the square root of square / size; 0 if the square is at most a rounding error's."""
+    if square <= rounding:
         return 0.0
     return math.sqrt(square / size) if size > 0.0 else math.inf
