@@ -14,9 +14,9 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.stiffness.solver import IndefiniteError
 
 #: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
 #: body's largest diagonal entry of K: the product of K with the mode adds some hundred entries of
@@ -44,7 +44,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
         bodies: the bodies of its mesh.
 
     Raises:
-        StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
+        IndefiniteError: K has a negative diagonal, or a negative stiffness against a rigid motion;
             the error names the body and its position.
     """
     mesh = system.V.mesh
@@ -56,7 +56,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective.
 
     Raises:
-        StiffnessError: the diagonal of K has negative entries, or K has a negative stiffness
+        IndefiniteError: the diagonal of K has negative entries, or K has a negative stiffness
             against a rigid motion.
     """
     body, number, where = bodies.label, bodies.number, bodies.describe
@@ -72,10 +72,9 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
 
     if softest.min() < 0.0:
-        raise StiffnessError(
-            "K is not positive definite: its diagonal is negative, down to "
-            f"{softest.min():.3g}, in {where(int(softest.argmin()))}. Check Young's moduli, "
-            "Poisson ratios (below 0.5) and signs."
+        raise IndefiniteError(
+            f"its diagonal is negative, down to {softest.min():.3g}, in "
+            f"{where(int(softest.argmin()))}"
         )
     stiffest[stiffest == 0.0] = 1.0  # bodies that are wholly prescribed, or without stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
@@ -105,10 +104,9 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
 
     negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
     if negative.any():
-        raise StiffnessError(
-            "K is not positive definite: its stiffness against a rigid motion is negative, of "
-            f"{where(int(weak.body[negative.argmax()]))}. Check the signs in the form a; the "
-            "tangent of a body under pressure is like that if only contact holds it."
+        raise IndefiniteError(
+            "its stiffness against a rigid motion is negative, of "
+            f"{where(int(weak.body[negative.argmax()]))}"
         )
 
     mode, node, component = np.nonzero(free)

@@ -19,6 +19,7 @@ from dolfinx_tresca.problem.finite_sliding import FiniteSliding
 from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.stiffness.solver import IndefiniteError
 from dolfinx_tresca.units import Units
 
 #: Growth of the residual from one step to the next from which on Newton's method counts as
@@ -31,8 +32,8 @@ from dolfinx_tresca.units import Units
 GROWTH = 1.0
 
 #: A residual within rounding is accepted if it is at least this fraction of the residual before it.
-#: (With twice the value, a body that returns to rest takes 100 steps: in each of them the rounding of
-#: its displacement falls a little.)
+#: (With twice the value, a body that returns to rest takes 100 steps: in each of them its residual
+#: falls by a few percent.)
 STALLED = 0.5
 
 #: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
@@ -321,6 +322,12 @@ class Newton:
                 return self.problem.contact.solve(options, self._units, self._observed)
             except StiffnessError as error:
                 failure = error
+        if isinstance(failure, IndefiniteError):
+            raise StiffnessError(
+                "the bodies are unstable, however contact holds them: in the tangent with springs "
+                f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
+                "buckle or fold here, or cells are almost inside out"
+            )
         raise failure
 
 

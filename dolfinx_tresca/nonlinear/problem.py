@@ -24,6 +24,7 @@ from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
+from dolfinx_tresca.stiffness.solver import IndefiniteError
 from dolfinx_tresca.units import Units
 
 
@@ -265,10 +266,11 @@ class NonlinearContactProblem(ContactProcess):
         try:
             try:
                 problem.factor()
-            except StiffnessError as error:
+            except IndefiniteError as error:
                 raise ConvergenceError(
-                    f"{purpose} needs a tangent that is positive definite without the contact, and "
-                    f"it is not at this solution: {error} Compare two solutions."
+                    f"{purpose} needs bodies that are stable without the contact, and at this "
+                    f"solution contact alone holds them: of the tangent, {error.evidence}. Compare "
+                    "two solutions."
                 ) from error
             contact.solve(self.options, self.units, lambda _: False)
             solved = contact.solved
@@ -355,13 +357,19 @@ class NonlinearContactProblem(ContactProcess):
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.surfaces.steps.set_last_status(status)
+            parts = (
+                f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
+                "smaller ones and more steps by NewtonOptions(max_halvings=..., "
+                "max_iterations=...). "
+            )
+            if run.stuck or run.stopped:
+                parts = ""
             message = (
                 f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
-                "NewtonOptions(max_halvings=..., max_iterations=...). Look at `u`: bodies that "
-                "snap through, buckle or crease have no equilibrium nearby; free faces beside a "
-                "sharp edge of the contact fold sooner on finer meshes (take a coarser mesh "
-                "there); cells that are squeezed flat need another mesh."
+                f"{run.failure}. {parts}Look at `u`: bodies that snap through, "
+                "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
+                "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
+                "are squeezed flat need another mesh."
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {

@@ -46,9 +46,9 @@ DEPENDENT = 1e-3
 FORCING = 0.01
 
 #: The residual that the contact problem starts with counts as falling by at least this factor from
-#: one configuration to the next. The residual of bodies that contact alone holds does not fall, since each contact problem finds
-#: their rigid displacements anew; without this factor, forces of faces that lie flat change by 1e-3
-#: for ever. (Six steps of the half ring take 108 Newton steps with 314 products without the factor,
+#: one configuration to the next. The residual of bodies that contact alone holds does not fall,
+#: since each contact problem finds their rigid displacements anew; without this factor, forces of
+#: faces that lie flat change by 1e-3 for ever. (Six steps of the half ring take 108 Newton steps with 314 products without the factor,
 #: 69 with 255 with it.)
 TIGHTER = 0.3
 

@@ -55,7 +55,7 @@ class StallWatch:
             log(
                 self._comm,
                 "no progress: %s. The solve goes on; an observer that returns True, or Ctrl-C, "
-                "stops it. Smaller load steps may help.",
+                "stops it.",
                 stalled,
                 level=logging.WARNING,
             )
@@ -77,7 +77,8 @@ class StallWatch:
         if self._contact.idle >= PATIENCE:
             return f"the residual has not halved in {self._contact.idle} iterations"
         if iteration.configuration is not None and iteration.configuration > IDLE_CONFIGURATIONS:
-            return f"the surfaces were paired in {iteration.configuration} configurations"
+            number = iteration.configuration
+            return f"the surfaces were paired in {number} configurations; smaller load steps help"
         return ""
 
 

@@ -46,6 +46,21 @@ _ADVICE = {
 _numbers = count()
 
 
+class IndefiniteError(StiffnessError):
+    """K is not positive definite.
+
+    Attributes:
+        evidence: what shows it, as a clause.
+    """
+
+    def __init__(self, evidence: str) -> None:
+        self.evidence = evidence
+        super().__init__(
+            f"K is not positive definite: {evidence}. Check Young's moduli, Poisson ratios (below "
+            "0.5) and the signs in the form a."
+        )
+
+
 class StiffnessSolver(PetscOwner):
     """Solves K u = f for many f.
 
