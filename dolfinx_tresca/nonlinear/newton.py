@@ -15,7 +15,7 @@ from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
 from dolfinx_tresca.nonlinear.linearised import TangentProblem
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.finite_sliding import FiniteSliding
+from dolfinx_tresca.problem.finite_sliding import FiniteSliding, summed_timings
 from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
@@ -191,7 +191,8 @@ class Newton:
             size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
             correction, residual = problem.comm.bcast((change / size, residual / size))
-            self._count(solution)
+            self.krylov_iterations += solution.krylov_iterations
+            self.timings = summed_timings((self.timings, solution.timings))
             was_slow, slow = slow, self.level >= FIRST_SLOW
             grows = number > 2 and residual >= GROWTH * last and not (slow or was_slow)
             stalls = number > 2 and residual >= STALLED * last
@@ -291,12 +292,6 @@ class Newton:
         rate = (errors[-1] / errors[first]) ** (1.0 / (number - 1 - first))
         at_end: float = errors[-1] * rate ** (MAX_ITERATIONS_FACTOR * most - number)
         return at_end <= 1.0
-
-    def _count(self, solution: ContactSolution) -> None:
-        """Add the Krylov iterations and the seconds of a step to the sums. Not collective."""
-        self.krylov_iterations += solution.krylov_iterations
-        for name, seconds in solution.timings.items():
-            self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with added stiffness if needed. Collective.

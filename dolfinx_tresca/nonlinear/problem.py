@@ -357,16 +357,12 @@ class NonlinearContactProblem(ContactProcess):
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.surfaces.steps.set_last_status(status)
-            parts = (
-                f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
-                "smaller ones and more steps by NewtonOptions(max_halvings=..., "
-                "max_iterations=...). "
-            )
-            if run.stuck or run.stopped:
-                parts = ""
+            parts = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
+            parts += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
+            parts += "max_iterations=...). "
             message = (
                 f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. {parts}Look at `u`: bodies that snap through, "
+                f"{run.failure}. {parts * (not run.stuck)}Look at `u`: bodies that snap through, "
                 "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -49,7 +49,6 @@ class ProcessState:
         configuration: displacement at which surfaces were last paired.
         geometry: displacement at which pairs without finite sliding were paired.
         accepted_configuration: `configuration` of the last accepted step; None: there is none.
-        summary: the sizes of the problem.
     """
 
     steps: LoadSteps
@@ -58,7 +57,6 @@ class ProcessState:
     configuration: fem.Function
     geometry: fem.Function
     accepted_configuration: fem.Function | None
-    summary: ProblemSummary
 
 
 class ContactSurfaces(PetscOwner):
@@ -245,7 +243,6 @@ class ContactSurfaces(PetscOwner):
         self.steps.move(jump, u, continues=continues)
         self._replace_jump(jump)
         self.geometry = u.copy()
-        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
 
     def accept(self, unconverged: bool) -> None:
@@ -268,7 +265,6 @@ class ContactSurfaces(PetscOwner):
             self.sliding.origin,
             self.geometry,
             self._accepted_configuration,
-            self.summary,
         )
 
     def return_to(self, state: ProcessState) -> None:
@@ -281,7 +277,7 @@ class ContactSurfaces(PetscOwner):
             self.steps.u.x.array[:] = state.u
         self.obstacles.motions = state.motions
         self.sliding.origin, self.geometry = state.configuration, state.geometry
-        self._accepted_configuration, self.summary = state.accepted_configuration, state.summary
+        self._accepted_configuration = state.accepted_configuration
         if self.steps.jump is not self.jump:
             self.steps.jump = JumpOperator(self.linear, self.steps.jump.pairs)
             self._replace_jump(self.steps.jump)
@@ -375,6 +371,7 @@ class ContactSurfaces(PetscOwner):
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
         self.obstacles.note_pairing(jump)
+        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
@@ -391,7 +388,7 @@ class ContactSurfaces(PetscOwner):
                 u = self.sliding.origin if slides_far else self.geometry
                 moved = self.obstacles.displacement(before, now, u)
                 displacement[t] = jump.of_displacement(moved)[t]
-        return steps.history.with_moved_obstacles(displacement)
+        return replace(steps.history, origin=steps.history.origin + displacement)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
@@ -408,6 +405,14 @@ class ContactSurfaces(PetscOwner):
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         return np.array(self.jump.contact_force(self.steps.multipliers).array)
+
+    def rounding_forces(self) -> Array:
+        """Return B'lambda, like `contact_forces`, of pressures of the size of rounding errors.
+
+        Collective.
+        """
+        multipliers = self.compliance.stress_rounding / self.jump.stress_scale
+        return np.array(self.jump.contact_force(multipliers).array)
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again. Collective.

@@ -48,8 +48,8 @@ FORCING = 0.01
 #: The residual that the contact problem starts with counts as falling by at least this factor from
 #: one configuration to the next. The residual of bodies that contact alone holds does not fall,
 #: since each contact problem finds their rigid displacements anew; without this factor, forces of
-#: faces that lie flat change by 1e-3 for ever. (Six steps of the half ring take 108 Newton steps with 314 products without the factor,
-#: 69 with 255 with it.)
+#: faces that lie flat change by 1e-3 for ever. (Six steps of the half ring take 108 Newton steps
+#: with 314 products without the factor, 69 with 255 with it.)
 TIGHTER = 0.3
 
 #: The requested residual falls below the user's `rtol` until it reaches this number, below which
@@ -128,10 +128,7 @@ class FiniteSliding:
             start: relative residual that this problem started with, at the previous tractions.
         """
         self._start = self._surfaces.comm.bcast(min(start, TIGHTER * self._start))
-        jump = self._surfaces.jump
-        pressures = self._surfaces.compliance.stress_rounding / jump.stress_scale
-        rounding = np.array(jump.contact_force(pressures).array)
-        forces = np.array(self._surfaces.contact_forces())
+        forces, rounding = self._surfaces.contact_forces(), self._surfaces.rounding_forces()
         last, self._forces = self._forces, forces
         changed = forces if last is None else forces - last
         w = self._surfaces.sliding.origin.x.array.copy()

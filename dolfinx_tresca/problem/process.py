@@ -297,7 +297,11 @@ class ContactProcess(PetscOwner, Tabulated):
         motions, state = read_motions(path, self.comm, len(self.pairs)), surfaces.state
         try:
             surfaces.obstacles.motions = motions
-            self._pair_at(found.get("moved_by", fem.Function(V)))
+            moved_by = found.get("moved_by", fem.Function(V))
+            if surfaces.sliding.began_at(moved_by):
+                surfaces.pair_where_changed(moved_by)
+            else:
+                self._contact.update_geometry(moved_by)
             step = surfaces.steps.load(path, found.get("u"), found.get("accepted_u"))
         except ContactError:
             surfaces.return_to(state)
@@ -321,13 +325,6 @@ class ContactProcess(PetscOwner, Tabulated):
                 "material must be a list of Functions on the mesh of the problem, found "
                 f"{shown(material)}."
             )
-
-    def _pair_at(self, u: fem.Function) -> None:
-        """Make u the configuration in which surfaces are paired, if it is not yet. Collective."""
-        if self._contact.surfaces.sliding.began_at(u):
-            self._contact.surfaces.pair_where_changed(u)
-        else:
-            self._contact.update_geometry(u)
 
     @collective(comm_of_self)
     def goal_value(self, goal: Goal) -> float:

@@ -61,8 +61,6 @@ class LoadSteps:
             sliding: the displacement of the last accepted step, of the slip origin (`begin_at`), or
             of the state that was read or returned to, whichever came last. None: the bodies were
             undeformed, or the state does not keep the displacement (`StepStart`).
-        accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
-            has set it.
         motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) in the present
             solve.
         accepted_motions: `motions` at the last accepted step, from which the slip counts.
@@ -81,7 +79,6 @@ class LoadSteps:
         self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None
         self.accepted_u: fem.Function | None = None
-        self.accepted_w: fem.Function | None = None
         self.motions = self.accepted_motions = motions
         self.begin(SlipHistory.none(jump))
         self.forget()
@@ -187,8 +184,7 @@ class LoadSteps:
         """
         history, w = self.acceptable(unconverged)
         self.begin_with(history)
-        self.accepted_w = w.copy()
-        self.accepted_u = self.jump.system.displacement(self.accepted_w, w.name)
+        self.accepted_u = self.jump.system.displacement(w.copy(), w.name)
         self._set_start(self.multipliers)
 
     def acceptable(self, unconverged: bool) -> tuple[SlipHistory, fem.Function]:

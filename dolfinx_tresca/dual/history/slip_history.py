@@ -104,15 +104,6 @@ class SlipHistory:
         origin[rows] = at_start[rows]
         return replace(self, origin=origin)
 
-    def with_moved_obstacles(self, displacement: Array) -> SlipHistory:
-        """Return the history for obstacles that move in the step. Not collective.
-
-        Args:
-            displacement: (size,) tangential displacement of the obstacles under the nodes since the
-                last accepted step, divided by `JumpOperator.length_scale`; zero in normal rows.
-        """
-        return replace(self, origin=self.origin + displacement)
-
     def after(
         self, jump: JumpOperator, slip: Array, steps: Sequence[Array], dissipation: float
     ) -> SlipHistory:
