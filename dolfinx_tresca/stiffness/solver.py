@@ -50,7 +50,7 @@ class IndefiniteError(StiffnessError):
     """K is not positive definite.
 
     Attributes:
-        evidence: what shows it, as a clause.
+        evidence: fact that shows it, as a clause.
     """
 
     def __init__(self, evidence: str) -> None:
