@@ -119,10 +119,14 @@ class Newton:
         part = 1.0
         while self.fraction < 1.0:
             state = problem.surfaces.state
-            problem.apply_load(min(1.0, self.fraction + part))
-            self.failure = self._equilibrium()
+            fraction = min(1.0, self.fraction + part)
+            try:
+                problem.apply_load(fraction)
+                self.failure = self._equilibrium()
+            except PairingError as error:
+                self.failure = f"{fraction:.4g} of the load: {str(error).rstrip('.')}"
             if not self.failure:
-                self.fraction = problem.tangent.fraction
+                self.fraction = fraction
                 part *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
                     self._observe(replace(self._iteration, newton=self._progress(ended=True)))
@@ -153,6 +157,9 @@ class Newton:
 
         Returns:
             the reason of a failure; empty after a success.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
         """
         problem, last = self.problem, math.inf
         number, slow = 0, False
@@ -161,12 +168,9 @@ class Newton:
         if problem.surfaces.slides_far:
             self._sliding = FiniteSliding(problem.surfaces)
             self.level = 0  # springs would hold the partners of another configuration
-            try:
-                with suppress(StiffnessError):  # the steps will add stiffness
-                    problem.factor()
-                    self._sliding.pair_first_configuration()
-            except PairingError as error:
-                return f"{problem.tangent.fraction:.4g} of the load: {str(error).rstrip('.')}"
+            with suppress(StiffnessError):  # the steps will add stiffness
+                problem.factor()
+                self._sliding.pair_first_configuration()
         while True:
             number += 1
             before = problem.u.x.array.copy()
@@ -220,11 +224,8 @@ class Newton:
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
                 return f"{where}: {reason}"
-            try:
-                if self._settled(reached, solution.residuals[0]):
-                    return ""
-            except PairingError as error:
-                return f"{where}: {str(error).rstrip('.')}"
+            if self._settled(reached, solution.residuals[0]):
+                return ""
             # residuals in two configurations are not comparable
             if grows and self._sliding is None:
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"

@@ -329,19 +329,6 @@ class ContactSurfaces(PetscOwner):
         self.obstacles.warn_of_unknown_motions(changed, same_place)
         return changed
 
-    def update_configuration(self, u: fem.Function) -> None:
-        """Pair surfaces with finite sliding in the configuration displaced by u. Collective.
-
-        Args:
-            u: displacement [length] in the problem's space.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
-        """
-        self._pair_anew(u, self._finite_sliding)
-        self.sliding.begin(u)
-
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 

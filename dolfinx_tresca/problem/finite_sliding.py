@@ -183,7 +183,7 @@ class FiniteSliding:
         w = surfaces.linear.response_to_prescribed_values(solver, origin)
         if surfaces.comm.allreduce(bool(w.x.array.any()), op=MPI.LOR):
             w.x.array[:] += origin.x.array
-            surfaces.update_configuration(w)
+            surfaces.pair_where_changed(w)
 
     def pair_next_configuration(self) -> None:
         """Pair the surfaces in the next configuration. Collective.
@@ -193,7 +193,7 @@ class FiniteSliding:
         """
         w = fem.Function(self._surfaces.linear.V)
         w.x.array[:] = self._next()
-        self._surfaces.update_configuration(w)
+        self._surfaces.pair_where_changed(w)
         self.configurations += 1
 
     def _next(self) -> Array:

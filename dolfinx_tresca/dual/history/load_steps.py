@@ -304,7 +304,8 @@ class LoadSteps:
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
         """Continue from the file that `save` wrote, and return the number of its step. Collective.
 
-        Obstacles keep their present positions.
+        Obstacles keep their present positions. After an error, a part of the state may have
+        changed: the caller returns to the former state.
 
         Args:
             path: path of the file, the same on all ranks.
@@ -315,25 +316,22 @@ class LoadSteps:
             InputError: the file cannot be read, belongs to another mesh, other pairs or other
                 kinds of laws, or lacks a displacement that is needed.
         """
-        if self.u is not None and u is None:
-            raise InputError(
-                f"the state in '{path}' has no displacement, since a ContactProblem wrote it; a "
-                "NonlinearContactProblem needs one."
-            )
         component = self.jump.system.component
-        others: list[fem.Function] = []
-        if self.u is not None and component is not None:
-            others = component.other_parts(self.u)
-            for other, values in zip(
-                others, read_functions(path, others, self.jump.comm, UNKNOWN), strict=True
-            ):
-                other.x.array[:] = values
-        state = SavedState.read(path, self.jump)
-        if self.u is not None and u is not None:
+        if self.u is not None:
+            if u is None:
+                raise InputError(
+                    f"the state in '{path}' has no displacement, since a ContactProblem wrote it; "
+                    "a NonlinearContactProblem needs one."
+                )
+            others = [] if component is None else component.other_parts(self.u)
+            read = read_functions(path, others, self.jump.comm, UNKNOWN)
+            for unknown, values in zip(others, read, strict=True):
+                unknown.x.array[:] = values
             if component is None:
                 self.u.x.array[:] = u.x.array
             else:
                 component.compose(self.u, u, others)
+        state = SavedState.read(path, self.jump)
         self.begin_with(state.history)
         self.accepted_u = accepted_u
         self.start_at(state.multipliers)
