@@ -252,7 +252,7 @@ def test_starts_that_lead_nowhere(comm) -> None:
         with pytest.raises(StiffnessError, match=r"step 1 with 1 of the load.* begin at another"):
             problem.solve()
         scene.u.interpolate(lambda x: np.stack([0.0 * x[0], -0.95 * x[1]]))
-        with pytest.raises(StiffnessError, match="are unstable, .*begin at") as unstable:
+        with pytest.raises(StiffnessError, match=r"are unstable, .*begin at") as unstable:
             problem.solve()
         assert "Young" not in str(unstable.value)
         scene.u.x.array[:] = 0.0
