@@ -16,7 +16,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
-from dolfinx_tresca.stiffness.solver import IndefiniteError
+from dolfinx_tresca.stiffness.solver import not_positive_definite
 
 #: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
 #: body's largest diagonal entry of K: the product of K with the mode adds some hundred entries of
@@ -44,7 +44,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
         bodies: the bodies of its mesh.
 
     Raises:
-        IndefiniteError: K has a negative diagonal, or a negative stiffness against a rigid motion;
+        StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
             the error names the body and its position.
     """
     mesh = system.V.mesh
@@ -56,7 +56,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective.
 
     Raises:
-        IndefiniteError: the diagonal of K has negative entries, or K has a negative stiffness
+        StiffnessError: the diagonal of K has negative entries, or K has a negative stiffness
             against a rigid motion.
     """
     body, number, where = bodies.label, bodies.number, bodies.describe
@@ -72,7 +72,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
 
     if softest.min() < 0.0:
-        raise IndefiniteError(
+        raise not_positive_definite(
             f"its diagonal is negative, down to {softest.min():.3g}, in "
             f"{where(int(softest.argmin()))}"
         )
@@ -104,7 +104,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
 
     negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
     if negative.any():
-        raise IndefiniteError(
+        raise not_positive_definite(
             "its stiffness against a rigid motion is negative, of "
             f"{where(int(weak.body[negative.argmax()]))}"
         )

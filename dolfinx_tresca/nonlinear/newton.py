@@ -19,7 +19,6 @@ from dolfinx_tresca.problem.finite_sliding import FiniteSliding, summed_timings
 from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.solver import IndefiniteError
 from dolfinx_tresca.units import Units
 
 #: Growth of the residual from one step to the next from which on Newton's method counts as
@@ -98,20 +97,12 @@ class Newton:
         self._last_change: Array | None = None
 
     def run(self) -> None:
-        """Apply the change of load. Collective.
-
-        Raises:
-            InputError: an input is wrong; or nothing holds a body against its loads.
-        """
-        try:
-            self._run()
-        finally:
-            self.problem.end_load()
-
-    def _run(self) -> None:
         """Apply the change of load, in parts where Newton's method fails. Collective.
 
         The part is halved after a failure, and doubled after a success.
+
+        Raises:
+            InputError: an input is wrong; or nothing holds a body against its loads.
         """
         problem = self.problem
         problem.begin_load()
@@ -318,7 +309,7 @@ class Newton:
                 return self.problem.contact.solve(options, self._units, self._observed)
             except StiffnessError as error:
                 failure = error
-        if isinstance(failure, IndefiniteError):
+        if failure.evidence:
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "

@@ -24,7 +24,6 @@ from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
-from dolfinx_tresca.stiffness.solver import IndefiniteError
 from dolfinx_tresca.units import Units
 
 
@@ -266,7 +265,9 @@ class NonlinearContactProblem(ContactProcess):
         try:
             try:
                 problem.factor()
-            except IndefiniteError as error:
+            except StiffnessError as error:
+                if not error.evidence:
+                    raise
                 raise ConvergenceError(
                     f"{purpose} needs bodies that are stable without the contact, and at this "
                     f"solution contact alone holds them: of the tangent, {error.evidence}. Compare "
@@ -342,7 +343,10 @@ class NonlinearContactProblem(ContactProcess):
         self._linearised.begin()
         self._solves += 1
         run = Newton(self._linearised, newton, options, self.units, observer, self._level)
-        run.run()
+        try:
+            run.run()
+        finally:
+            self._linearised.end_load()
         self._contact.surfaces.steps.end_solve()
         self._linearised.note_forces()
         if run.found is None:

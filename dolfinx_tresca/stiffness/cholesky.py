@@ -9,7 +9,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.stiffness.solver import IndefiniteError, StiffnessSolver
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 
 PACKAGE = "pc_factor_mat_solver_type"
 ON_ONE_RANK = "cholmod"
@@ -132,10 +132,9 @@ def _positive_pivots(ksp: PETSc.KSP) -> None:
     """Raise an error if MUMPS found negative pivots, or failed.
 
     Raises:
-        IndefiniteError: K is not positive definite.
-        StiffnessError: the factorisation failed.
+        StiffnessError: K is not positive definite, or the factorisation failed.
     """
     factor = _mumps_factor(ksp)
     negative = 0 if factor is None else factor.getMumpsInfog(12)
     if factor is not None and negative > 0:
-        raise IndefiniteError(f"{negative} of {factor.getSize()[0]} pivots are negative")
+        raise not_positive_definite(f"{negative} of {factor.getSize()[0]} pivots are negative")

@@ -46,19 +46,14 @@ _ADVICE = {
 _numbers = count()
 
 
-class IndefiniteError(StiffnessError):
-    """K is not positive definite.
-
-    Attributes:
-        evidence: fact that shows it, as a clause.
-    """
-
-    def __init__(self, evidence: str) -> None:
-        self.evidence = evidence
-        super().__init__(
-            f"K is not positive definite: {evidence}. Check Young's moduli, Poisson ratios (below "
-            "0.5) and the signs in the form a."
-        )
+def not_positive_definite(evidence: str) -> StiffnessError:
+    """Return the error to raise if K is not positive definite, with a clause that shows it."""
+    error = StiffnessError(
+        f"K is not positive definite: {evidence}. Check Young's moduli, Poisson ratios (below 0.5) "
+        "and the signs in the form a."
+    )
+    error.evidence = evidence
+    return error
 
 
 class StiffnessSolver(PetscOwner):
