@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -15,6 +16,9 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices,
 #: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
 #: that counts as rounding, in addition to the rounding of coordinates.
 SHAPE_ROUNDING = 1e-10
+
+#: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
+FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,25 @@ class Facets:
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
+
+
+def joined(groups: Sequence[Facets]) -> Facets:
+    """Return the facets of several tags as one surface.
+
+    If the exact surface of any group is known, facets without offsets count as exact.
+    """
+    exact = max(one.offsets.shape[1] for one in groups)
+    same = [
+        one
+        if one.offsets.shape[1] == exact
+        else replace(one, offsets=np.zeros((len(one.points), exact, 3)))
+        for one in groups
+    ]
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in same]) for name in FACET_ARRAYS
+    }
+    bent, plane = any(one.bent for one in groups), all(one.plane for one in groups)
+    return replace(groups[0], bent=bent, plane=plane, **arrays)
 
 
 def rounding_of(points: Array) -> Array:

@@ -72,14 +72,14 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
     return checked(comm, result, tag, side)
 
 
-def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
+def displaced(V: Any, facets: Facets, u: Array, tag: str, side: str) -> Facets:
     """Return facets that this rank owns, displaced. Collective.
 
     Args:
         V: the space of the displacement.
         facets: the undeformed facets.
         u: (nodes, dim of space) displacement of this rank's nodes [length].
-        tag: the tag of the surface, for error messages.
+        tag: the tag or tags of the surface, for error messages.
         side: "secondary" or "primary", for error messages.
 
     Raises:
@@ -91,7 +91,7 @@ def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
     return checked(V.mesh.comm, facets.moved_to(points), tag, side)
 
 
-def checked(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> Facets:
+def checked(comm: MPI.Comm, facets: Facets, tag: int | str, side: str) -> Facets:
     """Check the areas of facets; return the facets with `bent` and `plane` set for all ranks.
 
     Before the call these two may describe the facets of this rank only. Collective.
@@ -152,7 +152,9 @@ def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
     return np.asarray(vector.array.reshape(-1, dim) > 0.5)
 
 
-def _check_areas(comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int, side: str) -> None:
+def _check_areas(
+    comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int | str, side: str
+) -> None:
     """Check that no facet is degenerate: its area must not be rounding, compared with `whole`.
 
     `whole` is one value for all facets, or an array (n,). Collective.
