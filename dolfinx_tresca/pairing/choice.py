@@ -73,7 +73,6 @@ def _pair(
     V: Any, pair: ContactPair, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
 ) -> PairOperators:
     """Compute N, T and the gap of a pair from the facets of its sides. Collective."""
-
     secondary = Side(pair, "secondary", Halo(V, sides[pair.secondary]))
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):

@@ -45,6 +45,11 @@ class Side:
     name: SideName
     halo: Halo
 
+    @property
+    def tag(self) -> str:
+        """The tags of the facets, for messages."""
+        return self.pair.tag_text(self.name)
+
     @cached_property
     def whole(self) -> WholeSurface:
         """Properties of the whole surface, the same on all ranks. Collective."""
@@ -71,7 +76,7 @@ class Side:
             has_no_normal = own & nodes.has_no_normal
             if has_no_normal.any():
                 raise PairingError(
-                    f"the surface with tag {self.pair.tag_text(self.name)} ({self.name} side) has no normal at "
+                    f"the surface with tag {self.tag} ({self.name} side) has no normal at "
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
@@ -88,9 +93,9 @@ class Side:
                 "the surface with tag %s (%s side) has %d nodes at the place of another one: it is "
                 "torn there. Merge duplicated nodes of the mesh, unless these are edges of two "
                 "bodies.",
-                *(self.pair.tag_text(self.name), self.name, coincident),
+                *(self.tag, self.name, coincident),
                 level=logging.WARNING,
-                about=self.pair.tag_text(self.name),
+                about=self.tag,
             )
         return nodes
 
