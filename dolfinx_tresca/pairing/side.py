@@ -45,11 +45,6 @@ class Side:
     name: SideName
     halo: Halo
 
-    @property
-    def tag(self) -> str:
-        """The tags of the facets, for messages."""
-        return self.pair.tag_text(self.name)
-
     @cached_property
     def whole(self) -> WholeSurface:
         """Properties of the whole surface, the same on all ranks. Collective."""
@@ -76,7 +71,7 @@ class Side:
             has_no_normal = own & nodes.has_no_normal
             if has_no_normal.any():
                 raise PairingError(
-                    f"the surface with tag {self.tag} ({self.name} side) has no normal at "
+                    f"the surface {self.pair.side(self.name)} ({self.name} side) has no normal at "
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
@@ -90,12 +85,12 @@ class Side:
         if coincident:
             log(
                 comm,
-                "the surface with tag %s (%s side) has %d nodes at the place of another one: it is "
+                "the surface %s (%s side) has %d nodes at the place of another one: it is "
                 "torn there. Merge duplicated nodes of the mesh, unless these are edges of two "
                 "bodies.",
-                *(self.tag, self.name, coincident),
+                *(self.pair.side(self.name), self.name, coincident),
                 level=logging.WARNING,
-                about=self.tag,
+                about=self.pair.side(self.name),
             )
         return nodes
 

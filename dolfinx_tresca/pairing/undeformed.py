@@ -81,6 +81,6 @@ class Undeformed:
             PairingError: displaced facets have no area.
         """
         return {
-            tag: displaced(V, facets, u, pair.tag_text(name), name)
+            tag: displaced(V, facets, u, pair.side(name), name)
             for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False)
         }

@@ -217,10 +217,6 @@ class ContactPair:
             return self.facet_tags.given, self.facet_tags.merged
         return self.facet_tags, () if isinstance(tag, RigidObstacle) else (tag,)
 
-    def tag_text(self, which: SideName) -> str:
-        """Return the given tags of a side, for messages."""
-        return ", ".join(map(str, self.given_tags(which)[1]))
-
     def __repr__(self) -> str:
         return f"<ContactPair: {self}, {self.friction}>"
 

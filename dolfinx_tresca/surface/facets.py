@@ -39,7 +39,7 @@ class Facets:
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
+            surface/offsets.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see surface/self_contact.py; (n, 0) on other surfaces.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
@@ -142,21 +142,18 @@ class Facets:
 
 
 def joined(groups: Sequence[Facets]) -> Facets:
-    """Return the facets of several tags as one surface.
-
-    If the exact surface of any group is known, facets without offsets count as exact.
-    """
-    exact = max(one.offsets.shape[1] for one in groups)
-    same = [
-        one
-        if one.offsets.shape[1] == exact
-        else replace(one, offsets=np.zeros((len(one.points), exact, 3)))
-        for one in groups
+    """Return the facets of several tags as one surface."""
+    exact = max(group.offsets.shape[1] for group in groups)
+    padded = [
+        group
+        if group.offsets.shape[1] == exact
+        else replace(group, offsets=np.full((len(group.points), exact, 3), np.nan))
+        for group in groups
     ]
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in same]) for name in FACET_ARRAYS
+        name: np.concatenate([getattr(group, name) for group in padded]) for name in FACET_ARRAYS
     }
-    bent, plane = any(one.bent for one in groups), all(one.plane for one in groups)
+    bent, plane = any(group.bent for group in groups), all(group.plane for group in groups)
     return replace(groups[0], bent=bent, plane=plane, **arrays)
 
 
