@@ -185,18 +185,26 @@ class ContactSurfaces(PetscOwner):
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
 
+    def added_gaps(self) -> list[Array]:
+        """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective.
+
+        Raises:
+            InputError: a gap is on another mesh.
+        """
+        return [
+            np.zeros(len(on.nodes))
+            if pair.gap is None
+            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
+            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+
     def update_gaps(self) -> None:
         """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
 
         Raises:
             InputError: a gap is on another mesh, or is NaN or infinite.
         """
-        gaps = [
-            np.zeros(len(on.nodes))
-            if pair.gap is None
-            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
-            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
-        ]
+        gaps = self.added_gaps()
         changed = [
             not np.array_equal(gap, on.added_gap)
             for gap, on in zip(gaps, self.jump.pairs, strict=True)
