@@ -306,7 +306,9 @@ class Newton:
                 options = self.contact.at_least(self.options.accuracy * forcing)
                 if self._sliding is not None and level == 0:
                     options = self._sliding.loosened(options)
-                return self.problem.contact.solve(options, self._units, self._observed)
+                return self.problem.contact.solve(
+                    options, self._units, self._observed, self.contact
+                )
             except StiffnessError as error:
                 failure = error
         if failure.evidence:

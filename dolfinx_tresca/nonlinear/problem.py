@@ -374,7 +374,6 @@ class NonlinearContactProblem(ContactProcess):
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {
             "status": status,
-            "options": options,  # of all of Newton's method, not of its last contact problem
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),
             "krylov_iterations": run.krylov_iterations,

@@ -275,6 +275,7 @@ class ContactSystem(PetscOwner):
         options: SolverOptions,
         units: Units | None,
         observe: Callable[[Iteration], bool],
+        requested: SolverOptions | None = None,
     ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
@@ -283,6 +284,8 @@ class ContactSystem(PetscOwner):
             units: names of units, for tables and pictures of the solution.
             observe: function that is called before each iteration, on all ranks; the solve stops
                 if it returns True.
+            requested: the options that the user gave, if `options` have another accuracy: they
+                decide whether the solve converged.
 
         Raises:
             ContactError: the problem was destroyed, or its last `update_stiffness` failed.
@@ -291,6 +294,7 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         surfaces, steps, bodies = self.surfaces, self.surfaces.steps, self._stiffness.bodies
+        requested = requested or options
         self._stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
         timings, surfaces.timings = surfaces.timings, {}
@@ -313,8 +317,9 @@ class ContactSystem(PetscOwner):
             if dual.equilibrium is not None:
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
+        start, secondary = steps.multipliers, surfaces.secondary
         found, evaluation, history = solve_to_bound(
-            dual, steps.multipliers, surfaces.secondary, bodies, options, observe, timings
+            dual, start, secondary, bodies, options, requested, observe, timings
         )
         steps.multipliers = found.multipliers
         status = found.status
@@ -339,7 +344,7 @@ class ContactSystem(PetscOwner):
         )
         return ContactSolution(
             status=status,
-            options=options,
+            options=requested,
             units=units,
             iterations=found.iterations,
             sweeps=found.sweeps,

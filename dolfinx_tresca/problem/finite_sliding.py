@@ -243,7 +243,8 @@ def solve_with_finite_sliding(
         return observe(last)
 
     while True:
-        solution = contact.solve(sliding.loosened(options), units, in_configuration)
+        loosened = sliding.loosened(options)
+        solution = contact.solve(loosened, units, in_configuration, options)
         solutions.append(solution)
         number = f"configuration {sliding.configurations} of the surfaces"
         if solution.status is not ContactStatus.CONVERGED:
@@ -253,14 +254,14 @@ def solve_with_finite_sliding(
             break
         sliding.observe(solution.u, solution.residuals[0])
         if sliding.error <= options.geometry_accuracy:
-            if solution.options != options:
+            if loosened != options:
                 solutions.append(contact.solve(options, units, in_configuration))
             if last is not None:
                 observe(replace(last, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
             contact.surfaces.steps.set_last_status(ContactStatus.MAX_ITERATIONS)
-            solutions[-1] = replace(solution, options=options, status=ContactStatus.MAX_ITERATIONS)
+            solutions[-1] = replace(solution, status=ContactStatus.MAX_ITERATIONS)
             failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break
         try:

@@ -289,6 +289,21 @@ def test_contact_is_as_accurate_as_newton(comm, asked):
     assert rough.tangential_force == pytest.approx(exact.tangential_force, rel=1e-4)
 
 
+@pytest.mark.parametrize("friction", [Tresca(1e-3), Coulomb(0.3)])
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+@pytest.mark.parametrize("asked", [{"rtol": 1e-3}, {"accuracy": 1e-3}])
+def test_what_newton_asks_of_contact_decides_no_status(comm, friction, sliding, asked):
+    """Newton's method asks for more than rounding leaves; the user asks for less than it leaves."""
+    scene = rubber_block(comm, (4, 3), clamped=True, friction=friction).but(sliding=sliding)
+    scene.push.value[:] = 0.01, -0.1
+    newton = NewtonOptions(accuracy=1e-20)
+    with scene.problem(options=SolverOptions(**asked), newton=newton) as problem:
+        solution = problem.solve()
+        assert solution.status is ContactStatus.CONVERGED
+        assert solution.options == problem.options
+        problem.accept()
+
+
 def test_observer_stops(comm):
     scene = rubber_block(comm, (2, 2))
     compressed(scene.push, 0.1)
