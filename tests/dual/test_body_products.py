@@ -1,4 +1,4 @@
-"""A of many bodies as a sparse matrix, from products that all bodies share."""
+"""A as a sparse matrix, from products that many bodies share, and as a dense matrix."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def found(monkeypatch) -> list:
     """The operators of later solves, each with A as a sparse matrix or None."""
     result: list = []
 
-    def sparse_model(operator):
-        result.append((operator, body_products.sparse_model(operator)))
+    def sparse_model(operator, local_compliance):
+        result.append((operator, body_products.sparse_model(operator, local_compliance)))
         return result[-1][1]
 
     monkeypatch.setattr(compliance, "sparse_model", sparse_model)
@@ -71,7 +71,7 @@ def pushed(comm, parts: list[float]) -> tuple[np.ndarray, int]:
 def test_solutions_are_those_without_the_matrix(comm, monkeypatch):
     """The wall under its weight and pushed: the same displacement, with fewer products."""
     with_matrix, few = pushed(comm, [0.0, 0.1])
-    monkeypatch.setattr(compliance, "sparse_model", lambda operator: None)
+    monkeypatch.setattr(compliance, "sparse_model", lambda *arguments: None)
     without, many = pushed(comm, [0.0, 0.1])
     # relative residuals of 1e-9; displacements of the wall as a whole magnify them
     assert np.allclose(with_matrix, without, rtol=1e-6)
@@ -91,6 +91,24 @@ def test_bodies_with_many_multipliers_have_none(found, monkeypatch):
     with wall(MPI.COMM_SELF, 2, 3).problem() as problem:
         problem.solve(rtol=1e-6)
     assert [matrix for _, matrix in found] == [None]
+
+
+@pytest.mark.parallel
+def test_a_dense_matrix_is_A(comm, monkeypatch):
+    """Against single products with random vectors; each column is a product."""
+    calls: list = []
+    monkeypatch.setattr(compliance, "sparse_model", lambda *arguments: calls.append(arguments))
+    with bricks_problem(comm, 2) as problem:
+        before = problem.solve(rtol=1e-6).products
+        operator, local_compliance = calls[0]
+        matrix = body_products.dense_model(operator, local_compliance)
+        assert operator.products - before == matrix.number
+        for seed in range(3):
+            x = np.random.default_rng([seed, comm.rank]).standard_normal(len(matrix.diagonal))
+            inner = operator.jump.reductions.inner
+            expected = operator.product(x)[0]
+            error = matrix.product(x) - expected
+            assert inner(error, error) <= SOLVE**2 * inner(expected, expected)
 
 
 @pytest.mark.parallel

@@ -1,4 +1,4 @@
-"""The sparse model of A: its solutions on a face and inside, against dense algebra."""
+"""The model of A that is known whole: its solutions on a face and inside, against dense algebra."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from scenes.dense import cones_over, random_problem
 from scenes.scene import EPS
 
 
+@pytest.mark.parametrize("matrix_type", [csr_array, np.asarray])
 @pytest.mark.parametrize("coefficient", [0.0, 0.5])
-def test_solutions_along_a_face(coefficient):
+def test_solutions_along_a_face(coefficient, matrix_type):
     """P (M + C) s - P G c = P r and G's + S c = e with s = (I + Q) P s, also with a singular A."""
     rng = np.random.default_rng(0)
     problem = random_problem(1, 8, 2.0)
@@ -22,10 +23,10 @@ def test_solutions_along_a_face(coefficient):
     values, vectors = np.linalg.eigh(problem.A)
     A = vectors[:, 3:] * values[3:] @ vectors[:, 3:].T
     cones = cones_over(lam, coefficient)
-    model = WholeModel(problem, csr_array(A), 0, cones.nodes(), spsolve)
+    local = rng.uniform(0.5, 1.0, size)
+    model = WholeModel(problem, matrix_type(A), 0, cones.nodes(), local, spsolve)
     M = model.apply(np.eye(size))
-    shift = SHIFT * np.diag(A).mean()
-    assert np.allclose(M, A + shift * np.eye(size), atol=16 * EPS * np.abs(A).max())
+    assert np.allclose(M, A + SHIFT * np.diag(local), atol=16 * EPS * np.abs(A).max())
 
     x = rng.standard_normal(size)
     x[lam.normal] = np.abs(x[lam.normal]) * (rng.random(len(lam.normal)) < 0.7)
@@ -57,7 +58,7 @@ def test_maps_of_nodes_become_matrices():
     size = len(nodes)
     blocks = rng.standard_normal((size, size)) * (nodes[:, None] == nodes)
     problem = random_problem(1, 2, 2.0)
-    model = WholeModel(problem, csr_array(np.eye(size)), 0, nodes, spsolve)
+    model = WholeModel(problem, csr_array(np.eye(size)), 0, nodes, np.ones(size), spsolve)
     right = rng.standard_normal(size)
     maps = NodalMaps(
         test=lambda v: v,

@@ -15,8 +15,9 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose
 #: neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million times
-#: as much as their surfaces are pressed in.) A wall of 52 bricks pushed in 17 accepted steps of 0.025 takes 53 iterations with 1e-2, 34 with 1e-3 and
-#: 1e-4, 18 with 1e-5; with 1e-10, Newton's method on the model fails.
+#: as much as their surfaces are pressed in.) A wall of 52 bricks pushed in 17 accepted steps of
+#: 0.025 takes 53 iterations with 1e-2, 34 with 1e-3 and 1e-4, 18 with 1e-5; with 1e-10, Newton's
+#: method on the model fails.
 SHIFT = 1e-4
 
 
@@ -24,14 +25,15 @@ class WholeModel(Model):
     """The model M = A + s I of A, whose matrix is known.
 
     The matrix is sparse for assemblies of many small bodies, since A couples only multipliers of
-    the same body; otherwise it is dense. A is singular if rows of B are linearly dependent, as at corners of bricks that touch two other
-    bricks; the shift s makes M positive definite. Since gradients are computed with A, the
-    iteration with M is a proximal point method (Rockafellar 1976): its solution is the solution for
-    A, and the error falls by the factor s / (s + sigma) in each iteration, where sigma is the least
-    positive eigenvalue of A.
+    the same body; otherwise it is dense. A is singular if rows of B are linearly dependent, as at
+    corners of bricks that touch two other bricks; the shift s makes M positive definite. Since
+    gradients are computed with A, the iteration with M is a proximal point method (Rockafellar
+    1976): its solution is the solution for A, and the error falls by the factor s / (s + sigma) in
+    each iteration, where sigma is the least positive eigenvalue of A.
 
-    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Its matrix neglects that slip bounds may depend on the slip; for such bounds, Newton's method
-    converges linearly. Every rank has the whole matrix.
+    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Its matrix neglects that slip
+    bounds may depend on the slip; for such bounds, Newton's method converges linearly. Every rank
+    has the whole matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
@@ -112,8 +114,7 @@ class WholeModel(Model):
         """
         unit, k = self.unit, len(missing)
         test, trial, stiffness, projector = (
-            self._matrix(nodal)
-            for nodal in (maps.test, maps.trial, maps.stiffness, maps.projector)
+            self._matrix(nodal) for nodal in (maps.test, maps.trial, maps.stiffness, maps.projector)
         )
         trial, G = self._in_own_columns(trial), csr_array(G)
         fixed = csr_array(eye_array(len(right))) - projector
@@ -177,4 +178,6 @@ def _groups(nodes: Indices) -> tuple[csr_array, Indices]:
     numbers = np.bincount(index)
     place = np.empty(size, dtype=np.intp)
     place[order] = np.arange(size) - (np.cumsum(numbers) - numbers)[index[order]]
-    return csr_array(member @ member.T), place
+    same_node = csr_array(member @ member.T)
+    same_node.sort_indices()  # as operations with a matrix that shares its indices may do later
+    return same_node, place

@@ -69,14 +69,12 @@ class _FixedPointNewton(ProjectedNewton):
         result, self.deficit = super().target(), None
         if self.missed is not None:
             x = self.missed.x
-            self.deficit = friction_deficit(
-                self.problem.at(x, self.missed.r, self.residual.rho), x
-            )
+            self.deficit = friction_deficit(self.problem.at(x, self.missed.r, self.residual.rho), x)
         self.failures = 0 if self.deficit is None else self.failures + 1
         return result
 
     def complete_products(self) -> bool:
-        """Compute the rest of A, unless it is known or too large; return whether it was computed."""
+        """Compute the rest of A unless it is known or too large; return whether it was done."""
         completed = super().complete_products()
         if completed:
             self.failures, self.has_stalled = 0, False

@@ -31,7 +31,7 @@ MOST_REDUCTIONS = 20
 
 #: If the residual is not halved in this number of iterations, the rest of A is computed, unless A
 #: is too large (`ContactCompliance.complete_products`).
-SLOW = 6
+SLOW = 8
 
 #: Statuses with which an iteration ends only if A is known whole, or is too large.
 FAILED = ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED

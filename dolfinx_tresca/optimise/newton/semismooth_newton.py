@@ -18,12 +18,13 @@ from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
-#: model, for Newton's method and for convex problems. With the value 1, each node would take the state that minimises q for fixed multipliers of
-#: the other nodes; with a smaller value, nodes change their states less often.
+#: model, for Newton's method and for convex problems. With the value 1, each node would take the
+#: state that minimises q for fixed multipliers of the other nodes; with a smaller value, nodes
+#: change their states less often.
 RHO_DIAGONAL, RHO_DIAGONAL_CONVEX = 0.2, 1.0
 
-#: Limits on the number of Newton steps, and on the number of halvings of a step that does not reduce
-#: the residual. With 10 halvings, a scene of `tests/extremes` is not solved.
+#: Limits on the number of Newton steps, and on the number of halvings of a step that does not
+#: reduce the residual. With 10 halvings, a scene of `tests/extremes` is not solved.
 MOST_STEPS, MOST_HALVINGS = 200, 6
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
@@ -275,12 +276,12 @@ def solve_model(
     present = residual.at(multipliers, gradient)
     wanted = REDUCTION * present if len(constraints) else np.inf
     rounding = ROUNDING * norm(problem, problem.b)
-    result, least, x, r = multipliers, np.inf, multipliers, gradient
-    while True:
+    result, least = multipliers, np.inf
+    x, r, reached = multipliers, gradient, present
+    while reached > 0.0:
         _, c = cones_at(problem, x, r, rho)
         start = newton.point(x, c, r - constraints.columns @ c)
-        part = max(tolerance, rounding) / (present if least == np.inf else reached) or 0.0
-        enough = min(part, FORCING) * start.residual
+        enough = min(max(tolerance, rounding) / reached, FORCING) * start.residual
         point = newton.solve(start, enough)
         if point.residual > enough and isinstance(model, WholeModel):
             point = solve_from_convex(newton, model, start, point, enough)
@@ -294,6 +295,7 @@ def solve_model(
         if missed or reached > least or least <= wanted or tolerance <= rounding:
             return result, point if missed else None
         tolerance *= REFINEMENT
+    return result, None
 
 
 def solve_from_convex(
