@@ -14,7 +14,6 @@ from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.record.slips import cones_at
-from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
@@ -101,6 +100,7 @@ class SemismoothNewton:
         self.softness = PROXIMAL * sums[1] / sums[0] if sums[0] > 0.0 else 0.0
         squares = np.asarray((G * G).sum(axis=1)).ravel()
         self.constraint_weight = float(problem.inner(squares, 1.0 / self.size)) or 1.0
+        self.rounding = ROUNDING * self.energy(self.rho * problem.b, problem.constraints.values)
 
     def energy(self, change: Array, unbalanced: Array) -> float:
         """Return the residual of all equations, from those of multipliers and of constraints."""
@@ -194,20 +194,16 @@ class ConvexNewton(SemismoothNewton):
 
     model: WholeModel
 
-    def __init__(self, problem: DualProblem, model: WholeModel, point: NewtonPoint) -> None:
-        """Prepare steps with the slips at a point."""
+    def __init__(self, problem: DualProblem, model: WholeModel, x: Array, r: Array) -> None:
+        """Prepare steps with the slips at a point x (size,) with the gradient r (size,)."""
         super().__init__(problem, model)
-        cones = problem.admissible.at(point.x, point.r, self.rho)
+        cones = problem.admissible.at(x, r, self.rho)
         nodes = problem.constraints.matrix.nodes
         largest = np.zeros(nodes.max(initial=-1) + 1)
         np.maximum.at(largest, nodes, self.size)
         self.rho = RHO_DIAGONAL_CONVEX / largest[nodes]
         self.cones = cones
-        self.opening = (
-            np.zeros_like(point.x)
-            if isinstance(cones, FeasibleSet)
-            else cones.dilation(point.x, point.r)
-        )
+        self.opening = np.zeros_like(x) if isinstance(cones, FeasibleSet) else cones.dilation(x, r)
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
         """Return a point with its residual."""
@@ -275,13 +271,12 @@ def solve_model(
     newton, rho, constraints = SemismoothNewton(problem, model), residual.rho, problem.constraints
     present = residual.at(multipliers, gradient)
     wanted = REDUCTION * present if len(constraints) else np.inf
-    rounding = ROUNDING * norm(problem, problem.b)
     result, least = multipliers, np.inf
     x, r, reached = multipliers, gradient, present
     while reached > 0.0:
         _, c = cones_at(problem, x, r, rho)
         start = newton.point(x, c, r - constraints.columns @ c)
-        enough = min(max(tolerance, rounding) / reached, FORCING) * start.residual
+        enough = max(min(tolerance / reached, FORCING) * start.residual, newton.rounding)
         point = newton.solve(start, enough)
         if point.residual > enough and isinstance(model, WholeModel):
             point = solve_from_convex(newton, model, start, point, enough)
@@ -292,7 +287,7 @@ def solve_model(
         reached = residual.at(x, r)
         if reached < least:
             result, least = x, reached
-        if missed or reached > least or least <= wanted or tolerance <= rounding:
+        if missed or least <= wanted or enough == newton.rounding:
             return result, point if missed else None
         tolerance *= REFINEMENT
     return result, None
@@ -307,7 +302,7 @@ def solve_from_convex(
 ) -> NewtonPoint:
     """Return the best point of Newton's method from solutions of convex problems. Collective.
 
-    Each convex problem has the slips of the solution before.
+    The first convex problem has no slip, each other one the slips of the solution before.
 
     Args:
         newton: Newton's method, which has failed.
@@ -317,10 +312,12 @@ def solve_from_convex(
         tolerance: requested residual.
     """
     x, c, r = start.x, start.c, start.r
+    slip = np.zeros_like(r)
     for _ in range(CONVEX_STARTS):
-        convex = ConvexNewton(newton.problem, model, newton.point(x, c, r))
-        solution = convex.solve(convex.point(x, c, r), FORCING * tolerance)
+        convex = ConvexNewton(newton.problem, model, x, slip)
+        solution = convex.solve(convex.point(x, c, r), newton.rounding)
         x, c, r = solution.x, solution.c, solution.r
+        slip = r
         point = newton.solve(newton.point(x, c, r), tolerance)
         best = min(best, point, key=lambda candidate: candidate.residual)
         if best.residual <= tolerance:
