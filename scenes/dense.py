@@ -67,6 +67,7 @@ class DenseProblem(OneRank):
     constraints: EqualityConstraints = None  # type: ignore[assignment]  # none are made below
     cones: FrictionCones | None = None
     is_load_step: bool = False
+    is_too_large: bool = False  # to compute A whole
 
     def __post_init__(self) -> None:
         """Begin without products, and without constraints if none are given."""
@@ -124,11 +125,11 @@ class DenseProblem(OneRank):
 
     def complete_products(self) -> bool:
         """Keep A as the store of known products; each column counts as a product."""
-        if not isinstance(self.store, WholeProducts):
+        if not self.is_too_large and not isinstance(self.store, WholeProducts):
             rows = np.column_stack([self.apply(unit) for unit in np.eye(len(self.b))])
             nodes, local = self.admissible.nodes(), 1.0 / np.diag(np.linalg.inv(self.A))
             self.store = WholeProducts(WholeModel(self, rows, 0, nodes, local, spsolve))
-        return True
+        return not self.is_too_large
 
     def near_products(self) -> ProductStore | None:
         """Return the store of known products with the near field of A."""

@@ -227,7 +227,7 @@ def equilibrium_constraints(
             motions[0][:, np.square(motions[0]).sum(axis=0).argmax()],
         )
     # modes without jumps are scaled by the stiffness of the springs that hold them
-    factors = 1.0 / np.where(length > 0.0, length, np.sqrt(resisted))
+    factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
     by_factor = diags_array(factors, format="csr")
     constraints = EqualityConstraints(
         matrix=ConstraintMatrix(stored(jumps @ by_factor), reductions, feasible_set.nodes()),

@@ -42,7 +42,7 @@ def solve(
     store, near = problem.known_products(), problem.near_products()
     store.fit_far(None if near is None else near.updated_model())
     if near is None or not isinstance(store, ProductStore):
-        return solve_model(problem, store.model(), multipliers, gradient, residual, tolerance)
+        return solve_model(problem, store.model(), multipliers, gradient, residual.rho)
 
     def apply_near(new: Array) -> Array:
         product = problem.near_field(new)
@@ -55,7 +55,7 @@ def solve(
     best, least = None, float("inf")
     for _ in range(MOST):
         model = store.updated_model(near.updated_model())
-        target, missed = solve_model(problem, model, x, r, residual, tolerance)
+        target, missed = solve_model(problem, model, x, r, residual.rho)
         step = target - x
         if float(problem.inner(step, step)) == 0.0:
             break
@@ -68,5 +68,5 @@ def solve(
         if left <= tolerance:
             break
     if best is None:  # solve with the diagonal as base; a product with A then checks the step
-        return solve_model(problem, store.model(), x, r, residual, tolerance)
+        return solve_model(problem, store.model(), x, r, residual.rho)
     return best
