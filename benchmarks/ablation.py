@@ -52,7 +52,7 @@ from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.products import compliance, seed_products
 from dolfinx_tresca.dual.products.diagonal import rademacher_vector
 from dolfinx_tresca.optimise.models import products
-from dolfinx_tresca.optimise.newton import face_newton, fixed_point, iterate, near_model
+from dolfinx_tresca.optimise.newton import fixed_point, iterate, near_model, semismooth_newton
 from dolfinx_tresca.optimise.newton import projected_newton as newton
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
@@ -319,10 +319,10 @@ PARTS: dict[str, Patches] = {
     "far field": [(STORE, "successor", no_far_field)],
     "scale of the far field": [(STORE, "fit_far", lambda self, base=None: None)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
-    "interior-point fallback": [(face_newton, "central_path", lambda *arguments: iter(()))],
-    "Newton steps on faces": [
-        (face_newton, "from_face_to_face", lambda newton, start, good: start)
-    ],
+    "A known whole": [(NEWTON, "complete_products", lambda self: False)],
+    "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
+    "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
+    "convex problems as starts": [(semismooth_newton, "CONVEX_STARTS", 0)],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -353,8 +353,6 @@ PARTS: dict[str, Patches] = {
     ],
     "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
     "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
-    "path of friction": [(fixed_point, "along_friction", gone)],
-    "sweeps on the model": [(fixed_point, "MOST_SWEEPS", 0)],
 }
 
 #: Module -> names of its constants. Constants in NEAR_ONE are fractions close to 1, whose distance
@@ -362,18 +360,17 @@ PARTS: dict[str, Patches] = {
 CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
-    "optimise.newton.face_newton": "RHO_DIAGONAL GOOD_ENOUGH",
-    "optimise.newton.interior_point": "TO_BOUNDARY INITIAL_RADIUS INITIAL_BARRIER "
-    "BARRIER_AFTER_CUT BARRIER_AFTER_WHOLE WHOLE_STEP",
+    "optimise.newton.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS PROXIMAL "
+    "SOFTER SOLVED CONVEX_STARTS",
+    "optimise.models.whole_model": "SHIFT",
     "_base.arrays": "ROUNDING",
     "optimise.newton.near_model": "MOST",
-    "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
+    "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS SLOW",
     "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
     "PRODUCT_ROUNDING",
     "optimise.models.far_field": "FAR_ENERGY",
     "optimise.models.bfgs_model": "LEAST_SOFTNESS",
-    "optimise.newton.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
-    "optimise.newton.continuation": "FIRST_PART LEAST_PART",
+    "optimise.newton.fixed_point": "WORSE FAILURES",
     "optimise.sets.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
     "optimise.sets.constraints": "LARGEST_REACTION",
     "dual.products.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
@@ -383,7 +380,7 @@ CONSTANTS = {
     "dual.response": "LOAD_ACCURACY",
 }
 NEAR_ONE = {
-    "TO_BOUNDARY", "INITIAL_RADIUS", "WHOLE_STEP", "PROGRESS", "SLACK",
+    "PROGRESS", "SLACK",
 }  # fmt: skip
 FACTORS = {"doubled": 2.0, "halved": 0.5}
 #: Least values of integers that cannot be 1: with 1 `InitialGuess` would drop all that it is given.

@@ -6,8 +6,8 @@ Each problem has 1 to 8 nodes, a full A with a condition number of up to 1e4, an
 friction F at all nodes; by Brouwer's theorem each problem has a fixed point. The table counts the
 problems that are solved to a relative residual of 1e-7 in the following ways: Newton's method on
 the model of A takes full steps from the present point; it also shortens steps that do not reduce
-the residual; in addition, one of the other initial guesses of `optimise/newton/fixed_point.py` is
-tried; or all of these guesses are tried, as in the package.
+the residual; in addition, A is computed whole where the residual falls slowly; and the solutions
+of convex problems are other initial guesses, as in the package.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
@@ -23,8 +23,8 @@ import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.newton import continuation, fixed_point
-from dolfinx_tresca.optimise.newton.face_newton import Point
+from dolfinx_tresca.optimise.newton import semismooth_newton
+from dolfinx_tresca.optimise.newton.projected_newton import ProjectedNewton
 from scenes.dense import random_dry_problem, run
 
 #: Coefficients of friction.
@@ -38,40 +38,9 @@ RTOL = 1e-7
 WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "newton": ("Newton's method from the present point", ()),
     "damped": ("and steps shortened", ("damped",)),
-    "stick": ("and from where all nodes stick", ("damped", "stick")),
-    "friction": ("or along the coefficient of friction", ("damped", "along_friction")),
-    "sweeps": ("or from five Tresca problems", ("damped", "sweeps")),
-    "all": ("all of these, as built", ("damped", "stick", "along_friction", "sweeps")),
+    "whole": ("and A known whole", ("damped", "whole")),
+    "all": ("and from convex problems, as built", ("damped", "whole", "convex")),
 }
-
-
-def nowhere(*arguments: Any) -> Point:
-    """Return an empty point, as if a path had ended."""
-    nothing = np.empty(0)
-    return Point(nothing, nothing, nothing, float("inf"))
-
-
-def without_stick(solve: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return replacements of the solve on the model and of Newton's method.
-
-    In each solve the second start of Newton's method, where all nodes stick, is skipped.
-
-    Args:
-        solve: the solve on the model.
-    """
-    starts = 0
-
-    def solve_counted(*arguments: Any) -> Any:
-        nonlocal starts
-        starts = 0
-        return solve(*arguments)
-
-    def newton(*arguments: Any) -> Point:
-        nonlocal starts
-        starts += 1
-        return nowhere() if starts == 2 else continuation.nearest_fixed_point(*arguments)
-
-    return solve_counted, newton
 
 
 def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
@@ -82,15 +51,12 @@ def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
         for name, value in values.items():
             stack.enter_context(mock.patch.object(owner, name, value))
 
-    if "along_friction" not in ways:
-        change(fixed_point, along_friction=nowhere)
-    if "stick" not in ways:
-        solve, newton = without_stick(fixed_point.fixed_point_of_model)
-        change(fixed_point, fixed_point_of_model=solve, nearest_fixed_point=newton)
-    if "sweeps" not in ways:
-        change(fixed_point, MOST_SWEEPS=0)
     if "damped" not in ways:
-        change(continuation, MOST_HALVINGS=0)
+        change(semismooth_newton, MOST_HALVINGS=0)
+    if "whole" not in ways:
+        change(ProjectedNewton, complete_products=lambda self: False)
+    if "convex" not in ways:
+        change(semismooth_newton, CONVEX_STARTS=0)
     return stack
 
 

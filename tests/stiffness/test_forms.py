@@ -93,7 +93,7 @@ def test_matrices_that_are_not_ready(scene):
 
 def test_a_loose_residual(comm):
     """Met far above the error of any mesh, which no compiled form tells."""
-    scene = rubbing(comm, "quadrilateral", upper=(24, 4), lower=(32, 4))
+    scene = rubbing(comm, "quadrilateral", upper=(24, 4), lower=(32, 4), friction=Tresca(0.1))
     with scene.problem(a=fem.form(scene.a), V=scene.V) as problem:
         solution = problem.solve(rtol=0.1)
     assert solution.status is ContactStatus.CONVERGED
