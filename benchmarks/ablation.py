@@ -49,12 +49,11 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca.dual.initial_guess import InitialGuess
-from dolfinx_tresca.dual.products import compliance, seed_products
-from dolfinx_tresca.dual.products.diagonal import rademacher_vector
+from dolfinx_tresca.dual.products import compliance, first_products
+from dolfinx_tresca.dual.products.first_products import rademacher_vector
 from dolfinx_tresca.optimise.models import products
 from dolfinx_tresca.optimise.newton import fixed_point, iterate, near_model, semismooth_newton
 from dolfinx_tresca.optimise.newton import projected_newton as newton
-from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
@@ -265,14 +264,9 @@ def no_lasting_pairs(store: products.ProductStore) -> None:
     store.has_served = True
 
 
-def no_seeds(operator: Any, local: Any, affine: bool = True, near: Any = None) -> Any:
+def no_first_product(operator: Any, local: Any, near: Any) -> Any:
     """Return a store without products; its diagonal is for nodes that move one at a time."""
     return products.ProductStore(operator.jump.reductions, local)
-
-
-def without_affine(operator: Any, local: Any, affine: bool = True, near: Any = None) -> Any:
-    """Return a store with the product of the probe only."""
-    return seed_products.seed_products(operator, local, False, near)
 
 
 def no_scale(store: products.ProductStore, *arguments: Any) -> None:
@@ -288,11 +282,6 @@ def no_far_field(store: products.ProductStore, *arguments: Any) -> products.Prod
     return result
 
 
-def gone(problem: DualProblem, model: Any, start: Any, *arguments: Any) -> Any:
-    """Return the start of a path that leads nowhere."""
-    return start
-
-
 def from_here(state: newton.ProjectedNewton, step: iterate.Step) -> iterate.Step:
     """Return the best part of the Newton step, without a gradient projection step."""
     return state.minimiser_between(state.at.zero_step(), step)
@@ -306,15 +295,13 @@ def first_rho(residual: NaturalResidual, rho: float) -> None:
 
 set_rho = NaturalResidual.set_rho
 append, successor = products.ProductStore._append, products.ProductStore.successor
+COMPLIANCE = compliance.ContactCompliance
 ITERATE, NEWTON, STORE = iterate.Iterate, newton.ProjectedNewton, products.ProductStore
 
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
-    "near field": [(compliance, "NEAR_SHARE", -1.0), (compliance, "NEAR_SHARE_ONCE", -1.0)],
-    "limit of the near field": [
-        (compliance, "NEAR_SHARE", 1.0),
-        (compliance, "NEAR_SHARE_ONCE", 1.0),
-    ],
+    "near field": [(COMPLIANCE, "near_products", lambda self: None)],
+    "limit of the near field": [(compliance, "NEAR_SHARE", 1.0)],
     "iteration on the near model": [(near_model, "MOST", 1)],
     "far field": [(STORE, "successor", no_far_field)],
     "scale of the far field": [(STORE, "fit_far", lambda self, base=None: None)],
@@ -343,13 +330,12 @@ PARTS: dict[str, Patches] = {
         (fixed_point._FixedPointNewton, "is_useful_start", lambda self, start, r: False),
     ],
     "first guess of displacements": [(InitialGuess, "near", lambda self, x: self.load.copy())],
-    "seed products": [(compliance, "seed_products", no_seeds)],
-    "affine seed products": [(compliance, "seed_products", without_affine)],
+    "first product": [(compliance, "first_products", no_first_product)],
     "random signs of the probe": [
-        (seed_products, "rademacher_vector", lambda jump: np.ones_like(rademacher_vector(jump)))
+        (first_products, "rademacher_vector", lambda jump: np.ones_like(rademacher_vector(jump)))
     ],
     "fit of the diagonal": [
-        (seed_products, "estimate_diagonal", lambda jump, local, x, product: local)
+        (first_products, "estimate_diagonal", lambda jump, local, x, product: local)
     ],
     "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
     "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
@@ -373,9 +359,8 @@ CONSTANTS = {
     "optimise.newton.fixed_point": "WORSE FAILURES",
     "optimise.sets.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
     "optimise.sets.constraints": "LARGEST_REACTION",
-    "dual.products.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
+    "dual.products.compliance": "NEAR_CAPACITY NEAR_SHARE LARGEST_DENSE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.products.seed_products": "FEW_GROUPS INDEPENDENT",
     "dual.initial_guess": "KEPT",
     "dual.response": "LOAD_ACCURACY",
 }

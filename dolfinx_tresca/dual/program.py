@@ -46,7 +46,6 @@ class DualProgram:
         equilibrium: equilibrium of floating and softly held bodies; None if there are none.
         constraints: linear equations of the multipliers: the equilibrium of floating bodies.
         history: slip and dissipation of the accepted load steps.
-        is_first: whether no product with A was known before.
     """
 
     compliance: ContactCompliance
@@ -55,7 +54,6 @@ class DualProgram:
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
     history: SlipHistory
-    is_first: bool
 
     @classmethod
     def of(
@@ -88,8 +86,7 @@ class DualProgram:
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
         response = ElasticResponse.of(compliance, guess, history.origin)
-        first = not compliance.used
-        return cls(compliance, response, admissible, equilibrium, constraints, history, first)
+        return cls(compliance, response, admissible, equilibrium, constraints, history)
 
     @cached_property
     def feasible_set(self) -> FeasibleSet:
@@ -145,7 +142,7 @@ class DualProgram:
 
         Collective.
         """
-        return self.compliance.near_products(self.is_first)
+        return self.compliance.near_products()
 
     def near_field(self, x: Array) -> Array:
         """Return D x for the near field D, which clamps bodies some cells from the contact.

@@ -237,7 +237,6 @@ class ContactProcess(PetscOwner, Tabulated):
                 SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
             )
         surfaces.steps.start_at(stress_from(solution.surfaces, surfaces.jump))
-        surfaces.compliance.expect_start()
 
     @collective(comm_of_self, ignored=("path",))
     def save_state(
@@ -306,7 +305,6 @@ class ContactProcess(PetscOwner, Tabulated):
         except ContactError:
             surfaces.return_to(state)
             raise
-        surfaces.compliance.expect_start()
         for function, values in zip(material, remembered, strict=True):
             function.x.array[:] = values
         return step

@@ -69,13 +69,13 @@ def pushed(comm, parts: list[float]) -> tuple[np.ndarray, int]:
 
 @pytest.mark.parallel
 def test_solutions_are_those_without_the_matrix(comm, monkeypatch):
-    """The wall under its weight and pushed: the same displacement, with fewer products."""
-    with_matrix, few = pushed(comm, [0.0, 0.1])
+    """The wall under its weight and pushed: the same displacement; a push takes no product."""
+    with_matrix, products = pushed(comm, [0.0, 0.1])
     monkeypatch.setattr(compliance, "sparse_model", lambda *arguments: None)
-    without, many = pushed(comm, [0.0, 0.1])
+    without, _ = pushed(comm, [0.0, 0.1])
     # relative residuals of 1e-9; displacements of the wall as a whole magnify them
     assert np.allclose(with_matrix, without, rtol=1e-6)
-    assert few <= 32 < many
+    assert products <= 32
 
 
 def test_two_bodies_have_none(found):

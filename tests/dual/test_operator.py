@@ -9,15 +9,13 @@ import pytest
 
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, RigidPlane, Tresca
 from dolfinx_tresca._base.forcing import ROUGH
-from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.products.diagonal import estimate_diagonal, rademacher_vector
-from dolfinx_tresca.dual.products.seed_products import affine_tractions, seed_products
-from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.dual.products.first_products import (
+    estimate_diagonal,
+    first_products,
+    rademacher_vector,
+)
 from scenes.assembled import dense_matrix, dual_program, points_of
-from scenes.boxes import Body, boxes
-from scenes.elasticity import elasticity, no_load
 from scenes.nodal import global_vector
 from scenes.scene import EPS
 from scenes.two_bricks import bricks_problem, two_bricks
@@ -118,17 +116,17 @@ def test_a_solution_counts_every_product(comm, monkeypatch):
     from dolfinx_tresca.dual.products.operator import DualOperator
 
     calls = []
-    apply, apply_to_all = DualOperator.apply, DualOperator.apply_to_all
+    product, apply_to_all = DualOperator.product, DualOperator.apply_to_all
 
-    def counting(self, x, **options):
+    def counting(self, x, *options):
         calls.append(1)
-        return apply(self, x, **options)
+        return product(self, x, *options)
 
     def counting_all(self, X):
         calls.extend([1] * X.shape[1])
         return apply_to_all(self, X)
 
-    monkeypatch.setattr(DualOperator, "apply", counting)
+    monkeypatch.setattr(DualOperator, "product", counting)
     monkeypatch.setattr(DualOperator, "apply_to_all", counting_all)
     for method in ("projected_newton", "gimssn", "imssn", "ssn", "mssn"):
         with bricks_problem(comm, 3) as problem:
@@ -262,43 +260,6 @@ def test_products_of_several_vectors_at_once(comm):
 
 
 @pytest.mark.parallel
-def test_affine_tractions(comm):
-    """On the flat surface: three affine pressures, and as many shears in either direction."""
-    scene = two_bricks(comm, 4)
-    with dual_program(scene, "cholesky") as dual:
-        basis = affine_tractions(dual.jump)
-        assert np.allclose(dual.inner(basis, basis), np.eye(9), atol=100 * EPS)
-        pair = dual.jump.pairs[0]
-        x, y, _ = points_of(scene, pair).T
-        normal, tangential = dual.jump.slices[0]
-        wanted = np.zeros((len(dual.b), 2))
-        wanted[normal, 0] = (2.0 - 3.0 * x + y)[pair.normal_node]
-        along = np.array([1.0, -2.0, 0.0])
-        wanted[tangential, 1] = (1.0 + y)[pair.tangent_node] * (pair.tangents @ along)
-        wanted /= dual.jump.stress_scale[:, None]
-        rest = wanted - basis @ dual.inner(basis, wanted)
-        assert np.abs(dual.inner(rest, rest)).max() <= 100 * EPS * dual.inner(wanted, wanted).max()
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize(("bodies", "strips"), [(1, 1), (1, 6), (2, 3)])
-def test_pairs_of_the_same_bodies_share_affine_tractions(comm, bodies, strips):
-    """Nine for each body on a plane, into however many strips its lower face is cut."""
-    boxed = [[(2.0 * k, 2.0 * k + 1.0), (0.0, 1.0), (0.0, 0.5)] for k in range(bodies)]
-    made = boxes(comm, "hexahedron", [Body((6, 1), box) for box in boxed])
-
-    def strip(number):
-        return lambda x: (x[:, 2] < 1e-6) & ((strips * (x[:, 0] % 2.0)).astype(int) == number)
-
-    marks = [(1 + n, [k], strip(n % strips)) for n in range(bodies * strips) for k in [n // strips]]
-    tags, plane = made.tags(*marks), RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    pairs = [made.operators(ContactPair(tags, tag, plane, Tresca(1.0))) for tag, *_ in marks]
-    a = elasticity(made.V, 1.0, 0.3)
-    with LinearSystem(a, no_load(made.V), []) as system, JumpOperator(system, pairs) as jump:
-        assert affine_tractions(jump).shape[1] == 9 * bodies
-
-
-@pytest.mark.parallel
 def test_rounding_of_gradients_is_in_their_errors(comm):
     """The product of a step of rounding size is nothing but error, and is told to be."""
     with dual_program(two_bricks(comm, 2), "multigrid") as dual:
@@ -333,6 +294,6 @@ def test_products_claim_what_was_reached():
             assert error <= dual.operator.product_error * np.sqrt(x @ A @ x)
         probe = rademacher_vector(dual.jump)
         missing = operator.product(probe, ROUGH)[0] - A @ probe
-        store = seed_products(operator, dual.compliance.nodal_compliance)
+        store = first_products(operator, dual.compliance.nodal_compliance, None)
         length = np.sqrt(probe @ A @ probe)
         assert np.sqrt(missing @ np.linalg.solve(A, missing)) <= store.errors[-1] * length

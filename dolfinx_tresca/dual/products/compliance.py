@@ -18,10 +18,9 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.products.body_products import dense_model, sparse_model
-from dolfinx_tresca.dual.products.diagonal import rescaled_diagonal
+from dolfinx_tresca.dual.products.first_products import first_products, rescaled_diagonal
 from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import DualOperator
-from dolfinx_tresca.dual.products.seed_products import seed_products
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.models.far_field import FarField
@@ -34,16 +33,11 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: per load step).
 NEAR_CAPACITY = 40
 
-#: The near field is used if it has at most this share of all degrees of freedom: a near field with
-#: a larger share costs more than the products with A that it saves. `NEAR_SHARE_ONCE` is for a
-#: direct solver and a single solve from zero with this K. (On two bricks, such a solve is as fast
-#: as without the near field at N = 26, and slower at N = 16.) `NEAR_SHARE` is for all other cases.
-#: (The near field has these effects: with multigrid, a plate 6 cells thick, which has the share
-#: 0.43, takes 1.3 times the time; with a Cholesky factorisation, three solves on refined meshes,
-#: started from the tractions of the previous mesh, take 14 products in place of 60, 12 in place of
-#: 29 and 12 in place of 24, in 0.83, 1.0 and 1.03 times the time.)
-NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
-
+#: With an iterative solver for K, the near field is used if it has at most this share of all
+#: degrees of freedom. (With multigrid, a plate 6 cells thick, whose near field has the share 0.43,
+#: takes 1.3 times the time with the near field; and a near field that is the whole plate takes the
+#: memory that multigrid saves.)
+NEAR_SHARE = 0.4
 
 #: A is computed as a dense matrix if it has at most this number of rows: a step of Newton's method
 #: takes some seconds at this number, and A 72 MB on each rank.
@@ -91,7 +85,6 @@ class ContactCompliance(PetscOwner):
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
         self._near_store: ProductStore | None = None
-        self._starts_from_zero = True
         # the last compliance with products, from which the first model of A follows
         self._earlier: ContactCompliance | None = before
         if before is not None and before._store is None:
@@ -122,9 +115,7 @@ class ContactCompliance(PetscOwner):
         surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
-        result = ContactCompliance(jump, self.operator.solver, self.springs, self)
-        result._starts_from_zero = self._starts_from_zero
-        return result
+        return ContactCompliance(jump, self.operator.solver, self.springs, self)
 
     def _far_field(self) -> ProductStore | None:
         """Return a store with the far field of an earlier compliance; None if unknown. Collective.
@@ -180,8 +171,8 @@ class ContactCompliance(PetscOwner):
     def known_products(self) -> KnownProducts:
         """Return the store of all known products with A. Collective.
 
-        The first call computes the first products: all columns of A if A is sparse, and the seed
-        products otherwise, unless a far field is known from an earlier K or B.
+        The first call computes the first products: all columns of A if A is sparse, and a product
+        with random signs otherwise, unless a far field is known from an earlier K or B.
         """
         if self._store is None:
             self._store = self._far_field()
@@ -189,12 +180,10 @@ class ContactCompliance(PetscOwner):
             matrix = sparse_model(self.operator, self.nodal_compliance)
             self._store = None if matrix is None else WholeProducts(matrix)
         if self._store is None:
-            near = None
-            if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
-                near = self.near_field.apply
-            self._store = seed_products(
-                self.operator, self.nodal_compliance, self._starts_from_zero, near
+            near = (
+                None if self.operator.exact or not self._uses_near_field else self.near_field.apply
             )
+            self._store = first_products(self.operator, self.nodal_compliance, near)
         return self._store
 
     def complete_products(self) -> bool:
@@ -207,37 +196,28 @@ class ContactCompliance(PetscOwner):
             self._store = WholeProducts(dense_model(self.operator, self.nodal_compliance))
         return isinstance(self._store, WholeProducts)
 
-    def expect_start(self) -> None:
-        """Prepare for a solve that starts near the solution. Not collective.
+    @cached_property
+    def _uses_near_field(self) -> bool:
+        """Whether the near field saves more than it costs (`NEAR_SHARE`). Collective.
 
-        Seed products with affine tractions, which show how whole bodies respond, are then left out.
+        It is not used if u is a part of a mixed space: the clamped nodes round an incompressible
+        near field would fix its volume.
         """
-        self._starts_from_zero = False
+        if self.jump.system.component is not None:
+            return False
+        return self.operator.exact or self.near_field.share <= NEAR_SHARE
 
-    @property
-    def used(self) -> bool:
-        """Whether any products are known, which means that K has served a solve. Not collective."""
-        return self._store is not None and len(self._store) > 0
-
-    def near_products(self, is_first_solve: bool) -> ProductStore | None:
+    def near_products(self) -> ProductStore | None:
         """Return the store of products with the near field, to which solves add. Collective.
 
         The first call computes the first products with A, if there are none.
 
-        Args:
-            is_first_solve: whether this is the first solve with K.
-
         Returns:
-            the store, empty at first; None if the near field would cost more than it saves, if A is
-            a sparse matrix, or if u is a part of a mixed space: the clamped nodes round an
-            incompressible near field would fix its volume.
+            the store, empty at first; None if the near field would cost more than it saves, or if A
+            is known whole.
         """
         store = self.known_products()
-        if self.jump.system.component is not None or not isinstance(store, ProductStore):
-            return None
-        serves_once = is_first_solve and self._starts_from_zero and self.operator.exact
-        most = NEAR_SHARE_ONCE if serves_once else NEAR_SHARE
-        if self.near_field.share > most:
+        if not isinstance(store, ProductStore) or not self._uses_near_field:
             return None
         if self._near_store is None:
             self._near_store = store.empty(NEAR_CAPACITY)
@@ -268,6 +248,5 @@ class ContactCompliance(PetscOwner):
         return float(ROUNDING * extent * stiffness)
 
     def forget(self) -> None:
-        """Drop all products, and expect a solve from zero. Not collective."""
+        """Drop all products. Not collective."""
         self._store = self._near_store = self._earlier = None
-        self._starts_from_zero = True

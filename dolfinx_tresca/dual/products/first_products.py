@@ -1,14 +1,46 @@
-"""An estimate of diag(A) from a single product."""
+"""The first product with A, and the estimate of diag(A) that follows from it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.products.operator import DualOperator
+from dolfinx_tresca.optimise.models.products import ProductStore
+
+
+def first_products(
+    operator: DualOperator, compliance: Array, near_field: Callable[[Array], Array] | None
+) -> ProductStore:
+    """Return a store with an estimate of diag(A), from the product with random signs. Collective.
+
+    If there is a near field, it replaces A in this product, since the effect of random signs is
+    local; the store then has no products with A.
+
+    Args:
+        operator: A.
+        compliance: (size,) compliance of nodes whose neighbours are fixed, the same for all
+            directions of a friction disc.
+        near_field: function that applies the near field to multipliers (size,); None: there is
+            none.
+    """
+    jump = operator.jump
+    signs, error = rademacher_vector(jump), 0.0
+    if near_field is None:
+        product, error = operator.product(signs, ROUGH)
+    else:
+        product = near_field(signs)
+    store = ProductStore(jump.reductions, estimate_diagonal(jump, compliance, signs, product))
+    if near_field is None:
+        store.add(signs, product, error)
+    return store
 
 
 def rademacher_vector(jump: JumpOperator) -> Array:
