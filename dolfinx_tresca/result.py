@@ -52,8 +52,6 @@ class ContactSolution(Evaluation, Tabulated):
         sliding: explanation of the status `NO_FIXED_POINT` if friction cannot hold a body: the
             body, its motion, and by how much the loads exceed friction. If the configurations of
             finite sliding did not converge: the reason, with advice. In all other cases empty.
-        sweeps: number of successive Tresca problems if slip bounds depend on the pressure; 0 for
-            projected Newton, which finds the fixed point with its model of A.
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
@@ -128,7 +126,6 @@ class ContactSolution(Evaluation, Tabulated):
     options: SolverOptions
     units: Units | None
     iterations: int
-    sweeps: int
     products: int
     krylov_iterations: int
     residuals: tuple[float, ...]
@@ -312,8 +309,6 @@ class ContactSolution(Evaluation, Tabulated):
     def _rows(self) -> list[Row]:
         converged = self.status is ContactStatus.CONVERGED
         work = f"{self.iterations}, {self.products} products with A"
-        if self.sweeps:
-            work += f", {self.sweeps} sweeps"
         if self.krylov_iterations:
             work += f", {self.krylov_iterations} Krylov iterations"
         total = sum(self.timings.values())

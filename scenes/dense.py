@@ -68,6 +68,8 @@ class DenseProblem(OneRank):
     cones: FrictionCones | None = None
     is_load_step: bool = False
     is_too_large: bool = False  # to compute A whole
+    store: KnownProducts = field(init=False)
+    near_store: ProductStore | None = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin without products, and without constraints if none are given."""
@@ -114,6 +116,7 @@ class DenseProblem(OneRank):
             **{
                 one.name: changes.get(one.name, getattr(self, one.name))
                 for one in fields(DenseProblem)
+                if one.init
             }
         )
         changed.store, changed.near_store = self.store, self.near_store
@@ -138,8 +141,7 @@ class DenseProblem(OneRank):
     def forget(self) -> None:
         """Drop the products."""
         store = ProductStore(self, self.diagonal)
-        self.store: KnownProducts = store
-        self.near_store: ProductStore | None = store.empty(40)
+        self.store, self.near_store = store, store.empty(40)
 
     @property
     def products(self) -> int:

@@ -235,7 +235,6 @@ class DualSolution:
         wanted: requested relative error in the energy norm; inf if residuals were the criterion.
         accuracy: tolerable error of the displacement in the energy norm; None: determined by the
             options of the solver for K.
-        sweeps: number of successive Tresca problems; 0 if the method did not need any.
         deficit: motion along which friction is too weak for the constraints; None if friction is
             not known to be too weak.
     """
@@ -250,5 +249,4 @@ class DualSolution:
     rho: float
     wanted: float
     accuracy: float | None
-    sweeps: int = 0
     deficit: FrictionDeficit | None = None

@@ -347,7 +347,6 @@ class ContactSystem(PetscOwner):
             options=requested,
             units=units,
             iterations=found.iterations,
-            sweeps=found.sweeps,
             products=operator.products - products,
             krylov_iterations=operator.solver.krylov_iterations - krylov,
             residuals=found.residuals,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from test_inexact import NoisyProblem
 
-from dolfinx_tresca import ContactStatus
+from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.newton import fixed_point
 from dolfinx_tresca.optimise.record.residual import EXHAUSTED
@@ -70,7 +70,6 @@ def test_the_default_method_finds_the_fixed_point(problem):
     assert found.status is ContactStatus.CONVERGED
     assert problem.natural_residual(found.multipliers, found.rho) <= 1.01 * RTOL
     check_fixed_point(problem, found.multipliers, RTOL, found.rho)
-    assert found.sweeps == 0
 
 
 @pytest.mark.parametrize(
@@ -111,26 +110,12 @@ def test_converged_means_what_it_says(problem, method):
     assert np.linalg.norm(moved) <= 100 * EPS * np.linalg.norm(found.multipliers)
 
 
-@settings(max_examples=10)
-@given(cone_problems(most=0.3, most_decades=1.0))
-def test_methods_agree(problem):
-    """Friction is weak here, and A well conditioned: there is one fixed point."""
-    best = run(problem, rtol=RTOL)
-    sigma = np.linalg.eigvalsh(problem.A)[0]
-    for method in METHODS[1:]:
-        found = run(problem, method, rtol=RTOL, max_iterations=2000)
-        if method == "gimssn":
-            assert found.status is ContactStatus.CONVERGED
-        if found.status is ContactStatus.CONVERGED:
-            size = np.linalg.norm(problem.b) / sigma
-            assert np.linalg.norm(found.multipliers - best.multipliers) <= 20 * RTOL * size
-            assert found.sweeps > 0
-
-
-def test_every_method_converges_somewhere():
+def test_methods_of_the_paper_are_refused():
+    """They are for slip bounds that are given."""
     problem = random_cone_problem(3, 6, 0.5, 0.3)
-    for method in METHODS:
-        assert run(problem, method, rtol=RTOL).status is ContactStatus.CONVERGED, method
+    for method in METHODS[1:]:
+        with pytest.raises(InputError, match=f"method='{method}' needs slip bounds that are given"):
+            run(problem, method)
 
 
 @pytest.mark.parametrize(

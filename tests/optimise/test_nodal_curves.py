@@ -12,7 +12,7 @@ from dolfinx_tresca import ContactStatus, FrictionCurve
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.friction_curves import NodalCurves
-from scenes.dense import METHODS, DenseProblem, random_cone_problem, run
+from scenes.dense import DenseProblem, random_cone_problem, run
 from scenes.scene import EPS
 
 RTOL = 1e-8
@@ -63,7 +63,6 @@ def test_solutions_solve_their_own_tresca_problem(curve):
         problem = random_curve_problem(seed, curve)
         found = run(problem, rtol=RTOL)
         assert found.status is ContactStatus.CONVERGED, seed
-        assert found.sweeps == 0
         x = found.multipliers
         section = own_section(problem, curve, x)
         wanted = clarabel_minimum(problem.A, problem.b, section)
@@ -73,17 +72,6 @@ def test_solutions_solve_their_own_tresca_problem(curve):
         assert np.linalg.norm(x - wanted) <= tolerance, seed
         slipping += np.count_nonzero(section.norms(x)[:6] > 0.99 * section.radius[:6])
     assert slipping > 3
-
-
-def test_the_papers_methods_find_the_same():
-    """By sweeps with the bounds of the last one, for a curve that changes little."""
-    problem = random_curve_problem(1, "falls with p", 0.5)
-    best = run(problem, rtol=RTOL)
-    for method in METHODS[1:]:
-        found = run(problem, method, rtol=RTOL, max_iterations=2000)
-        if found.status is ContactStatus.CONVERGED:
-            assert np.linalg.norm(found.multipliers - best.multipliers) <= 1e-5
-            assert found.sweeps > 1
 
 
 def test_slips_and_slopes_of_a_node():
