@@ -95,10 +95,10 @@ def test_fixed_points_that_exist_are_found(number, least):
 
 
 @FEW
-@given(cone_problems(most=30.0), st.sampled_from(METHODS))
-def test_converged_means_what_it_says(problem, method):
+@given(cone_problems(most=30.0))
+def test_converged_means_what_it_says(problem):
     """Whatever the coefficient: the status is that of the recomputed residual."""
-    found = run(problem, method, rtol=RTOL, max_iterations=60)
+    found = run(problem, rtol=RTOL, max_iterations=60)
     actual = problem.natural_residual(found.multipliers, found.rho)
     assert actual == pytest.approx(found.residuals[-1], rel=1e-3, abs=1e4 * EPS)
     if found.status is ContactStatus.CONVERGED:
@@ -174,10 +174,9 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
     assert statuses == [ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_tolerance_below_rounding_ends_as_stagnated(method):
+def test_a_tolerance_below_rounding_ends_as_stagnated():
     problem = random_cone_problem(1, 20, 1.0, 0.3)
-    found = run(problem, method, rtol=1e-18, max_iterations=3000)
+    found = run(problem, rtol=1e-18)
     assert found.status in (ContactStatus.STAGNATED, ContactStatus.CONVERGED)
     assert problem.natural_residual(found.multipliers, found.rho) <= EXHAUSTED
 
