@@ -95,7 +95,7 @@ def test_a_loose_residual(comm):
     """Met far above the error of any mesh, which no compiled form tells."""
     scene = rubbing(comm, "quadrilateral", upper=(24, 4), lower=(32, 4), friction=Tresca(0.1))
     with scene.problem(a=fem.form(scene.a), V=scene.V) as problem:
-        solution = problem.solve(rtol=0.1)
+        solution = problem.solve(accuracy=0.3)
     assert solution.status is ContactStatus.CONVERGED
     assert solution.energy_error_bound > BELOW_ANY_MESH
 
