@@ -44,8 +44,8 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
         bodies: the bodies of its mesh.
 
     Raises:
-        StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
-            the error names the body and its position.
+        StiffnessError: K has zeros or negative numbers on the diagonal, or a negative stiffness
+            against a rigid motion; the error names the body and its position.
     """
     mesh = system.V.mesh
     with system.displacement_stiffness() as K:
@@ -56,8 +56,8 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective.
 
     Raises:
-        StiffnessError: the diagonal of K has negative entries, or K has a negative stiffness
-            against a rigid motion.
+        StiffnessError: the diagonal of K has entries that are not positive, or K has a negative
+            stiffness against a rigid motion.
     """
     body, number, where = bodies.label, bodies.number, bodies.describe
     owned = len(body)
@@ -71,12 +71,14 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     np.fmax.at(largest, body, np.fmax.reduce(entries, axis=1))
     softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
 
-    if softest.min() < 0.0:
-        raise not_positive_definite(
-            f"its diagonal is negative, down to {softest.min():.3g}, in "
-            f"{where(int(softest.argmin()))}"
-        )
-    stiffest[stiffest == 0.0] = 1.0  # bodies that are wholly prescribed, or without stiffness
+    if softest.min() <= 0.0:
+        softest_body = int(softest.argmin())
+        fault = f"its diagonal is negative, down to {softest.min():.3g}, in"
+        if softest.min() == 0.0:
+            zero = reduce_array(comm, (entries[body == softest_body] == 0.0).any(axis=1).sum())
+            fault = f"the stiffness is zero at {zero} of {bodies.nodes[softest_body]} nodes of"
+        raise not_positive_definite(f"{fault} {where(softest_body)}")
+    stiffest[stiffest == 0.0] = 1.0  # bodies that are wholly prescribed
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
     weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
     forces = np.empty_like(modes)

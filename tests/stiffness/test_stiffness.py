@@ -152,6 +152,21 @@ def test_a_negative_modulus_of_one_body_is_refused(comm):
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_a_body_without_stiffness_is_named(comm, stiffness):
+    """Young's modulus is zero in all cells of a brick: all its nodes but the prescribed ones."""
+    scene = two_bricks(comm, 3)
+    young = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
+    young.x.array[:] = YOUNG
+    young.x.array[scene.cell_tags.find(scene.tags["upper"])] = 0.0
+    with (
+        pytest.raises(StiffnessError, match=r"the stiffness is zero at \d+ of \d+ nodes of body"),
+        scene.problem(a=elasticity(scene.V, young), stiffness=stiffness) as problem,
+    ):
+        problem.solve(rtol=1e-6)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 def test_a_soft_spring_holds_a_body(comm, stiffness):
     """Softer than the brick by 1e-6: a body that is held softly is held."""
     scene = floating(comm, "upper")
