@@ -26,6 +26,15 @@ from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
+#: What helps where an iteration has ended with a status.
+ADVICE = {
+    ContactStatus.MAX_ITERATIONS: "Allow more iterations, or request less accuracy",
+    ContactStatus.STAGNATED: "Rounding errors are as large as the residual: request less accuracy",
+    ContactStatus.NO_FIXED_POINT: "Where friction is large, there may be none: apply the load in "
+    "steps, with accept() after each, or check the coefficients of friction",
+    ContactStatus.STOPPED: "The solution is that of the last iteration",
+}
+
 
 @dataclass(frozen=True)
 class ContactSolution(Evaluation, Tabulated):
@@ -97,8 +106,8 @@ class ContactSolution(Evaluation, Tabulated):
         tangential_force: norm of the integral of the tangential traction [force].
         pair_resultants: force and moment on the secondary side of each pair, about the centre of
             the bounding box of all contact forces; see `resultants`.
-        body_resultants: force and moment of all contact on each body, in the order in which
-            messages number the bodies.
+        body_resultants: force and moment of all contact on each body, about the centre of the
+            bounding box of the forces on nodes, in the order in which messages number the bodies.
         between_bodies: (i, j) -> force and moment on body i by body j, for bodies i < j in contact.
             Moments are about the mean of the points at which the forces between both bodies act,
             weighted by the sizes of the forces; i and j count from 0 in the order of
@@ -201,14 +210,15 @@ class ContactSolution(Evaluation, Tabulated):
         sums over all pairs for each body.
 
         Args:
-            point: (d,) reference point of the moments [length]; the origin by default.
+            point: (d,) reference point of the moments [length]; by default the point of
+                `pair_resultants`.
 
         Raises:
             InputError: the point does not have d finite coordinates.
         """
-        dim = self.u.function_space.mesh.geometry.dim
-        about = np.zeros(dim) if point is None else point
-        return tuple(resultant.about(about) for resultant in self.pair_resultants)
+        if point is None:
+            return self.pair_resultants
+        return tuple(resultant.about(point) for resultant in self.pair_resultants)
 
     def resultants_between(
         self, body: int | str, other: int | str, point: npt.ArrayLike | None = None
@@ -219,7 +229,8 @@ class ContactSolution(Evaluation, Tabulated):
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
             other: the body that exerts the force, given in the same way.
-            point: (d,) reference point of the moment [length]; the origin by default.
+            point: (d,) reference point of the moment [length]; by default the point of
+                `body_resultants`, the centre of the bounding box of all contact forces.
 
         Raises:
             InputError: an index belongs to no body, both are equal, or the point does not have d
@@ -233,7 +244,7 @@ class ContactSolution(Evaluation, Tabulated):
         found = self.between_bodies.get((min(first, second), max(first, second)), none)
         sign = 1.0 if first < second else -1.0
         found = Resultant(sign * found.force, sign * found.moment, found.point)
-        return found.about(np.zeros(dim) if point is None else point)
+        return found.about(self.body_resultants[0].point if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
         """Return the index of a body that is given by its index or by its name.
@@ -258,15 +269,22 @@ class ContactSolution(Evaluation, Tabulated):
         Raises:
             ConvergenceError: the status is not CONVERGED.
         """
-        if self.status is not ContactStatus.CONVERGED:
-            advice = self.sliding or "Allow more iterations, or request less accuracy"
-            if not self.sliding and self.options.method != "projected_newton":
-                advice += ", or take method='projected_newton', which converges from any start"
-            raise ConvergenceError(
-                f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
-                f"residual {self.residuals[-1]:.1e}, energy error at most "
-                f"{self.energy_error_bound:.1e}, requested {self.options.target}. {advice}."
-            )
+        if self.failure:
+            raise ConvergenceError(self.failure)
+
+    @property
+    def failure(self) -> str:
+        """What ended the iteration, and what helps; empty if it converged."""
+        if self.status is ContactStatus.CONVERGED:
+            return ""
+        advice = self.sliding or ADVICE[self.status]
+        if not self.sliding and self.options.method != "projected_newton":
+            advice += ", or take method='projected_newton', which converges from any start"
+        return (
+            f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
+            f"residual {self.residuals[-1]:.1e}, energy error at most "
+            f"{self.energy_error_bound:.1e}, requested {self.options.target}. {advice}."
+        )
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""

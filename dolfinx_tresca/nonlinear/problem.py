@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
@@ -380,4 +382,7 @@ class NonlinearContactProblem(ContactProcess):
             "timings": run.timings,
             "newton": NewtonRecord(tuple(run.steps), run.fraction, message),
         }
-        return NonlinearContactSolution(**values)
+        solution = NonlinearContactSolution(**values)
+        if solution.failure:
+            log(self.comm, "%s", solution.failure, level=logging.WARNING)
+        return solution

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.nonlinear.record import NewtonRecord
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
@@ -28,15 +27,12 @@ class NonlinearContactSolution(ContactSolution):
 
     newton: NewtonRecord
 
-    def raise_if_failed(self) -> None:
-        """Check that the iterations reached the requested accuracy. Not collective.
-
-        Raises:
-            ConvergenceError: an iteration did not reach this accuracy.
-        """
+    @property
+    def failure(self) -> str:
+        """What ended the iterations, and what helps; empty if they converged."""
         if self.status is ContactStatus.NO_EQUILIBRIUM:
-            raise ConvergenceError(self.newton.message)
-        super().raise_if_failed()
+            return self.newton.message
+        return super().failure
 
     def _rows(self) -> list[Row]:
         steps = self.newton.steps

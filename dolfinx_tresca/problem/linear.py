@@ -301,6 +301,8 @@ class ContactProblem(ContactProcess):
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
         solution = solve(self._contact, options, self.units, observe)
         self._warn_of_changed_form()
+        if solution.failure:
+            log(self.comm, "%s", solution.failure, level=logging.WARNING)
         return solution
 
     def _warn_of_changed_form(self) -> None:
