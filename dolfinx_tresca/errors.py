@@ -40,7 +40,13 @@ class PairingError(ContactError):
 
 
 class StiffnessError(ContactError):
-    """The stiffness matrix is not symmetric, is indefinite, or a solve with it failed."""
+    """The stiffness matrix is not symmetric, is indefinite, or a solve with it failed.
+
+    Attributes:
+        evidence: clause that shows that K is indefinite; empty if that is not the cause.
+    """
+
+    evidence = ""
 
 
 class ConvergenceError(ContactError):

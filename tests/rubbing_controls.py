@@ -114,6 +114,7 @@ class Rubbing:
             "ellipse": Coulomb(
                 (self.factor * self.coefficient, self.bound), direction=(1.0, 0.4, 0.0)
             ),
+            "curve": Coulomb(self.curve),
             "frictionless": Frictionless(),
         }
         pair = dataclasses.replace(
@@ -123,7 +124,13 @@ class Rubbing:
         self.L = ufl.inner(self.load, ufl.TestFunction(V)) * ufl.dx
         self.arguments = self.a, self.L, [pair], scene.bcs
         self.controls = [self.young, self.poisson, self.load, self.end, self.profile, self.offset]
+        if law not in ("frictionless", "curve"):
+            self.controls += [self.coefficient]
         if law != "frictionless":
-            self.controls += [self.coefficient, self.bound]
-        if law in ("coulomb", "ellipse"):
+            self.controls += [self.bound]
+        if law in ("coulomb", "ellipse", "curve"):
             self.controls += [self.factor]
+
+    def curve(self, p, v):
+        """Return a coefficient of friction that reads two Constants."""
+        return 0.3 * float(self.factor.value) / (1.0 + 0.2 * p / self.bound.value) + 0.0 * v

@@ -576,7 +576,9 @@ def test_after_an_error_other_problems_work(comm, scene):
 
 def test_the_same_surfaces_in_two_pairs(scene):
     swapped = pair_with(scene, secondary=scene.pair.primary, primary=scene.pair.secondary)
-    for pairs in ([scene.pair, scene.pair], [scene.pair, swapped]):
+    both = [scene.pair.secondary, scene.pair.primary]
+    listed = pair_with(scene, secondary=both, primary=both)
+    for pairs in ([scene.pair, scene.pair], [scene.pair, swapped], [scene.pair, listed]):
         with pytest.raises(InputError, match="two pairs are between the surfaces"):
             ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs)
 

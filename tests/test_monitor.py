@@ -132,6 +132,7 @@ def test_a_solve_that_cycles_says_so_once_while_it_works(comm, terminal, caplog)
     first = next(i for i, stalled in enumerate(seen) if stalled)
     assert first < len(seen) - 1
     assert f"no progress: {seen[first]}. The solve goes on" in warnings_of(caplog)[0]
+    assert "load step" not in warnings_of(caplog)[0]  # there is but one
     assert f"the residual has not halved in {stall_watch.PATIENCE} iterations" == seen[first]
     assert seen[first] in terminal.getvalue()
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -20,21 +23,102 @@ from ufl.domain import extract_domains
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import collapse, interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.scalar_field import ScalarField
 from dolfinx_tresca.scene.vector_field import VectorField
 
+#: Step of central differences, relative to the size of a Constant. The truncation error is about
+#: the square of the step; with twice the step it is four times as large.
+DIFFERENCE = 1e-5
+
+#: Sizes of a control that are tried in turn if its own size gives no useful difference: it may be
+#: zero, or a rounding error.
+SIZES = (1.0, 1e-3, 1e-6, 1e-9)
+
+#: Least and largest change of values, relative to the largest value, with which a difference is
+#: taken at once. With smaller changes rounding errors exceed 1e-4; larger ones are not small.
+LEAST_CHANGE, LARGEST_CHANGE = 1e-12, 1e-2
+
 
 def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
-    """Return the Constants and Functions on which a field depends."""
+    """Return the Constants and Functions in a field, and the variables of a Python function."""
     if isinstance(field, tuple):
         return [one for part in field for one in inputs_of(part)]
     if isinstance(field, fem.Expression):
         field = field.ufl_expression
-    if not isinstance(field, Expr):
-        return []
-    kinds = fem.Constant | fem.Function
-    return [one for one in traverse_unique_terminals(field) if isinstance(one, kinds)]
+    variables: list[Any] = []
+    if isinstance(field, Expr):
+        variables = list(traverse_unique_terminals(field))
+    elif inspect.isfunction(field):
+        seen = inspect.getclosurevars(field)
+        variables = [*seen.nonlocals.values(), *seen.globals.values(), *(field.__defaults__ or ())]
+    return [one for one in variables if isinstance(one, fem.Constant | fem.Function)]
+
+
+def values_of(control: fem.Constant | fem.Function) -> Array:
+    """Return the values of a control, as a flat array that shares their memory."""
+    found = control.value if hasattr(control, "value") else control.x.array
+    return np.asarray(found).reshape(-1)
+
+
+@contextmanager
+def replaced(
+    controls: Sequence[fem.Constant | fem.Function], values: Sequence[Array]
+) -> Iterator[None]:
+    """Replace the values of controls inside the block."""
+    present = [values_of(control) for control in controls]
+    before = [one.copy() for one in present]
+    for one, value in zip(present, values, strict=True):
+        one[:] = value
+    try:
+        yield
+    finally:
+        for one, value in zip(present, before, strict=True):
+            one[:] = value
+
+
+def central_differences(
+    comm: Any, control: Any, directions: Array, values: Callable[[], Array], name: str
+) -> Array | None:
+    """Return the derivatives of values along directions of a control. Collective.
+
+    No list of what a Python function reads is needed: the result is None if nothing changes.
+
+    Args:
+        comm: the communicator.
+        control: the Constant or the Function.
+        directions: (k, number of values of the control) changes of the control.
+        values: function that evaluates the values (n, ...) of this rank.
+        name: name of the values, for error messages.
+
+    Returns:
+        (k, n, ...) derivatives, or None.
+
+    Raises:
+        InputError: the values change, and the control is a Function.
+    """
+    given, result = values_of(control).copy(), None
+    own_size = float(reduce_array(comm, np.abs(given).max(initial=0.0), MPI.MAX))
+    for size in (own_size, *SIZES):
+        ends = []
+        for end in (DIFFERENCE * size, -DIFFERENCE * size):
+            for direction in directions:
+                with replaced([control], [given + end * direction]):
+                    ends.append(values())
+        high, low = np.split(np.array(ends), 2)
+        sizes = [np.abs(part).max(initial=0.0) for part in (high - low, high, low)]
+        change, *largest = reduce_array(comm, sizes, MPI.MAX)
+        is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
+        if change > 0.0 and (is_useful or result is None):
+            result = (high - low) / (2.0 * DIFFERENCE * size)
+            if is_useful:
+                break
+    if result is not None and isinstance(control, fem.Function):
+        raise InputError(
+            f"{name} is a Python function that reads {shown(control)}: its derivatives are known "
+            "with respect to Constants that it reads, not with respect to Functions."
+        )
+    return result
 
 
 class NodalValues:
@@ -104,9 +188,9 @@ class NodalValues:
         Raises:
             InputError: the control is a Function with components, or on another mesh.
         """
-        if control not in inputs_of(field):
-            return None
         slopes = self._slopes(field, control, nodes, name)
+        if slopes is None:
+            return None
         if isinstance(control, fem.Constant):
             total = reduce_array(self._V.mesh.comm, weights @ slopes)
             return np.asarray(total.reshape(control.ufl_shape))
@@ -138,19 +222,35 @@ class NodalValues:
         Raises:
             InputError: the control is a Function with components, or on another mesh.
         """
-        if control not in inputs_of(field):
-            return None
         slopes = self._slopes(field, control, nodes, name)
+        if slopes is None:
+            return None
         if isinstance(control, fem.Constant):
             return np.asarray(slopes @ np.ravel(direction))
         return slopes[:, 0] * self.at(direction, nodes, name)
 
-    def _slopes(self, field: ScalarField, control: Any, nodes: LocalNumbers, name: str) -> Array:
+    def _slopes(
+        self, field: ScalarField, control: Any, nodes: LocalNumbers, name: str
+    ) -> Array | None:
         """Return derivatives (n, components) of a scalar with respect to a control. Collective.
 
+        The result is None if the scalar does not depend on the control.
+
         Raises:
-            InputError: the control is a Function with components, or on another mesh.
+            InputError: the control is a Function with components, or on another mesh; or a Python
+                function reads the Function.
         """
+        if isinstance(field, fem.Expression):
+            field = field.ufl_expression
+        if callable(field) and not isinstance(field, Expr):
+            size = values_of(control).size
+            units = np.eye(size) if isinstance(control, fem.Constant) else np.ones((1, size))
+            rows = central_differences(
+                self._V.mesh.comm, control, units, lambda: self.at(field, nodes, name), name
+            )
+            return None if rows is None else rows.T
+        if control not in inputs_of(field):
+            return None
         if isinstance(control, fem.Function):
             if control.ufl_shape != ():
                 raise InputError(
@@ -158,8 +258,6 @@ class NodalValues:
                     "are available with respect to scalar Functions only."
                 )
             self._check_mesh(control, name)
-        if isinstance(field, fem.Expression):
-            field = field.ufl_expression
         if field is control:
             return np.ones((len(nodes), 1))
         variable = ufl.variable(control)

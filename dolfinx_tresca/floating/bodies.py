@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,10 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.surface.numbering import body_bounds, label_bodies
+
+#: Number of bodies that a message names, at most, of those that move together with another body.
+#: With twice the number, messages about walls of bricks are twice as long.
+MOST_COMPANIONS = 6
 
 
 @dataclass(frozen=True)
@@ -75,15 +80,24 @@ class Bodies:
         """The mean number of nodes per body, weighted by this number: large bodies decide."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
-    def describe(self, index: int) -> str:
-        """Return the number, the name and the bounding box of a body, in words."""
+    def describe(self, index: int, companions: Sequence[int] = ()) -> str:
+        """Return the number, the name and the bounding box of a body, in words.
+
+        Args:
+            index: the body.
+            companions: bodies that move together with it, of which the text has the names.
+        """
         box = self.bounds[index]
         size = float(np.linalg.norm(box[3:] - box[:3]))
-        name = f" ({self.tag_names[index]})" if self.tag_names[index] else ""
-        return (
-            f"body {index + 1} of {self.number}{name}, between {_point(box[:3], size)} and "
-            f"{_point(box[3:], size)}"
-        )
+        tags = [f" ({name})" if name else "" for name in self.tag_names]
+        text = f"body {index + 1} of {self.number}{tags[index]}, between "
+        text += f"{_point(box[:3], size)} and {_point(box[3:], size)}"
+        if companions:
+            names = ", ".join(f"{k + 1}{tags[k]}" for k in companions[:MOST_COMPANIONS])
+            more = len(companions) - MOST_COMPANIONS
+            text += f", together with {'bodies' if len(companions) > 1 else 'body'} {names}"
+            text += f" and {more} more" * (more > 0)
+        return text
 
 
 def _tag_names(

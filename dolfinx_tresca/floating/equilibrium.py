@@ -16,7 +16,7 @@ from scipy.sparse.linalg import eigsh
 from dolfinx_tresca._base.arrays import Array, Indices, dense
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
-from dolfinx_tresca.floating.fixing import FixingSprings, SpringResponse
+from dolfinx_tresca.floating.fixing import SpringResponse
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
@@ -42,9 +42,15 @@ UNRESISTED_SQUARE = 1e-6
 ROUNDING_SQUARE = 1e-13
 
 #: Number of motions that are computed if contact does not resist some motions of many bodies. The
-#: error message names the body that moves most in these motions. To compute all motions of hundreds
-#: of bodies would take a dense eigenvalue problem. The number changes nothing but the message.
+#: error message names the bodies that move in these motions. To compute all motions of hundreds of
+#: bodies would take a dense eigenvalue problem. An error message also names this number of groups
+#: of bodies, at most. The number changes nothing but the message.
 MOST_NAMED = 6
+
+#: A mode counts as moving if its largest component in unresisted motions exceeds this fraction of
+#: the largest component of all modes, and modes as moving together if the cosine of the angle
+#: between their components exceeds it. Twice or half the number changes no message of the tests.
+MOVING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -113,20 +119,13 @@ class Equilibrium:
 class FloatingBodies:
     """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps."""
 
-    def __init__(
-        self,
-        springs: FixingSprings,
-        response: SpringResponse,
-        jump: Callable[[csr_array], csr_array],
-    ) -> None:
+    def __init__(self, response: SpringResponse, jump: Callable[[csr_array], csr_array]) -> None:
         """Compute the jumps of the displacements in `response`. Collective.
 
         Args:
-            springs: springs that fix the bodies.
-            response: displacements that forces of the springs alone cause.
+            response: displacements that forces of the springs that fix the bodies alone cause.
             jump: function that returns B U for a sparse matrix U of displacements.
         """
-        self.springs = springs
         self._response = response
         self._jumps = jump(response.displacements)
 
@@ -218,11 +217,14 @@ def equilibrium_constraints(
     if unresisted.size:
         weak = np.zeros((len(size), unresisted.shape[1]))
         weak[floats] = unresisted / size[floats, None]
+        motions = _by_group(weak, bodies)
+        named = "; nor ".join(describe(motion) for motion in motions[:MOST_NAMED])
+        more = len(motions) - MOST_NAMED
         raise MechanismError(
-            f"nothing holds {describe(weak)}, and no contact resists that. Fix "
-            "part of the body's boundary with a Dirichlet condition, add a soft spring to a, or "
-            "give it friction.",
-            weak[:, 0],
+            f"nothing holds {named}{f'; nor {more} more' * (more > 0)}, and no contact resists "
+            "that. Fix part of the boundary with a Dirichlet condition, add a soft spring to a, or "
+            "give the contact friction.",
+            motions[0][:, np.square(motions[0]).sum(axis=0).argmax()],
         )
     # modes without jumps are scaled by the stiffness of the springs that hold them
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(resisted))
@@ -258,6 +260,7 @@ def _unresisted(gram: csr_array, bodies: Indices) -> Array:
     pattern = (entries.row[same], entries.col[same])
     own = csr_array((entries.data[same], pattern), shape=gram.shape)  # all other bodies at rest
     together = max(UNRESISTED_SQUARE / number**4, ROUNDING_SQUARE)
+    motions = np.zeros((k, 0))
     for matrix, least in ((own, UNRESISTED_SQUARE), (gram, together)):
         if is_positive_definite(matrix - least * eye_array(k)):
             continue
@@ -265,9 +268,24 @@ def _unresisted(gram: csr_array, bodies: Indices) -> Array:
             values, vectors = eigenpairs(matrix)
         else:
             values, vectors = eigsh(matrix, MOST_NAMED, sigma=-least, v0=np.ones(k))
-        if (values <= least).any():
-            return dense(vectors[:, values <= least])
-    return np.zeros((k, 0))
+        motions = np.hstack([motions, dense(vectors[:, values <= least])])
+    return motions
+
+
+def _by_group(motions: Array, bodies: Indices) -> list[Array]:
+    """Return motions for each group of bodies that can only move together, zero elsewhere.
+
+    Args:
+        motions: (k, m) components of motions in the modes of all bodies; each motion may be a sum
+            of independent motions of several groups.
+        bodies: (k,) the body of each mode.
+    """
+    lengths = np.linalg.norm(motions, axis=1)
+    moves = lengths > MOVING * lengths.max()
+    directions = np.where(moves, motions.T / np.where(moves, lengths, 1.0), 0.0)
+    cosines = directions.T @ directions
+    groups = _held_together(csr_array(np.where(np.abs(cosines) > MOVING, cosines, 0.0)), bodies)
+    return [motions * (groups == group)[:, None] for group in np.unique(groups[moves])]
 
 
 def _held_together(gram: csr_array, bodies: Indices) -> Indices:

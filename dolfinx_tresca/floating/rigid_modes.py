@@ -39,7 +39,7 @@ class RigidBodyModes:
             springs.
         body: (k,) the body of each mode, ascending.
         label: (owned nodes,) the body of each node.
-        name: function that describes a body in words.
+        name: function that describes a body in words, with other bodies that move together with it.
         parts: (k, 3 or 6) components of each mode in the order of `MODES`. Lever arms of rotations
             are divided by the body's size.
     """
@@ -50,7 +50,7 @@ class RigidBodyModes:
     floats: Mask
     body: Indices
     label: Indices
-    name: Callable[[int], str]
+    name: Callable[..., str]
     parts: Array
 
     def __len__(self) -> int:
@@ -87,28 +87,26 @@ class RigidBodyModes:
         return 3 if self.parts.shape[1] == 6 else 2
 
     def describe(self, components: Array) -> str:
-        """Return the name and the motion of the body that moves most, in words. Collective.
+        """Return in words a body that moves, its motion, and the bodies that also move. Collective.
 
-        For a single motion the text also has the number of other bodies that move by more than
-        `NAMED_PART` of the largest motion.
+        Bodies count as moving if they move by more than `NAMED_PART` of the largest motion.
 
         Args:
-            components: (k,) components of a motion, or (k, columns) of several motions.
+            components: (k,) components of a motion, of which the body that moves most is described,
+                or (k, columns) of several motions, of which the first moving body is described.
         """
         names = MODES[self.dim]
         bodies, index = np.unique(self.body, return_inverse=True)
         moved = np.zeros((len(bodies), self.parts.shape[1], components.size // len(self)))
         np.add.at(moved, index, self.parts[:, :, None] * components.reshape(len(self), 1, -1))
         lengths = broadcast_array(self.comm, np.linalg.norm(moved, axis=(1, 2)))
-        most = int(lengths.argmax())
+        moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
+        chosen = int(lengths.argmax() if components.ndim == 1 else moving[0])
         axes, sizes = (
-            broadcast_array(self.comm, one)
-            for one in np.linalg.svd(moved[most], full_matrices=False)[:2]
+            broadcast_array(self.comm, factor)
+            for factor in np.linalg.svd(moved[chosen], full_matrices=False)[:2]
         )
         share = np.square(axes[:, sizes > MOVED_PART * sizes[0]]).sum(axis=1)
         free = [name for name, part in zip(names, share, strict=True) if part > NAMED_PART]
-        text = f"{self.name(int(bodies[most]))}: {', '.join(free or [names[int(share.argmax())]])}"
-        others = int((lengths > NAMED_PART * lengths[most]).sum()) - 1
-        if components.ndim == 1 and others > 0:
-            text += f", together with {others} other {'body' if others == 1 else 'bodies'}"
-        return text
+        text = self.name(int(bodies[chosen]), bodies[moving[moving != chosen]].tolist())
+        return f"{text}: {', '.join(free or [names[int(share.argmax())]])}"

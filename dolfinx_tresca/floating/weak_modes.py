@@ -14,9 +14,9 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.stiffness.solver import not_positive_definite
 
 #: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
 #: body's largest diagonal entry of K: the product of K with the mode adds some hundred entries of
@@ -72,10 +72,9 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
 
     if softest.min() < 0.0:
-        raise StiffnessError(
-            "K is not positive definite: its diagonal is negative, down to "
-            f"{softest.min():.3g}, in {where(int(softest.argmin()))}. Check Young's moduli, "
-            "Poisson ratios (below 0.5) and signs."
+        raise not_positive_definite(
+            f"its diagonal is negative, down to {softest.min():.3g}, in "
+            f"{where(int(softest.argmin()))}"
         )
     stiffest[stiffest == 0.0] = 1.0  # bodies that are wholly prescribed, or without stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
@@ -105,10 +104,9 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
 
     negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
     if negative.any():
-        raise StiffnessError(
-            "K is not positive definite: its stiffness against a rigid motion is negative, of "
-            f"{where(int(weak.body[negative.argmax()]))}. Check the signs in the form a; the "
-            "tangent of a body under pressure is like that if only contact holds it."
+        raise not_positive_definite(
+            "its stiffness against a rigid motion is negative, of "
+            f"{where(int(weak.body[negative.argmax()]))}"
         )
 
     mode, node, component = np.nonzero(free)

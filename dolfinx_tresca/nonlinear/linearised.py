@@ -282,27 +282,11 @@ class TangentProblem:
         moves.destroy()
         return stiffness
 
-    @property
-    def state(self) -> tuple[Any, ...]:
-        """The displacement, configuration and multipliers to return to if a part of the load fails.
-
-        Not collective.
-        """
-        steps, configuration = self.surfaces.steps, self.surfaces.sliding.origin.copy()
-        return self.u.x.array.copy(), configuration, steps.multipliers, steps.last
-
-    @state.setter
-    def state(self, state: tuple[Any, ...]) -> None:
-        self.u.x.array[:], configuration, multipliers, last = state
-        if not self.surfaces.sliding.began_at(configuration):
-            self.surfaces.update_configuration(configuration)
-        self.surfaces.steps.multipliers, self.surfaces.steps.last = multipliers, last
-
     def begin(self) -> None:
         """Prepare a solve: check u, return to the accepted state, align the rows of B. Collective.
 
         Tangent vectors are rotated to the axes of the slip bounds only here, and not in Newton
-        steps: so the multipliers in a `state` of this solve belong to the present rows of B.
+        steps.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -355,7 +339,7 @@ class TangentProblem:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
         obstacles = self.surfaces.obstacles
         obstacles.motions = obstacles.between(*self._places, fraction)
-        self.surfaces.pair_where_changed(self.surfaces.sliding.origin.copy())
+        self.surfaces.pair_where_changed(self.surfaces.sliding.origin)
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""

@@ -261,21 +261,24 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the derivative of F, and symmetrize=True takes its symmetric "
                 "part."
             )
-        state = problem.state
+        state = problem.surfaces.state
         try:
             try:
                 problem.factor()
             except StiffnessError as error:
+                if not error.evidence:
+                    raise
                 raise ConvergenceError(
-                    f"{purpose} needs a tangent that is positive definite without the contact, and "
-                    f"it is not at this solution: {error} Compare two solutions."
+                    f"{purpose} needs bodies that are stable without the contact, and at this "
+                    f"solution contact alone holds them: of the tangent, {error.evidence}. Compare "
+                    "two solutions."
                 ) from error
             contact.solve(self.options, self.units, lambda _: False)
             solved = contact.solved
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
         finally:
-            problem.state = state
+            problem.surfaces.return_to(state)
         if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
             raise ContactError(
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
@@ -340,7 +343,10 @@ class NonlinearContactProblem(ContactProcess):
         self._linearised.begin()
         self._solves += 1
         run = Newton(self._linearised, newton, options, self.units, observer, self._level)
-        run.run()
+        try:
+            run.run()
+        finally:
+            self._linearised.end_load()
         self._contact.surfaces.steps.end_solve()
         self._linearised.note_forces()
         if run.found is None:
@@ -355,18 +361,19 @@ class NonlinearContactProblem(ContactProcess):
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.surfaces.steps.set_last_status(status)
+            parts = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
+            parts += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
+            parts += "max_iterations=...). "
             message = (
                 f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
-                "NewtonOptions(max_halvings=..., max_iterations=...). Look at `u`: bodies that "
-                "snap through, buckle or crease have no equilibrium nearby; free faces beside a "
-                "sharp edge of the contact fold sooner on finer meshes (take a coarser mesh "
-                "there); cells that are squeezed flat need another mesh."
+                f"{run.failure}. {parts * (not run.stuck)}Look at `u`: bodies that snap through, "
+                "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
+                "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
+                "are squeezed flat need another mesh."
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {
             "status": status,
-            "options": options,  # of all of Newton's method, not of its last contact problem
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),
             "krylov_iterations": run.krylov_iterations,

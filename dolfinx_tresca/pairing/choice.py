@@ -66,18 +66,14 @@ def pair_displaced_surfaces(
         InputError: the signed distance of the obstacle is wrong.
         PairingError: the displaced surfaces cannot be paired.
     """
-    return _pair(V, pair, undeformed, undeformed.displaced(V, u), moved=True)
+    return _pair(V, pair, undeformed, undeformed.displaced(V, pair, u), moved=True)
 
 
 def _pair(
     V: Any, pair: ContactPair, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
 ) -> PairOperators:
     """Compute N, T and the gap of a pair from the facets of its sides. Collective."""
-
-    def side(tag: int, name: str) -> Side:
-        return Side(tag, name, pair.facet_tags, Halo(V, sides[tag]))
-
-    secondary = side(pair.secondary, "secondary")
+    secondary = Side(pair, "secondary", Halo(V, sides[pair.secondary]))
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
@@ -89,7 +85,7 @@ def _pair(
     else:
         primary = secondary
         if not pair.touches_itself:
-            primary = side(pair.primary, "primary")
+            primary = Side(pair, "primary", Halo(V, sides[pair.primary]))
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_on_this_rank(V, moved)
         other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V, moved)

@@ -236,9 +236,12 @@ def _surface_at(facets: Facets, sagitta: Sagitta, facet: Indices, x: Array) -> t
 
     The surface is the exact one if it is known, else the smooth surface of `Sagitta`.
     """
-    if facets.offsets.shape[1]:
-        return offsets_at(facets, facet, x), normals_at(facets, facet, x)
     hats = facets.hats(x)
     normals = sagitta.normals(facet, hats)
     heights = sagitta.heights(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
-    return heights[:, None] * normals, normals
+    offsets = heights[:, None] * normals
+    if facets.offsets.shape[1]:
+        exact = ~np.isnan(facets.offsets[facet, 0, 0])
+        offsets[exact] = offsets_at(facets, facet[exact], x[exact])
+        normals[exact] = normals_at(facets, facet[exact], x[exact])
+    return offsets, normals

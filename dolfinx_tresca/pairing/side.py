@@ -18,6 +18,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import owned_nodes
+from dolfinx_tresca.scene.pair import ContactPair, SideName
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.whole import WholeSurface
@@ -35,15 +36,13 @@ class Side:
     """The facets of one side of a pair.
 
     Attributes:
-        tag: tag of the facets.
-        name: "secondary" or "primary", for messages.
-        facet_tags: tags of all facets of the mesh.
+        pair: the contact pair.
+        name: "secondary" or "primary".
         halo: this rank's facets, and copies of facets of other ranks.
     """
 
-    tag: int
-    name: str
-    facet_tags: Any
+    pair: ContactPair
+    name: SideName
     halo: Halo
 
     @cached_property
@@ -72,7 +71,7 @@ class Side:
             has_no_normal = own & nodes.has_no_normal
             if has_no_normal.any():
                 raise PairingError(
-                    f"the surface with tag {self.tag} ({self.name} side) has no normal at "
+                    f"the surface {self.pair.side(self.name)} ({self.name} side) has no normal at "
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
@@ -86,19 +85,19 @@ class Side:
         if coincident:
             log(
                 comm,
-                "the surface with tag %d (%s side) has %d nodes at the place of another one: it is "
+                "the surface %s (%s side) has %d nodes at the place of another one: it is "
                 "torn there. Merge duplicated nodes of the mesh, unless these are edges of two "
                 "bodies.",
-                *(self.tag, self.name, coincident),
+                *(self.pair.side(self.name), self.name, coincident),
                 level=logging.WARNING,
-                about=str(self.tag),
+                about=self.pair.side(self.name),
             )
         return nodes
 
     def _nodes_with_other_tags(self, V: Any) -> GlobalNumbers:
         """Return all owned nodes, and some ghosts, of facets with other tags. Collective."""
-        tags = self.facet_tags
-        others = tags.indices[tags.values != self.tag]
+        tags = self.pair.facet_tags
+        others = tags.indices[tags.values != getattr(self.pair, self.name)]
         found = fem.locate_dofs_topological(V, tags.dim, others)
         numbers: GlobalNumbers = V.dofmap.index_map.local_to_global(found)
         return numbers

@@ -7,9 +7,8 @@ from typing import Any
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.scene.pair import SIDES, ContactPair
+from dolfinx_tresca.surface.facets import Facets, joined
 from dolfinx_tresca.surface.offsets import with_offsets
 from dolfinx_tresca.surface.self_contact import FINER, facet_origins
 from dolfinx_tresca.surface.tagged import displaced, tagged_facets
@@ -44,13 +43,19 @@ class Undeformed:
             PairingError: facets are inside a body, or have no area.
             MeshError: Gmsh cannot read the geometry file any more.
         """
-        sides: dict[int, Facets] = {}
-        for name in ("secondary", "primary"):
-            tag = getattr(pair, name)
-            if not isinstance(tag, RigidObstacle) and tag not in sides:
-                facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
-                sides[tag] = replace(facets, axisymmetric=axisymmetric)
-        sides = with_offsets(V, pair, sides)
+        by_tag: dict[int, Facets] = {}
+        for name in SIDES:
+            facet_tags, tags = pair.given_tags(name)
+            for tag in tags:
+                if tag not in by_tag:
+                    facets = tagged_facets(V, prescribed, facet_tags, tag, name)
+                    by_tag[tag] = replace(facets, axisymmetric=axisymmetric)
+        by_tag = with_offsets(V, pair, by_tag)
+        sides = {
+            getattr(pair, name): joined([by_tag[tag] for tag in tags])
+            for name in SIDES
+            if (tags := pair.given_tags(name)[1])
+        }
         if pair.touches_itself:
             facets = sides[pair.secondary]
             origins, bodies = facet_origins(V, facets)
@@ -64,15 +69,18 @@ class Undeformed:
                 )
         return cls(sides)
 
-    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
+    def displaced(self, V: Any, pair: ContactPair, u: Array) -> dict[int, Facets]:
         """Return tag -> displaced facets of each side that this rank owns. Collective.
 
         Args:
             V: the space of the displacement.
+            pair: the contact pair, for messages.
             u: (nodes, dim of space) displacement of this rank's nodes [length].
 
         Raises:
             PairingError: displaced facets have no area.
         """
-        names = dict(zip(self.sides, ("secondary", "primary"), strict=False))
-        return {tag: displaced(V, facets, u, tag, names[tag]) for tag, facets in self.sides.items()}
+        return {
+            tag: displaced(V, facets, u, pair.side(name), name)
+            for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False)
+        }

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -32,6 +34,29 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+@dataclass(frozen=True)
+class ProcessState:
+    """The whole state of a process, to which `ContactSurfaces.return_to` returns.
+
+    Attributes:
+        steps: multipliers, slip, accepted step and last solve, with the B to whose rows they
+            belong; PETSc objects of this B may be destroyed meanwhile.
+        u: values of the displacement of nonlinear bodies, or of all unknowns of a mixed space; None
+            for linear bodies.
+        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
+        configuration: displacement at which surfaces were last paired.
+        geometry: displacement at which pairs without finite sliding were paired.
+        accepted_configuration: `configuration` of the last accepted step; None: there is none.
+    """
+
+    steps: LoadSteps
+    u: Array | None
+    motions: Array
+    configuration: fem.Function
+    geometry: fem.Function
+    accepted_configuration: fem.Function | None
 
 
 class ContactSurfaces(PetscOwner):
@@ -160,18 +185,26 @@ class ContactSurfaces(PetscOwner):
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
 
+    def added_gaps(self) -> list[Array]:
+        """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective.
+
+        Raises:
+            InputError: a gap is on another mesh.
+        """
+        return [
+            np.zeros(len(on.nodes))
+            if pair.gap is None
+            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
+            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+
     def update_gaps(self) -> None:
         """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
 
         Raises:
             InputError: a gap is on another mesh, or is NaN or infinite.
         """
-        gaps = [
-            np.zeros(len(on.nodes))
-            if pair.gap is None
-            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
-            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
-        ]
+        gaps = self.added_gaps()
         changed = [
             not np.array_equal(gap, on.added_gap)
             for gap, on in zip(gaps, self.jump.pairs, strict=True)
@@ -218,7 +251,6 @@ class ContactSurfaces(PetscOwner):
         self.steps.move(jump, u, continues=continues)
         self._replace_jump(jump)
         self.geometry = u.copy()
-        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
 
     def accept(self, unconverged: bool) -> None:
@@ -228,7 +260,35 @@ class ContactSurfaces(PetscOwner):
         """
         self.steps.accept(unconverged)
         if self.slides_far:
-            self._accepted_configuration = self.sliding.origin.copy()
+            self._accepted_configuration = self.sliding.origin
+
+    @property
+    def state(self) -> ProcessState:
+        """The present state of the process. Not collective."""
+        u = self.steps.u
+        return ProcessState(
+            copy(self.steps),
+            None if u is None else u.x.array.copy(),
+            self.obstacles.motions,
+            self.sliding.origin,
+            self.geometry,
+            self._accepted_configuration,
+        )
+
+    def return_to(self, state: ProcessState) -> None:
+        """Return to a former state, with its displacement, pairing and obstacles. Collective.
+
+        K stays as it is, and need not be factored.
+        """
+        self.steps = copy(state.steps)
+        if self.steps.u is not None:
+            self.steps.u.x.array[:] = state.u
+        self.obstacles.motions = state.motions
+        self.sliding.origin, self.geometry = state.configuration, state.geometry
+        self._accepted_configuration = state.accepted_configuration
+        if self.steps.jump is not self.jump:
+            self.steps.jump = JumpOperator(self.linear, self.steps.jump.pairs)
+            self._replace_jump(self.steps.jump)
 
     def begin_solve(self) -> None:
         """Let the next solve start at the last accepted step, if the start may affect the result.
@@ -241,7 +301,7 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         accepted = self._accepted_configuration
-        self.pair_where_changed(self.sliding.origin.copy() if accepted is None else accepted)
+        self.pair_where_changed(self.sliding.origin if accepted is None else accepted)
         self.steps.begin_solve()
 
     def pair_where_changed(self, u: fem.Function) -> None:
@@ -277,19 +337,6 @@ class ContactSurfaces(PetscOwner):
         self.obstacles.warn_of_unknown_motions(changed, same_place)
         return changed
 
-    def update_configuration(self, u: fem.Function) -> None:
-        """Pair surfaces with finite sliding in the configuration displaced by u. Collective.
-
-        Args:
-            u: displacement [length] in the problem's space.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
-        """
-        self._pair_anew(u, self._finite_sliding)
-        self.sliding.begin(u)
-
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
@@ -319,6 +366,7 @@ class ContactSurfaces(PetscOwner):
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
         self.obstacles.note_pairing(jump)
+        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
@@ -335,7 +383,7 @@ class ContactSurfaces(PetscOwner):
                 u = self.sliding.origin if slides_far else self.geometry
                 moved = self.obstacles.displacement(before, now, u)
                 displacement[t] = jump.of_displacement(moved)[t]
-        return steps.history.with_moved_obstacles(displacement)
+        return replace(steps.history, origin=steps.history.origin + displacement)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
@@ -352,6 +400,14 @@ class ContactSurfaces(PetscOwner):
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         return np.array(self.jump.contact_force(self.steps.multipliers).array)
+
+    def rounding_forces(self) -> Array:
+        """Return B'lambda, like `contact_forces`, of pressures of the size of rounding errors.
+
+        Collective.
+        """
+        multipliers = self.compliance.stress_rounding / self.jump.stress_scale
+        return np.array(self.jump.contact_force(multipliers).array)
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again. Collective.

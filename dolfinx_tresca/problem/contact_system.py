@@ -15,12 +15,12 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, free_unused
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ContactError, MechanismError
 from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes, pressed_values
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
@@ -45,7 +45,8 @@ class LastSolve:
         dual: the dual problem.
         multipliers: (size,) solution of the dual problem.
         fields: the fields of the solution.
-        inputs: load, slip bounds and added gaps of this solve, to detect later changes.
+        curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
+        inputs: load and `law_values` of this solve, to detect later changes.
         options: options of the contact algorithm.
         moved: (pairs,) whether the pair's obstacle moves in this load step.
     """
@@ -53,6 +54,7 @@ class LastSolve:
     dual: DualProgram
     multipliers: Array
     fields: Evaluation
+    curves: list[CurveAtNodes]
     inputs: list[Array]
     options: SolverOptions
     moved: Mask
@@ -163,14 +165,20 @@ class ContactSystem(PetscOwner):
         self.surfaces.steps.forget()
         self.surfaces.compliance.forget()
 
-    def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
-        """Return load, slip bounds and added gaps, to compare two solves. Not collective."""
-        result = [self.linear.f.x.array.copy()]
-        for one in bounds:
+    def law_values(self, curves: Sequence[CurveAtNodes] = ()) -> list[Array]:
+        """Return the present gaps, slip bounds and friction curves at contact nodes. Collective.
+
+        Raises:
+            InputError: a gap, a slip bound or a coefficient of friction has a value that is not
+                allowed.
+        """
+        result = self.surfaces.added_gaps()
+        for one in self.surfaces.slip_bounds():
             result += [one.constant, one.coefficient, one.limit]
             if one.ellipses is not None:
                 result += [one.ellipses.shape, one.ellipses.direction]
-        return result + [on_nodes.added_gap for on_nodes in self.surfaces.jump.pairs]
+        with errors_on_all_ranks(self.comm):
+            return result + [pressed_values(*one) for one in curves]
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
@@ -193,8 +201,7 @@ class ContactSystem(PetscOwner):
                 f"{purpose} needs a solution, and the last solve ended with {status.name}."
             )
         self.linear.assemble_load()
-        surfaces.update_gaps()
-        now = self._inputs(surfaces.slip_bounds())
+        now = [self.linear.f.x.array, *self.law_values(solved.curves)]
         same = all(map(np.array_equal, now, solved.inputs))
         same &= not surfaces.obstacles.changed(surfaces.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
@@ -224,18 +231,16 @@ class ContactSystem(PetscOwner):
 
     @contextmanager
     def restored(self) -> Iterator[None]:
-        """Restore the accepted steps and the last solve at the end of the block. Collective.
+        """Restore the state of the process and the last solve at the end of the block. Collective.
 
-        Inside the block, solves may start from other steps and with other inputs, but the pairing
-        must not change. If K changes inside the block, the last solve is dropped.
+        Inside the block, solves may start from other steps and with other inputs. If K or the
+        pairing changes inside the block, the last solve is dropped.
         """
-        steps, last_solve = self.surfaces.steps, self._last_solve
-        start, multipliers, last = steps.start, steps.multipliers, steps.last
+        state, last_solve = self.surfaces.state, self._last_solve
         try:
             yield
         finally:
-            steps.return_to(start)
-            steps.multipliers, steps.last = multipliers, last
+            self.surfaces.return_to(state)
             self._last_solve = last_solve
             self.linear.assemble_load()
             self.surfaces.update_gaps()
@@ -270,6 +275,7 @@ class ContactSystem(PetscOwner):
         options: SolverOptions,
         units: Units | None,
         observe: Callable[[Iteration], bool],
+        requested: SolverOptions | None = None,
     ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
@@ -278,6 +284,8 @@ class ContactSystem(PetscOwner):
             units: names of units, for tables and pictures of the solution.
             observe: function that is called before each iteration, on all ranks; the solve stops
                 if it returns True.
+            requested: the options that the user gave, if `options` have another accuracy: they
+                decide whether the solve converged.
 
         Raises:
             ContactError: the problem was destroyed, or its last `update_stiffness` failed.
@@ -286,6 +294,7 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         surfaces, steps, bodies = self.surfaces, self.surfaces.steps, self._stiffness.bodies
+        requested = requested or options
         self._stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
         timings, surfaces.timings = surfaces.timings, {}
@@ -295,7 +304,7 @@ class ContactSystem(PetscOwner):
             bounds = surfaces.slip_bounds()
             surfaces.align_tangents(bounds)
             surfaces.update_gaps()
-            inputs = self._inputs(bounds)
+            inputs = [self.linear.f.x.array.copy(), *self.law_values()]
             operator = surfaces.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = surfaces.history_of_solve()
@@ -308,12 +317,14 @@ class ContactSystem(PetscOwner):
             if dual.equilibrium is not None:
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
+        start, secondary = steps.multipliers, surfaces.secondary
         found, evaluation, history = solve_to_bound(
-            dual, steps.multipliers, surfaces.secondary, bodies, options, observe, timings
+            dual, start, secondary, bodies, options, requested, observe, timings
         )
         steps.multipliers = found.multipliers
         status = found.status
-        check_curves(dual, found, surfaces.friction)
+        curves = check_curves(dual, found, surfaces.friction)
+        inputs += [pressed_values(*one) for one in curves]
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
@@ -322,7 +333,9 @@ class ContactSystem(PetscOwner):
             self.check_displacement(evaluation.u)
         if status is ContactStatus.CONVERGED:
             surfaces.sliding.warn(surfaces.jump, self.pairs, evaluation.u, found.multipliers)
-        self._last_solve = LastSolve(dual, found.multipliers, evaluation, inputs, options, moved)
+        self._last_solve = LastSolve(
+            dual, found.multipliers, evaluation, curves, inputs, options, moved
+        )
         log(
             self.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -331,7 +344,7 @@ class ContactSystem(PetscOwner):
         )
         return ContactSolution(
             status=status,
-            options=options,
+            options=requested,
             units=units,
             iterations=found.iterations,
             sweeps=found.sweeps,

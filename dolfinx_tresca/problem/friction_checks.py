@@ -9,6 +9,7 @@ from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.hints import hint_at_weakening
@@ -22,7 +23,9 @@ def depends_on_pressure(pair: ContactPair) -> bool:
     return not (isinstance(coefficient, int | float) and coefficient == 0.0)
 
 
-def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds) -> None:
+def check_curves(
+    dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
+) -> list[CurveAtNodes]:
     """Check the friction curves F(pressure, slip) at the pressures and slips of a solution.
 
     A hint is logged if F decreases so fast with the slip that there may be several solutions.
@@ -33,15 +36,21 @@ def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
         found: solution of the dual problem.
         slip_bounds: object that evaluates the laws of friction at nodes.
 
+    Returns:
+        each curve with the pressures (n,) [stress] and slips (n,) [length] of its nodes.
+
     Raises:
         InputError: F is negative, NaN or infinite at a node under pressure.
     """
     x = found.multipliers
     cones = dual.admissible.at(x, found.gradient, found.rho)
-    if isinstance(cones, FrictionCones) and cones.has_curves:
-        for curve, pressure, slip in cones.curve_arguments(x):
-            slip_bounds.check_curve(curve, pressure, slip)
-        hint_at_weakening(dual.jump.comm, cones, x, dual.known_products().largest_ritz_value())
+    if not isinstance(cones, FrictionCones) or not cones.has_curves:
+        return []
+    arguments = cones.curve_arguments(x)
+    for one in arguments:
+        slip_bounds.check_curve(*one)
+    hint_at_weakening(dual.jump.comm, cones, x, dual.known_products().largest_ritz_value())
+    return arguments
 
 
 def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:

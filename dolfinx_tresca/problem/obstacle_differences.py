@@ -13,9 +13,9 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.moved import moved_jump
+from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.problem.contact_system import ContactSystem
-from dolfinx_tresca.problem.obstacles import along
 from dolfinx_tresca.solution.obstacle_differences import ObstacleDifferences
 
 #: Step of the central differences: the change of the distance from an obstacle, relative to the
@@ -49,10 +49,10 @@ def obstacle_differences(
             obstacle at only one of the two displaced positions of the obstacle.
     """
     surfaces, obstacles = contact.surfaces, contact.surfaces.obstacles
-    moves = obstacles.depending_on(constant)
+    jump, origin = surfaces.jump, None
+    moves = obstacles.depending_on(constant, jump)
     if not moves.any():
         return None
-    jump, origin = surfaces.jump, None
     if not in_all_steps:
         solved = contact.solved
         assert solved is not None
@@ -63,13 +63,11 @@ def obstacle_differences(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
                 )
-    size = np.inf
-    if direction.any():
-        size = obstacles.step_of_unit_change(constant, direction, jump)
-    step = DIFFERENCE_STEP * obstacles.extent * (size if np.isfinite(size) else 0.0)
+    size = obstacles.step_of_unit_change(constant, direction, jump)
+    step = DIFFERENCE_STEP * obstacles.extent * size
     bounds, found = surfaces.slip_bounds(), []
     for factor in (step, -step):
-        with along(constant, direction, factor):
+        with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
             one = moved_jump(jump, contact.pairs, surfaces.geometry, moves)
         turned = one.along_axes(bounds)
         if turned is not one:

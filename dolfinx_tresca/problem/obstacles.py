@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -16,24 +15,11 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.scene.friction import Frictionless
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
-
-#: Relative change of a Constant by which `step_of_unit_change` finds how fast distances change.
-TRIAL = 1e-6
-
-
-@contextmanager
-def along(constant: fem.Constant, direction: Array, factor: float) -> Iterator[None]:
-    """Change a Constant along a direction inside the block."""
-    before = np.array(constant.value)
-    constant.value = before + factor * direction
-    try:
-        yield
-    finally:
-        constant.value = before
 
 
 class Obstacles:
@@ -139,9 +125,14 @@ class Obstacles:
                     level=logging.WARNING,
                 )
 
-    def depending_on(self, constant: Any) -> Mask:
-        """Return whether the obstacle of each pair depends on a Constant. Not collective."""
-        return np.array([one is not None and constant in one.constants for one in self._obstacles])
+    def depending_on(self, control: Any, jump: JumpOperator) -> Mask:
+        """Return whether the obstacle of each pair depends on a control. Collective.
+
+        Raises:
+            InputError: an obstacle depends on a control that is a Function.
+        """
+        # no vector of small whole numbers, along which a plane might not move
+        return self._rates(control, np.sqrt(1.0 + np.arange(values_of(control).size)), jump) > 0.0
 
     def step_of_unit_change(
         self, constant: fem.Constant, direction: Array, jump: JumpOperator
@@ -149,8 +140,7 @@ class Obstacles:
         """Return the step of a Constant that changes distances by one unit of length. Collective.
 
         If the step of a difference quotient is a multiple of this step, the quotient does not
-        depend on the units. A change of a normal, times the extent of the mesh, counts as a change
-        of a distance.
+        depend on the units.
 
         Args:
             constant: a Constant on which obstacles depend.
@@ -158,21 +148,29 @@ class Obstacles:
             jump: the operator B, at whose nodes distances are compared.
 
         Returns:
-            the step, as a factor of the direction; infinite if no distance changes along it.
+            the step, as a factor of the direction; 0 if no distance changes along it.
         """
-        comm, extent = self._V.mesh.comm, self.extent
-        size = float(np.abs(constant.value).max(initial=0.0)) or extent
-        trial = TRIAL * size / float(np.abs(direction).max())
-        with along(constant, direction, trial):
-            after = self._distances(jump)
-        before = self._distances(jump)
-        scale = np.array([1.0, extent, extent, extent])
-        changes = [
-            (np.abs(two - one) * scale).max(initial=0.0)
-            for one, two in zip(before, after, strict=True)
-        ]
-        largest = float(reduce_array(comm, max(changes, default=0.0), MPI.MAX))
-        return trial / largest if largest > ROUNDING * extent else np.inf
+        largest = float(self._rates(constant, direction, jump).max(initial=0.0))
+        return 1.0 / largest if largest > 0.0 else 0.0
+
+    def _rates(self, control: Any, direction: Array, jump: JumpOperator) -> Array:
+        """Return the largest rate of change (pairs,) of each pair's distances. Collective.
+
+        A change of a normal, times the extent of the mesh, counts as a change of a distance.
+        """
+        comm, scale = self._V.mesh.comm, np.append(1.0, np.full(3, self.extent))
+        rates = central_differences(
+            comm,
+            control,
+            np.reshape(direction, (1, -1)),
+            lambda: np.concatenate([one * scale for one in self._distances(jump)]),
+            "an obstacle",
+        )
+        if rates is None:
+            return np.zeros(len(self._pairs))
+        ends = np.cumsum([len(one) for one in self._distances(jump)])[:-1]
+        largest = [np.abs(one).max(initial=0.0) for one in np.split(rates[0], ends)]
+        return np.asarray(reduce_array(comm, np.array(largest), MPI.MAX))
 
     @property
     def extent(self) -> float:

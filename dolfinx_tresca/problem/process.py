@@ -294,16 +294,17 @@ class ContactProcess(PetscOwner, Tabulated):
         self._check_material(material)
         remembered = read_functions(path, material, self.comm, MATERIAL)
         found = read_displacements(path, V, ("u", "moved_by", "accepted_u"))
-        before = surfaces.sliding.origin.copy()
-        moved_by = found.get("moved_by", fem.Function(V))
-        places = surfaces.obstacles.motions
-        surfaces.obstacles.motions = read_motions(path, self.comm, len(self.pairs))
-        self._pair_at(moved_by)
+        motions, state = read_motions(path, self.comm, len(self.pairs)), surfaces.state
         try:
+            surfaces.obstacles.motions = motions
+            moved_by = found.get("moved_by", fem.Function(V))
+            if surfaces.sliding.began_at(moved_by):
+                surfaces.pair_where_changed(moved_by)
+            else:
+                self._contact.update_geometry(moved_by)
             step = surfaces.steps.load(path, found.get("u"), found.get("accepted_u"))
-        except InputError:
-            surfaces.obstacles.motions = places
-            self._pair_at(before)
+        except ContactError:
+            surfaces.return_to(state)
             raise
         surfaces.compliance.expect_start()
         for function, values in zip(material, remembered, strict=True):
@@ -324,13 +325,6 @@ class ContactProcess(PetscOwner, Tabulated):
                 "material must be a list of Functions on the mesh of the problem, found "
                 f"{shown(material)}."
             )
-
-    def _pair_at(self, u: fem.Function) -> None:
-        """Make u the configuration in which surfaces are paired, if it is not yet. Collective."""
-        if self._contact.surfaces.sliding.began_at(u):
-            self._contact.surfaces.pair_where_changed(u)
-        else:
-            self._contact.update_geometry(u)
 
     @collective(comm_of_self)
     def goal_value(self, goal: Goal) -> float:
@@ -373,8 +367,9 @@ class ContactProcess(PetscOwner, Tabulated):
                 `ufl.action(L, solution.u)`.
             controls: Constants and Functions that occur in the forms, in the values of Dirichlet
                 conditions, in the gap of a pair, or in a slip bound, a coefficient of friction or
-                its limit. A derivative with respect to the coordinates of the mesh is not
-                available.
+                its limit; and Constants that a Python function reads, such as a friction curve or
+                the signed distance of an obstacle. A derivative with respect to the coordinates of
+                the mesh is not available.
             at_edge: assumption on the nodes that are about to change their state (the log and
                 `NodeCounts.undecided` give their number). None: their state in the solution;
                 "held": they are pressed and stick; "released": they open or slip. For a single such
@@ -392,8 +387,9 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: there is no converged solution for the present inputs; or, for nonlinear
                 bodies, the solution was accepted already.
             InputError: the goal or a control is wrong; a control is part of a direction of
-                friction; `a` is no form of UFL, or is on a mixed space; or a pair has
-                finite sliding, whose pairing depends on the solution.
+                friction, or a Function that a Python function reads; `a` is no form of UFL, or is
+                on a mixed space; or a pair has finite sliding, whose pairing depends on the
+                solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
@@ -479,9 +475,11 @@ class ContactProcess(PetscOwner, Tabulated):
         for control in controls:
             check_control(control, self.pairs)
         self._check_pairing_fixed()
-        solved = self._solved_for("a derivative")
+        solved, surfaces = self._solved_for("a derivative"), self._contact.surfaces
         self._contact.check_inputs("a derivative")
-        bounds = self._contact.surfaces.slip_bounds()
+        for control in controls:
+            surfaces.obstacles.depending_on(control, surfaces.jump)
+        bounds = surfaces.slip_bounds()
         step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, bounds, at_edge)
         step.log_edge()
         return step, self._forms_at(step.u)

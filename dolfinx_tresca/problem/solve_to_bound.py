@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import SLACK
 from dolfinx_tresca._base.timing import timed
@@ -14,6 +16,8 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
+from dolfinx_tresca.optimise.record.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
@@ -30,6 +34,7 @@ def solve_to_bound(
     surfaces: Sequence[Surface],
     bodies: Bodies,
     options: SolverOptions,
+    requested: SolverOptions,
     observe: Callable[[Iteration], bool],
     timings: dict[str, float],
 ) -> tuple[DualSolution, Evaluation, SlipHistory]:
@@ -38,7 +43,9 @@ def solve_to_bound(
     The fields of floating bodies are made to satisfy the equilibrium to rounding, and so differ
     from the iterate that the iteration has accepted. If the error bound of the fields is too large,
     the iteration runs again from its last multipliers with a smaller requested bound. After
-    `MAX_ATTEMPTS` runs, the status is STAGNATED.
+    `MAX_ATTEMPTS` runs, the status is STAGNATED. A run that ends for another reason than the
+    observer, but with the requested accuracy, has the status CONVERGED: the reason then prevented
+    only the accuracy of `options`, or of the iterates.
 
     Args:
         dual: the dual problem.
@@ -46,6 +53,7 @@ def solve_to_bound(
         surfaces: secondary surfaces of the pairs.
         bodies: bodies of the mesh.
         options: options of the contact algorithm.
+        requested: the options that the user gave; `options` may ask for more.
         observe: function that is called before each iteration; the solve stops if it returns True.
         timings: phase -> seconds; the phases "iteration" and "fields" are added to it.
     """
@@ -65,11 +73,28 @@ def solve_to_bound(
             found, wanted=wanted, iterations=iterations, residuals=residuals, q=q
         )
         excess = evaluation.energy_error_bound / (SLACK * wanted)
-        if attempt > 0 and found.status is ContactStatus.STAGNATED and excess <= 1.0:
-            # rounding prevents the smaller bound, not the requested one
-            found = dataclasses.replace(found, status=ContactStatus.CONVERGED)
         if found.status is not ContactStatus.CONVERGED or not excess > 1.0:
-            return found, evaluation, history
+            break
         start = found.multipliers
         asked = options.with_changes(accuracy=0.5 * wanted / excess**attempt)
-    return dataclasses.replace(found, status=ContactStatus.STAGNATED), evaluation, history
+    else:
+        found = dataclasses.replace(found, status=ContactStatus.STAGNATED)
+    bound_decides = attempt > 0 or not (options.rtol or options.balanced)
+    if found.status not in (ContactStatus.CONVERGED, ContactStatus.STOPPED) and (
+        (bound_decides and excess <= 1.0)
+        or (requested != options and _meets(requested, dual, found, evaluation))
+    ):
+        found = dataclasses.replace(found, status=ContactStatus.CONVERGED)
+    return found, evaluation, history
+
+
+def _meets(
+    requested: SolverOptions, dual: DualProgram, found: DualSolution, evaluation: Evaluation
+) -> bool:
+    """Return whether a solution meets the criteria of convergence of options. Collective."""
+    x, r = found.multipliers, found.gradient + dual.constraints.columns @ found.c
+    at_zero = NaturalResidual(dual, found.rho, np.zeros_like(x), -dual.b)
+    stopping = Stopping(dual, requested, at_zero)
+    measures = stopping.measures(x, r, found.accuracy or 0.0, found.residuals[-1])
+    met = all(reached <= wanted for reached, wanted in measures)
+    return met and evaluation.energy_error_bound <= SLACK * stopping.accuracy

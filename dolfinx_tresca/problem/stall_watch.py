@@ -55,7 +55,7 @@ class StallWatch:
             log(
                 self._comm,
                 "no progress: %s. The solve goes on; an observer that returns True, or Ctrl-C, "
-                "stops it. Smaller load steps may help.",
+                "stops it.",
                 stalled,
                 level=logging.WARNING,
             )

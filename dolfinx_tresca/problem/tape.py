@@ -24,8 +24,9 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.history.load_steps import StepStart
 from dolfinx_tresca.dual.history.saved_state import SavedState
 from dolfinx_tresca.dual.history.slip_history import SlipHistory
-from dolfinx_tresca.dual.nodal_values import inputs_of
+from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
@@ -43,7 +44,6 @@ from dolfinx_tresca.solution.gradient import (
     checked_form_or_goal,
     sum_of_known,
 )
-from dolfinx_tresca.solution.prescribed import replaced, values_of
 from dolfinx_tresca.solution.solved_step import SolvedStep
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
@@ -60,12 +60,16 @@ class _Recorded:
             depend on it. A call of the reference returns None if the user has dropped it.
         values: values of all inputs of the problem in this step.
         options: options with which the step was solved.
+        curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
+        laws: `ContactSystem.law_values` of the step.
     """
 
     solved: SolvedStep | None
     u: Callable[[], fem.Function | None]
     values: Sequence[Array]
     options: SolverOptions
+    curves: Sequence[CurveAtNodes]
+    laws: Sequence[Array]
 
 
 class ProcessTape:
@@ -73,7 +77,8 @@ class ProcessTape:
 
     `ContactProblem.record` makes a tape. For each step, the tape keeps in memory the displacement,
     the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
-    and Dirichlet conditions; values that do not change from one step to the next are kept once.
+    and Dirichlet conditions; values that do not change from one step to the next are kept once. Of
+    Constants that a Python function reads, those are kept that are variables of the function.
 
     With checkpoints at each k-th step, the tape keeps no displacements. At these steps, it keeps
     the multipliers and the origin of the slip, which are values on the contact surfaces, in memory
@@ -198,7 +203,11 @@ class ProcessTape:
             one if one is not None and np.array_equal(one, now) else now.copy()
             for one, now in zip(before, map(values_of, self._inputs), strict=True)
         ]
-        self._steps.append(_Recorded(solved, ref(last.fields.u), values, last.options))
+        self._steps.append(
+            _Recorded(
+                solved, ref(last.fields.u), values, last.options, last.curves, last.inputs[1:]
+            )
+        )
 
     def _solved_step(self) -> SolvedStep:
         """Return the last solution with its problem. Collective."""
@@ -382,10 +391,25 @@ class ProcessTape:
                     for weight, goal in goals_of_step.get(number, [])
                 ]
                 with replaced(self._inputs, step.values):
+                    self._check_laws(step, number)
                     result[number], on_origin = differentiation.backwards(
                         here, goals_here, on_origin
                     )
         return result
+
+    def _check_laws(self, step: _Recorded, number: int) -> None:
+        """Check that the recorded inputs give the gaps and the friction of a step. Collective.
+
+        Raises:
+            InputError: a law has other values than in the step.
+        """
+        same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
+        if not self.comm.allreduce(same, op=MPI.LAND):
+            raise InputError(
+                f"a gap or a law of friction has other values than in load step {number}: a Python "
+                "function reads something that has changed and was not recorded. Read values that "
+                "change from Constants that are variables of the function itself."
+            )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
         """Check that obstacles have not moved, and that derivatives with respect to them are known.
@@ -405,7 +429,8 @@ class ProcessTape:
             )
         known = contact.comm.allreduce(self._has_places, op=MPI.LAND)
         for control in controls:
-            if not known and self._surfaces.obstacles.depending_on(control).any():
+            moves = self._surfaces.obstacles.depending_on(control, self._surfaces.jump)
+            if not known and moves.any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "
@@ -464,7 +489,8 @@ def inputs_of_problem(
         fields = [pair.gap]
         if isinstance(pair.friction, DryFriction):
             terms = pair.friction.terms
-            fields += [terms.constant, terms.coefficient, terms.limit]
+            curve = getattr(terms.curve, "function", None)
+            fields += [terms.constant, terms.coefficient, terms.limit, curve]
         for field in fields:
             found += inputs_of(field)
     found += [bc.g for bc in bcs]

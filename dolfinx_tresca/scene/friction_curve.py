@@ -41,7 +41,8 @@ class FrictionCurve:
             slip is the length of the tangential displacement since the last accepted step or, in
             the first step, since the undeformed state; a law for the rate of slip divides the slip
             by the time step. The function is called with arrays of any length, and with any values
-            that occur during the iteration.
+            that occur during the iteration. Values of Constants that it reads may be changed before
+            each solve, and they may be controls of derivatives.
         derivatives: dF/dp [1 / stress] and dF/dv [1 / length], as a function with the same
             arguments that returns a pair; None: difference quotients of F.
 

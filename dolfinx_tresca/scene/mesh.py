@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
@@ -24,6 +24,10 @@ from dolfinx_tresca.errors import InputError, MeshError, shown
 from dolfinx_tresca.scene.geometry import GmshGeometry
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
+#: Number of tags of a list that the name of merged tags has in full. A name of twice as many tags
+#: is wider than a table.
+MOST_NAMES = 3
+
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
 
 
@@ -42,6 +46,25 @@ class NamedTags(MeshTags):  # type: ignore[misc]
         super().__init__(tags._cpp_object)
         self.names = dict(names)
         self.cell_tags = cell_tags
+
+
+class MergedTags(NamedTags):
+    """The facets with a tag of a list, all with the first tag of the list.
+
+    Attributes:
+        given: the tags of the facets before they were merged.
+        merged: the tags in the list.
+    """
+
+    def __init__(self, given: MeshTags, merged: Sequence[int]) -> None:
+        merged = tuple(dict.fromkeys(merged))
+        names = given.names if isinstance(given, NamedTags) else {}
+        words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
+        more = [f"{len(merged) - MOST_NAMES} more"] * (len(merged) > MOST_NAMES)
+        tags = compat.with_one_tag(given, np.isin(given.values, merged), merged[0])
+        cell_tags = getattr(given, "cell_tags", None)
+        super().__init__(tags, {merged[0]: ", ".join([*words, *more])}, cell_tags)
+        self.given, self.merged = given, merged
 
 
 @dataclass(frozen=True)

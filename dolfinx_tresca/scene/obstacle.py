@@ -60,8 +60,9 @@ class RigidObstacle:
             signed_distance: function from points x (3, n) to distances (n,) [length], positive
                 outside, and unit normals (3, n) that point away from the obstacle.
             name: the name of the obstacle in tables, pictures and messages.
-            constants: Constants whose present values the function uses; they are listed so that
-                they can be controls of derivatives.
+            constants: Constants whose present values the function uses. A change of the distance
+                without `move_to` is then taken to be a change of these parameters, and the log does
+                not warn of it. Controls of derivatives need not be listed.
 
         Raises:
             InputError: `signed_distance` is not callable, or `constants` has an entry that is not a
@@ -93,7 +94,7 @@ class RigidObstacle:
 
     @property
     def constants(self) -> tuple[fem.Constant, ...]:
-        """The Constants on which the signed distance depends."""
+        """The listed Constants on which the signed distance depends."""
         return self._constants
 
     @property

@@ -11,18 +11,21 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca._base.compat import with_one_tag
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
-from dolfinx_tresca.scene.mesh import NamedTags
+from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.scalar_field import ScalarField, check_scalar_field
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
 Sliding: TypeAlias = Literal["small", "finite"]
+
+SideName: TypeAlias = Literal["secondary", "primary"]
+
+SIDES: tuple[SideName, SideName] = ("secondary", "primary")
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class ContactPair:
             parts of one body. Of two bodies that meet, the body with finer facets is secondary; if
             their facets are alike, the body with the smaller least x, then y, then z is secondary.
             If a list is given, the pair keeps its first tag; in the pair's own `facet_tags` all
-            facets with a tag of the list have this first tag.
+            facets with a tag of the list have this first tag. `geometry` has the tags of the list.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
         pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
             averages the jump over the facets by dual basis functions and needs no matching meshes;
@@ -56,10 +59,11 @@ class ContactPair:
             surfaces are paired; None: no limit.
         geometry: the curved surfaces that the facets approximate: `TaggedMesh.geometry` of
             `read_gmsh`, or tag -> function from points (3, n) to the nearest points (3, n) on the
-            surface [length]. The gap of mortar pairs is measured between these surfaces, which
-            corrects coarse facets of closely fitting bodies. `update_geometry` keeps the heights of
-            the surfaces over the facets. None: smooth surfaces through the nodes, which follow from
-            the nodal normals. Ignored for node-to-node pairs and rigid obstacles.
+            surface [length]; flat surfaces need no function. The gap of mortar pairs is measured
+            between these surfaces, which corrects coarse facets of closely fitting bodies.
+            `update_geometry` keeps the heights of the surfaces over the facets. None: smooth
+            surfaces through the nodes, which follow from the nodal normals. Ignored for
+            node-to-node pairs and rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.
@@ -120,7 +124,7 @@ class ContactPair:
                 f"facet_tags must have values of type int32, found {self.facet_tags.values.dtype}."
             )
         self._merge_lists_of_tags()
-        for name in ("secondary", "primary"):
+        for name in SIDES:
             tag = getattr(self, name)
             if name == "primary" and isinstance(tag, RigidObstacle):
                 continue
@@ -186,16 +190,10 @@ class ContactPair:
                 "a list of tags is for surfaces that may touch each other and themselves: give the "
                 f"same list as primary, found {shown(self.primary)}. For two sides merge the tags."
             )
-        some = np.isin(self.facet_tags.values, self.secondary)
-        names = self.facet_tags.names if isinstance(self.facet_tags, NamedTags) else {}
-        some_names = [names.get(tag, f"tag {tag}") for tag in self.secondary[:3]]
-        more = [f"{len(tags) - 3} more"] * (len(tags) > 3)
-        name = ", ".join([*some_names, *more])
-        first = int(self.secondary[0])
-        merged = with_one_tag(self.facet_tags, some, first)
-        object.__setattr__(self, "facet_tags", NamedTags(merged, {first: name}, self.cell_tags))
-        for side in ("secondary", "primary"):
-            object.__setattr__(self, side, first)
+        numbers = [int(tag) for tag in self.secondary]
+        object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, numbers))
+        for side in SIDES:
+            object.__setattr__(self, side, numbers[0])
 
     @property
     def cell_tags(self) -> NamedTags | None:
@@ -212,6 +210,13 @@ class ContactPair:
         """The search distance [length], infinite by default."""
         return math.inf if self.search_distance is None else self.search_distance
 
+    def given_tags(self, which: SideName) -> tuple[Any, tuple[int, ...]]:
+        """Return the tags of facets as they were given, and those of a side, if it has tags."""
+        tag = getattr(self, which)
+        if isinstance(self.facet_tags, MergedTags) and tag == self.facet_tags.merged[0]:
+            return self.facet_tags.given, self.facet_tags.merged
+        return self.facet_tags, () if isinstance(tag, RigidObstacle) else (tag,)
+
     def __repr__(self) -> str:
         return f"<ContactPair: {self}, {self.friction}>"
 
@@ -222,7 +227,7 @@ class ContactPair:
             return f"{self.side('secondary')} on itself"
         return f"{self.side('secondary')} on {self.side('primary')}"
 
-    def side(self, which: Literal["secondary", "primary"]) -> str:
+    def side(self, which: SideName) -> str:
         """Return the name of a side: its name in the mesh file, its tag, or the obstacle's name."""
         tag = getattr(self, which)
         if isinstance(tag, RigidObstacle):
@@ -251,11 +256,13 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     named: set[str] = set()
     seen: set[frozenset[Any]] = set()
     for pair in result:
-        sides = frozenset((pair.secondary, pair.primary))
+        sides = frozenset(
+            tag for name in SIDES for tag in pair.given_tags(name)[1] or (pair.primary,)
+        )
         if sides in seen:
             raise InputError(
-                f"two pairs are between the surfaces {pair.secondary} and {pair.primary}: that "
-                "would constrain their nodes twice. Give one pair."
+                f"two pairs are between the surfaces {pair.side('secondary')} and "
+                f"{pair.side('primary')}: that would constrain their nodes twice. Give one pair."
             )
         seen.add(sides)
         if pair.name in named:

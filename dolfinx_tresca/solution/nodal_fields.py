@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sets.friction_curves import pressed_values
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
@@ -52,7 +54,10 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
     """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
     jump, x = step.dual.jump, step.multipliers
     discs = step.state.face.discs
-    shape, by_value = (discs.size, len(discs.radius)), _radii_by_terms(step)
+    cones = step.dual.admissible.at(x, step.gradient, step.dual.compliance.nodal_stiffness)
+    curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
+    is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
+    shape, by_value = (discs.size, len(discs.radius)), _radii_by_terms(step, is_limited)
     result: list[NodalField] = []
     first = 0
     for pair, on_nodes, bounds, (normal, tangential) in zip(
@@ -76,6 +81,8 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
         terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
         for name, words in TERMS.items():
             field, by_bound, words = getattr(terms, name), by_value[name][own], f"{words} of {pair}"
+            if name == "coefficient" and terms.curve is not None:
+                field = partial(pressed_values, *next(curves))
             if not isinstance(field, tuple) or bounds.ellipses is None:
                 result.append(NodalField(field, nodes, words, offsets([], [], []), radii(by_bound)))
                 continue
@@ -103,10 +110,14 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
     return result
 
 
-def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
+def _radii_by_terms(step: SolvedStep, is_limited: Mask | bool) -> dict[str, Array]:
     """Return derivatives of the discs' radii by each term of the slip bound c + min(F p, l).
 
     The derivatives by one term are an array (n_discs,). Collective.
+
+    Args:
+        step: the solution.
+        is_limited: (n_discs,) whether F p exceeds its limit l.
     """
     dual, x = step.dual, step.multipliers
 
@@ -117,8 +128,6 @@ def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
         return np.asarray(dual.jump.bounded(given).section(x).radius)
 
     by_constant, by_coefficient = radii(1.0, 0.0), radii(0.0, 1.0)
-    cones = dual.admissible.at(x, step.gradient, dual.compliance.nodal_stiffness)
-    is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
     return {
         "constant": by_constant,
         "coefficient": np.where(is_limited, 0.0, by_coefficient),

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from dolfinx import fem
-
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Indices
+from dolfinx_tresca.dual.nodal_values import replaced, values_of
 
 
 def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indices:
@@ -40,25 +38,3 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
         dofs = dofs[dofs < size]
         result[dofs] = np.where(np.isnan(marked[dofs]), numbered[dofs], -1.0).astype(np.intp)
     return result
-
-
-def values_of(control: fem.Constant | fem.Function) -> Array:
-    """Return the values of a control, as a flat array that shares their memory."""
-    found = control.value if hasattr(control, "value") else control.x.array
-    return np.asarray(found).reshape(-1)
-
-
-@contextmanager
-def replaced(
-    controls: Sequence[fem.Constant | fem.Function], values: Sequence[Array]
-) -> Iterator[None]:
-    """Replace the values of controls inside the block."""
-    present = [values_of(control) for control in controls]
-    before = [one.copy() for one in present]
-    for one, value in zip(present, values, strict=True):
-        one[:] = value
-    try:
-        yield
-    finally:
-        for one, value in zip(present, before, strict=True):
-            one[:] = value

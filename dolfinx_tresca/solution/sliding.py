@@ -37,7 +37,7 @@ class Sliding:
 
     def begin(self, u: fem.Function) -> None:
         """Note the displacement at which surfaces are paired again. Not collective."""
-        self.origin.x.array[:] = u.x.array
+        self.origin = u.copy()
         self._warned = True  # no warning: surfaces are paired again on purpose
 
     @property

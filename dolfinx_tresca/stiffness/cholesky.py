@@ -9,7 +9,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 
 PACKAGE = "pc_factor_mat_solver_type"
 ON_ONE_RANK = "cholmod"
@@ -137,7 +137,4 @@ def _positive_pivots(ksp: PETSc.KSP) -> None:
     factor = _mumps_factor(ksp)
     negative = 0 if factor is None else factor.getMumpsInfog(12)
     if factor is not None and negative > 0:
-        raise StiffnessError(
-            f"K is not positive definite: {negative} of {factor.getSize()[0]} pivots are negative. "
-            "Check Young's moduli, Poisson ratios (below 0.5) and the signs in the form a."
-        )
+        raise not_positive_definite(f"{negative} of {factor.getSize()[0]} pivots are negative")

@@ -46,6 +46,16 @@ _ADVICE = {
 _numbers = count()
 
 
+def not_positive_definite(evidence: str) -> StiffnessError:
+    """Return the error to raise if K is not positive definite, with a clause that shows it."""
+    error = StiffnessError(
+        f"K is not positive definite: {evidence}. Check Young's moduli, Poisson ratios (below 0.5) "
+        "and the signs in the form a."
+    )
+    error.evidence = evidence
+    return error
+
+
 class StiffnessSolver(PetscOwner):
     """Solves K u = f for many f.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -15,6 +16,9 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices,
 #: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
 #: that counts as rounding, in addition to the rounding of coordinates.
 SHAPE_ROUNDING = 1e-10
+
+#: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
+FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Facets:
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
+            surface/offsets.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see surface/self_contact.py; (n, 0) on other surfaces.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
@@ -135,6 +139,22 @@ class Facets:
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
+
+
+def joined(groups: Sequence[Facets]) -> Facets:
+    """Return the facets of several tags as one surface."""
+    exact = max(group.offsets.shape[1] for group in groups)
+    padded = [
+        group
+        if group.offsets.shape[1] == exact
+        else replace(group, offsets=np.full((len(group.points), exact, 3), np.nan))
+        for group in groups
+    ]
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(group, name) for group in padded]) for name in FACET_ARRAYS
+    }
+    bent, plane = any(group.bent for group in groups), all(group.plane for group in groups)
+    return replace(groups[0], bent=bent, plane=plane, **arrays)
 
 
 def rounding_of(points: Array) -> Array:

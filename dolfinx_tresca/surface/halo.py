@@ -14,13 +14,10 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.surface.box import Box
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.facets import FACET_ARRAYS, Facets
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
-
-#: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
-FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
 class Halo:

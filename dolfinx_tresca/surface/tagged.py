@@ -69,17 +69,17 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
         )
 
     result = _facets_with_nodes(V, prescribed, facets)
-    return checked(comm, result, tag, side)
+    return checked(comm, result, f"tag {tag}", side)
 
 
-def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
+def displaced(V: Any, facets: Facets, u: Array, surface: str, side: str) -> Facets:
     """Return facets that this rank owns, displaced. Collective.
 
     Args:
         V: the space of the displacement.
         facets: the undeformed facets.
         u: (nodes, dim of space) displacement of this rank's nodes [length].
-        tag: the tag of the surface, for error messages.
+        surface: the name or the tags of the surface, for error messages.
         side: "secondary" or "primary", for error messages.
 
     Raises:
@@ -88,10 +88,10 @@ def displaced(V: Any, facets: Facets, u: Array, tag: int, side: str) -> Facets:
     node = V.dofmap.index_map.global_to_local(facets.nodes.ravel()).reshape(facets.nodes.shape)
     points = facets.points.copy()
     points[:, :, : u.shape[1]] += u[node]
-    return checked(V.mesh.comm, facets.moved_to(points), tag, side)
+    return checked(V.mesh.comm, facets.moved_to(points), surface, side)
 
 
-def checked(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> Facets:
+def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
     """Check the areas of facets; return the facets with `bent` and `plane` set for all ranks.
 
     Before the call these two may describe the facets of this rank only. Collective.
@@ -103,7 +103,7 @@ def checked(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> Facets:
     of_rank = [float(size.max(initial=0.0)), float(facets.bent), float(not facets.plane)]
     largest, bent, uneven = reduce_array(comm, of_rank, MPI.MAX)
     # in 2D the area of a facet is its size, so it is compared with the largest facet
-    _check_areas(comm, facets, size**2 if facets.dim == 2 else largest, tag, side)
+    _check_areas(comm, facets, size**2 if facets.dim == 2 else largest, surface, side)
     return replace(facets, bent=bool(bent), plane=not uneven)
 
 
@@ -152,7 +152,9 @@ def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
     return np.asarray(vector.array.reshape(-1, dim) > 0.5)
 
 
-def _check_areas(comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int, side: str) -> None:
+def _check_areas(
+    comm: MPI.Comm, facets: Facets, whole: Array | float, surface: str, side: str
+) -> None:
     """Check that no facet is degenerate: its area must not be rounding, compared with `whole`.
 
     `whole` is one value for all facets, or an array (n,). Collective.
@@ -167,6 +169,6 @@ def _check_areas(comm: MPI.Comm, facets: Facets, whole: Array | float, tag: int,
     if number > 0:
         where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
         raise PairingError(
-            f"{number} of the {total} facets with tag {tag} ({side} side) have no area; "
+            f"{number} of the {total} facets of {surface} ({side} side) have no area; "
             f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 
 import numpy as np
@@ -104,6 +106,54 @@ def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
     assert (
         error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
     )
+
+
+@pytest.mark.parallel(names=[("plate", "pin")], of_gmsh=[True])
+@pytest.mark.parametrize("names", [("plate", "pin"), ("pin", "plate")])
+@pytest.mark.parametrize("of_gmsh", [True, False])
+def test_each_tag_of_a_list_has_its_own_geometry(comm, names, of_gmsh):
+    """The interference of one declaration for both bodies is that of the two cylinders."""
+    fit = press_fit(comm, snap=None if of_gmsh else SURFACES)
+    geometry = {fit.tags[name]: function for name, function in SURFACES.items()}
+    tags = [fit.tags[f"{name}_contact"] for name in names]
+    pair = ContactPair(
+        fit.facet_tags, tags, tags, Frictionless(), geometry=fit.geometry if of_gmsh else geometry
+    )
+    pair = dataclasses.replace(pair, name="a copy of the pair")
+    assert error_of_gaps(paired(fit, pair)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("curved", ["pin", "plate"])
+def test_tags_of_a_list_without_geometry(comm, curved):
+    """Facets whose tag has no geometry have the smooth surface through their nodes."""
+    fit = press_fit(comm)
+    pin, plate = fit.tags["pin_contact"], fit.tags["plate_contact"]
+    name = f"{curved}_contact"
+    geometry = {fit.tags[name]: SURFACES[name]}
+    listed, *given = (
+        paired(fit, ContactPair(fit.facet_tags, *sides, Frictionless(), geometry=geometry))
+        for sides in (([pin, plate], [pin, plate]), (pin, plate), (plate, pin))
+    )
+    same = [
+        one for one in given if comm.allreduce(np.array_equal(one.nodes, listed.nodes), MPI.LAND)
+    ]
+    assert len(same) == 1
+    assert np.abs(same[0].gap - listed.gap).max(initial=0.0) <= 1e-12 * RADIUS
+
+
+@pytest.mark.parallel
+def test_errors_name_the_tags_of_a_list(comm):
+    """Errors blame the tag whose facets or surface are wrong, not the first tag of the list."""
+    fit = press_fit(comm)
+    plate, pin = fit.tags["plate_contact"], fit.tags["pin_contact"]
+    for tags, geometry, message in (
+        ([plate, pin], {pin: on_cylinder(1e3 * RADIUS)}, f"facets with tag {pin} are not on"),
+        ([pin, plate], {pin: on_cylinder(1e3 * RADIUS)}, f"facets with tag {pin} are not on"),
+        ([plate, 99], None, "no facet has the tag 99"),
+    ):
+        with pytest.raises(InputError, match=message):
+            paired(fit, ContactPair(fit.facet_tags, tags, tags, Frictionless(), geometry=geometry))
 
 
 def test_facets_that_are_curved_themselves(comm, tmp_path):

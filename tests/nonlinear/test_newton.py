@@ -19,12 +19,14 @@ from dolfinx_tresca import (
     NewtonOptions,
     NonlinearContactProblem,
     RigidPlane,
+    RigidSphere,
     SolverOptions,
     Tresca,
 )
 from dolfinx_tresca.nonlinear import newton
 from dolfinx_tresca.nonlinear.linearised import TangentProblem
-from scenes.blocks import ABOVE, block
+from scenes.blocks import ABOVE, RIGHT, block
+from scenes.elasticity import fixed
 from scenes.rubber_block import neo_hookean, rubber_block, uniaxial_stress
 
 #: Accuracy of Newton's method, and of contact.
@@ -42,16 +44,18 @@ def compressed(push, strain, height=1.0):
 
 @pytest.mark.parallel(n=[(2, 3)], strain=[0.4])
 @pytest.mark.parametrize(("n", "strain"), [((2, 3), 0.2), ((2, 3), 0.4), ((2, 2, 2), 0.4)])
-def test_uniaxial_compression(comm, n, strain):
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_uniaxial_compression(comm, n, strain, sliding):
     """The closed form, also where the tangent is indefinite without contact."""
-    scene = rubber_block(comm, n)
+    scene = rubber_block(comm, n).but(sliding=sliding)
     with scene.problem(options=CONTACT, newton=TIGHT) as problem:
         compressed(scene.push, strain)
         solution = problem.solve()
     solution.raise_if_failed()
     wanted = -uniaxial_stress(1.0 - strain, len(n))
     assert solution.normal_force == pytest.approx(wanted, rel=1e-9)
-    assert solution.peak_pressure == pytest.approx(wanted, rel=1e-7)
+    if sliding == "small":  # else pressures refer to the area of the wider face
+        assert solution.peak_pressure == pytest.approx(wanted, rel=1e-7)
     assert np.array_equal(solution.u.x.array, scene.u.x.array)
 
 
@@ -285,6 +289,21 @@ def test_contact_is_as_accurate_as_newton(comm, asked):
     assert rough.tangential_force == pytest.approx(exact.tangential_force, rel=1e-4)
 
 
+@pytest.mark.parametrize("friction", [Tresca(1e-3), Coulomb(0.3)])
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+@pytest.mark.parametrize("asked", [{"rtol": 1e-3}, {"accuracy": 1e-3}])
+def test_what_newton_asks_of_contact_decides_no_status(comm, friction, sliding, asked):
+    """Newton's method asks for more than rounding leaves; the user asks for less than it leaves."""
+    scene = rubber_block(comm, (4, 3), clamped=True, friction=friction).but(sliding=sliding)
+    scene.push.value[:] = 0.01, -0.1
+    newton = NewtonOptions(accuracy=1e-20)
+    with scene.problem(options=SolverOptions(**asked), newton=newton) as problem:
+        solution = problem.solve()
+        assert solution.status is ContactStatus.CONVERGED
+        assert solution.options == problem.options
+        problem.accept()
+
+
 def test_observer_stops(comm):
     scene = rubber_block(comm, (2, 2))
     compressed(scene.push, 0.1)
@@ -323,6 +342,24 @@ def test_back_to_zero(comm):
             solution.raise_if_failed()
     assert len(solution.newton.steps) < 10
     assert np.abs(scene.u.x.array).max(initial=0.0) <= 1e-6
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_a_body_that_nothing_touches_any_more(comm, sliding):
+    """A ball bends a strip of rubber, and leaves it: forces and displacements are rounding."""
+    ball = RigidSphere((1.0, -0.6), 0.5)
+    scene = rubber_block(comm, (8, 2), size=(4.0, 0.5), degree=2, obstacle=ball)
+    bcs = [fixed(scene.scene.V, scene.scene.facet_tags.find(RIGHT))]
+    with scene.but(sliding=sliding).problem(bcs=bcs) as problem:
+        for height in (0.2, 0.0, -0.1, -0.2, -0.3):
+            ball.move_to((0.0, height))
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            assert len(solution.newton.steps) <= 6
+            assert (solution.counts.contact > 0) == (height == 0.2)
+    assert np.abs(scene.u.x.array).max(initial=0.0) <= 1e-12
 
 
 def falling_block(comm, n, degree, sliding="small"):

@@ -240,7 +240,7 @@ def test_any_start_gives_the_same_answer(comm) -> None:
 
 @pytest.mark.parallel
 def test_starts_that_lead_nowhere(comm) -> None:
-    """NaN on one rank is found on all; cells turned inside out have no tangent."""
+    """NaN is found on all ranks; cells inside out have no tangent, flat ones are unstable."""
     scene = rubbed(comm)
     scene.push.value[:] = PATH[0]
     with problem_of(scene) as problem:
@@ -251,6 +251,10 @@ def test_starts_that_lead_nowhere(comm) -> None:
         scene.u.interpolate(lambda x: np.stack([0.0 * x[0], -2.0 * x[1]]))
         with pytest.raises(StiffnessError, match=r"step 1 with 1 of the load.* begin at another"):
             problem.solve()
+        scene.u.interpolate(lambda x: np.stack([0.0 * x[0], -0.95 * x[1]]))
+        with pytest.raises(StiffnessError, match=r"are unstable, .*begin at") as unstable:
+            problem.solve()
+        assert "Young" not in str(unstable.value)
         scene.u.x.array[:] = 0.0
         assert problem.solve().status is ContactStatus.CONVERGED
 

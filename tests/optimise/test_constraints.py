@@ -16,7 +16,8 @@ from dolfinx_tresca import ContactStatus, InputError, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.newton.iterate import Iterate
 from dolfinx_tresca.optimise.newton.projected_newton import ProjectedNewton
-from dolfinx_tresca.optimise.record.energy import best_part
+from dolfinx_tresca.optimise.record.energy import best_part, energy_norm
+from dolfinx_tresca.optimise.sets.constraint_matrix import stored
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
@@ -232,6 +233,16 @@ def energy_of(problem: DenseProblem, x: np.ndarray) -> float:
     constraints = problem.constraints
     missing = constraints.values - constraints.matrix.along(np.eye(len(x))) @ x
     return problem.q(x) + 0.5 * float(missing @ np.linalg.solve(constraints.softness, missing))
+
+
+def test_rounding_of_soft_equations_is_no_energy():
+    """A softness that is negative by rounding adds nothing to the energy norm."""
+    problem = random_balanced_problem(4, 8, 2, 2.0, 0.0)
+    x, c = np.zeros(len(problem.b)), np.ones(len(problem.constraints))
+    rigid = energy_norm(problem, x, -problem.b, c)
+    negative = stored(csr_array(-EPS * np.eye(len(c))))
+    problem.constraints = dataclasses.replace(problem.constraints, softness=negative)
+    assert energy_norm(problem, x, -problem.b, c) == rigid
 
 
 def test_slope_and_curvature_of_soft_equations_are_those_of_the_energy():

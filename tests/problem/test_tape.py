@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 from mpi4py import MPI
@@ -121,6 +122,7 @@ class Process:
         ("triangle", "tresca", (8, 2)),
         ("quadrilateral", "coulomb", (8, 2)),
         ("tetrahedron", "ellipse", (3, 2)),
+        ("triangle", "curve", (8, 2)),
     ],
 )
 def test_central_differences(comm, kind, law, upper):
@@ -181,6 +183,31 @@ def test_checkpoints(comm, folder, every, in_files):
     # the process goes on where it was
     process.problem.solve(rtol=RTOL).raise_if_failed()
     process.problem.accept()
+
+
+@pytest.mark.parametrize("every", [None, 1])
+def test_functions_whose_constants_change(comm, every):
+    """A Constant that changes from step to step is a coefficient, is read by a curve, is hidden."""
+    model = Rubbing(comm, "triangle", upper=(8, 2))
+    c = fem.Constant(model.end.function_space.mesh, 0.3)
+    hidden = [c]
+    a, L, [pair], bcs = model.arguments
+    derivatives = []
+    for law in (c, lambda p, v: float(c.value) + 0.0 * p, lambda p, v: hidden[0].value + 0.0 * p):
+        pair = dataclasses.replace(pair, friction=Coulomb(law))
+        with ContactProblem(a, L, [pair], bcs, stiffness="cholesky") as problem:
+            with problem.record(checkpoint_every=every) as tape:
+                for c.value in (0.3, 0.2):
+                    problem.solve(rtol=RTOL)
+                    problem.accept()
+            if len(derivatives) < 2:
+                derivatives.append(tape.gradient_by_step({1: model.goals[1]}, [c]))
+            else:
+                with pytest.raises(InputError, match=r"law of friction .* than in load step 0"):
+                    tape.gradient_by_step({1: model.goals[1]}, [c])
+    by_number, by_curve = np.array(derivatives).reshape(2, 2)
+    assert np.abs(by_number).max() > 0.0
+    assert np.abs(by_curve - by_number).max() <= ACCURACY * np.abs(by_number).max()
 
 
 def test_what_cannot_be_recorded(comm):

@@ -242,6 +242,67 @@ def test_what_nothing_depends_on(comm, caplog):
         assert "nothing depends on the control other" in logged(caplog)
 
 
+class Weakening:
+    """A coefficient of friction that reads a Constant which no variable of a function has."""
+
+    def __init__(self, coefficient):
+        self.data = {"coefficient": coefficient}
+
+    def __call__(self, p, v):
+        """Return the coefficient."""
+        return float(self.data["coefficient"].value) / (1.0 + p) + 0.0 * v
+
+
+@pytest.mark.parallel(law=["hidden"])
+@pytest.mark.parametrize("law", ["closure", "hidden", "points"])
+@pytest.mark.parametrize("offset", [0.0, 5e-17])
+def test_python_functions_that_read_constants(comm, law, offset):
+    """Functions of points, of pressure and slip, and gaps, also with values that are rounding."""
+    model = Rubbing(comm, "triangle")
+    mesh = model.end.function_space.mesh
+    c, d = fem.Constant(mesh, 0.3), fem.Constant(mesh, (offset, 1e-4))
+    laws = {
+        "closure": lambda p, v: float(c.value) / (1.0 + p) + 0.0 * v,
+        "hidden": Weakening(c),
+        "points": lambda x: float(c.value) ** 2 * (2.0 + x[0]),
+    }
+    a, L, [pair], bcs = model.arguments
+    pair = dataclasses.replace(
+        pair, friction=Coulomb(laws[law]), gap=lambda x: d.value[0] + d.value[1] * x[0]
+    )
+    with ContactProblem(a, L, [pair], bcs, stiffness="cholesky") as problem:
+        check(lambda: solved(problem), problem, lambda u: model.goals, [c, d])
+        c.value = 0.31
+        with pytest.raises(ContactError, match="have changed since the solution"):
+            problem.gradient(NormalForce(), [c])
+
+
+def test_python_functions_that_read_functions(comm):
+    """Derivatives with respect to Functions that a law or an obstacle reads are refused."""
+    scene = block(comm, (3, 3), held=[ABOVE])
+    height = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1)), name="height")
+    height.x.array[:] = 0.3
+    read = height.x.array
+
+    def ground(x):
+        return x[1] - 0.01 * read.max(), np.tile([[0.0], [1.0], [0.0]], x.shape[1])
+
+    plane = RigidPlane((0.0, 0.003), (0.0, 1.0))
+    for primary, friction, name in (
+        (RigidObstacle(ground), Coulomb(0.3), "an obstacle"),
+        (plane, Coulomb(lambda p, v: read.max() / (1.0 + p)), "the coefficient of friction"),
+    ):
+        pair = dataclasses.replace(scene.pairs[0], primary=primary, friction=friction)
+        with ContactProblem(scene.a, scene.L, [pair], scene.bcs) as problem:
+            problem.solve()
+            for differentiate in (
+                lambda: problem.gradient(NormalForce(), [height]),
+                lambda: problem.tangent([height], [height]),
+            ):
+                with pytest.raises(InputError, match=f"{name}.* is a Python function that reads"):
+                    differentiate()
+
+
 def test_wrong_arguments(comm):
     """Each error says what may be given, or what to do."""
     model = Rubbing(comm, "triangle")

@@ -163,7 +163,9 @@ MANY = [
 
 
 @pytest.mark.parallel(case=[("triangle", 2, "coulomb", "mortar")])
-@pytest.mark.parametrize("case", [("triangle", 2, "coulomb", "mortar")])
+@pytest.mark.parametrize(
+    "case", [("triangle", 2, "coulomb", "mortar"), ("quadrilateral", 1, "curve", "mortar")]
+)
 def test_two_bodies(comm, case):
     """Modulus, Poisson's ratio, load, prescribed values, gap and friction of two blocks."""
     kind, degree, law, pairing = case
@@ -243,7 +245,7 @@ def obstacle(mesh: Any, shape: str, dim: int) -> tuple[RigidObstacle, list[fem.C
         length = np.linalg.norm(away, axis=0)
         return length - 2.0, away / length
 
-    return RigidObstacle(bowl, "a ball of one's own", constants=[c]), [c]
+    return RigidObstacle(bowl, "a ball of one's own"), [c]
 
 
 OBSTACLES = [
@@ -257,7 +259,10 @@ OBSTACLES = [
 
 
 @pytest.mark.parallel(case=[("sphere", 3, 1, "coulomb")])
-@pytest.mark.parametrize("case", [("sphere", 3, 1, "coulomb"), ("plane", 2, 2, "tresca")])
+@pytest.mark.parametrize(
+    "case",
+    [("sphere", 3, 1, "coulomb"), ("plane", 2, 2, "tresca"), ("own", 2, 1, "coulomb")],
+)
 def test_obstacles(comm, case, after_slip=False):
     """The place, direction and radius of obstacles that a block is pressed and dragged on."""
     shape, dim, degree, law = case

@@ -106,7 +106,8 @@ def test_error_names_a_node_whose_normals_cancel():
     nodes = nodes_of(needle)
     assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
     assert np.isfinite(nodes.normals).all()
-    side = Side(1, "secondary", None, SimpleNamespace(facets=needle))
+    pair = SimpleNamespace(side=lambda name: "tag 1")
+    side = Side(pair, "secondary", SimpleNamespace(facets=needle))
     space = SimpleNamespace(
         mesh=SimpleNamespace(comm=MPI.COMM_SELF),
         dofmap=SimpleNamespace(index_map=SimpleNamespace(local_range=(1, count + 2))),

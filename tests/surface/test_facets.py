@@ -157,7 +157,7 @@ def test_facet_without_area_is_an_error(comm, kind):
     x = scene.mesh.geometry.x
     line = np.isclose(x[:, dim_of(kind) - 1], 1.0) & np.isclose(x[:, 0], 1 / 3)
     x[line, 0] = 0.0
-    with pytest.raises(PairingError, match=r"facets with tag 1 \(secondary side\) have no area"):
+    with pytest.raises(PairingError, match=r"facets of tag 1 \(secondary side\) have no area"):
         owned(scene, UPPER)
     with pytest.raises(PairingError, match=r"have no area.*Repair the mesh"):
         scene.problem()

@@ -515,6 +515,8 @@ def test_a_change_that_is_small_by_chance(residual, small):
         gaps_at_nodes=lambda u: np.zeros((1, 1)),
         linear=SimpleNamespace(prescribed_displacements=np.zeros(1, dtype=np.bool_)),
         sliding=SimpleNamespace(origin=function([0.0])),
+        obstacles=SimpleNamespace(extent=1.0),
+        rounding_forces=lambda: np.zeros(1),
         steps=SimpleNamespace(accepted_values=0.0),
     )
     sliding = finite_sliding.FiniteSliding(surfaces)

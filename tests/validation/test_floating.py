@@ -30,6 +30,7 @@ from dolfinx_tresca import (
 from dolfinx_tresca.surface.numbering import label_bodies
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.blocks import YOUNG as YOUNG_OF_BLOCK
+from scenes.boxes import Body, boxes
 from scenes.nodal import nodal
 from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, UPPER_BLOCK, dim_of, patch
 from scenes.scene import EPS, Scene
@@ -416,11 +417,55 @@ def test_a_body_that_touches_nothing(comm):
 
 
 @pytest.mark.parallel
-def test_bodies_that_hold_each_other_only(comm):
+@pytest.mark.parametrize("friction", [Coulomb(0.5), Tresca(0.1), Bonded()])
+def test_bodies_that_hold_each_other_only(comm, friction):
+    """Two bricks that nothing holds together move in all ways; on rollers, along the floor."""
     scene = pressed(comm)
+    pairs = [dataclasses.replace(scene.pair, friction=friction)]
+    together = r"nothing holds body 1 of 2 \(lower\), .*, together with body 2 \(upper\):"
+    free = dataclasses.replace(scene, bcs=[])
+    refused(free, f"{together} translation along x.*, rotation about z, and no", pairs=pairs)
+    floor = fem.locate_dofs_geometrical(
+        (scene.V.sub(2), scene.V.sub(2).collapse()[0]), lambda x: x[2] < EPS
+    )[0]
+    rollers = fem.dirichletbc(0.0, floor, scene.V.sub(2))
+    motion = "translation along x, translation along y, rotation about z, and no contact"
     refused(
-        dataclasses.replace(scene, bcs=[]), "nothing holds body . of 2.*no contact resists that"
+        dataclasses.replace(scene, bcs=[rollers]), f"{together} {motion} resists that", pairs=pairs
     )
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("dim", [2, 3])
+def test_groups_of_bodies_that_nothing_holds(comm, dim):
+    """Two bonded bodies slide as one on two others, which stand as one on a floor; a fifth is free.
+
+    The gap below the fifth body counts as contact, which resists only where a plane has friction.
+    """
+    lowest = [(0.0, 0.0), (0.0, 1.0), (0.0, 2.0), (0.0, 3.0), (3.0, 0.5)]
+    kind = {2: "quadrilateral", 3: "hexahedron"}[dim]
+    bodies = [Body((2, 2), [(x, x + 1.0), (0.0, 1.0), (z, z + 1.0)][:: 4 - dim]) for x, z in lowest]
+    five = boxes(comm, kind, bodies)
+    marks = [
+        (1 + 2 * k + side, [k], lambda x, end=z + side: abs(x[:, -1] - end) < EPS)
+        for k, (_, z) in enumerate(lowest)
+        for side in (0, 1)
+    ]
+    tags = five.tags(*marks)
+    u, v = ufl.TrialFunction(five.V), ufl.TestFunction(five.V)
+    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    plane = RigidPlane((0.0, 0.0, 0.0), np.append(np.eye(dim)[-1], np.zeros(3 - dim)))
+    laws = [Bonded(), Frictionless(), Bonded()]
+    pairs = [ContactPair(tags, 3 + 2 * k, 2 + 2 * k, law) for k, law in enumerate(laws)]
+    pairs.append(ContactPair(tags, 1, plane, Coulomb(0.5)))
+    pairs.append(ContactPair(tags, 9, plane, Frictionless()))
+    slides = {2: "translation along x", 3: "translation along x, .* y, rotation about z"}[dim]
+    message = (
+        f"nothing holds body 3 of 5, between .*, together with body 4: {slides}; "
+        f"nor body 5 of 5, between [^:]*: {slides}, and no contact resists that"
+    )
+    with ContactProblem(a, None, pairs) as problem, pytest.raises(InputError, match=message):
+        problem.solve()
 
 
 @pytest.mark.parallel

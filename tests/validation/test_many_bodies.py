@@ -159,8 +159,8 @@ def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
 @pytest.mark.parametrize(
     ("bricks", "courses", "friction", "named"),
     [
-        (2, 5, 0.8, r"rotation, together with \d other bodies"),
-        pytest.param(2, 8, 0.6, r"y, together with \d\d other bodies", marks=pytest.mark.long),
+        (2, 5, 0.8, r"together with bodies \d.*: .*rotation"),
+        pytest.param(2, 8, 0.6, r"together with bodies \d.* more: .*y", marks=pytest.mark.long),
     ],
 )
 def test_a_wall_that_is_tilted_falls_between_the_bounds_of_limit_analysis(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from itertools import pairwise
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -23,8 +26,9 @@ from dolfinx_tresca import (
     SolverOptions,
     Tresca,
 )
+from dolfinx_tresca.nonlinear import newton as newtons_method
 from scenes.elasticity import elasticity, fixed, no_load
-from scenes.rubber_block import neo_hookean
+from scenes.rubber_block import neo_hookean, rubber_block
 
 #: Accuracy of the configuration with finite sliding, and of the contact problems.
 GEOMETRY, RTOL = 1e-6, 1e-9
@@ -346,3 +350,29 @@ def test_newton_moves_an_obstacle_in_parts(comm):
         forces.append(solution.pair_resultants[0].force)
     assert parts[0] == 1 < parts[1]
     assert np.allclose(*forces, rtol=0.0, atol=ROUGH * np.linalg.norm(forces[0]))
+
+
+@pytest.mark.parallel
+def test_other_nodes_face_an_obstacle_on_its_way(comm, monkeypatch):
+    """A part that fails leaves neither tractions nor the obstacle where it had moved it."""
+    monkeypatch.setattr(newtons_method, "MAX_ITERATIONS_FACTOR", 1)
+    forces, failed = [], []
+    for limit in (30, 6):
+        pin = RigidSphere((1.0, -0.3), 0.3)
+        scene = rubber_block(comm, (24, 3), size=(6.0, 0.5), clamped=True, obstacle=pin)
+        options = SolverOptions(rtol=1e-7)
+        with scene.but(sliding="finite").problem(options=options) as problem:
+            pin.move_to((0.0, 0.02))
+            problem.solve().raise_if_failed()
+            problem.accept()
+            facing = (problem.solve().state.x.array >= 0).sum()
+            pin.move_to((0.4, 0.15))
+            solution = problem.solve(newton=NewtonOptions(1e-8, limit, 8))
+            solution.raise_if_failed()
+        fractions = [step.fraction for step in solution.newton.steps]
+        failed.append(any(after < before for before, after in pairwise(fractions)))
+        forces.append(solution.pair_resultants[0].force)
+        changed = (solution.state.x.array >= 0).sum() != facing
+        assert comm.allreduce(bool(changed), op=MPI.LOR)
+    assert failed == [False, True]
+    assert np.allclose(*forces, rtol=0.0, atol=1e-4 * np.linalg.norm(forces[0]))

@@ -61,8 +61,6 @@ class LoadSteps:
             sliding: the displacement of the last accepted step, of the slip origin (`begin_at`), or
             of the state that was read or returned to, whichever came last. None: the bodies were
             undeformed, or the state does not keep the displacement (`StepStart`).
-        accepted_w: like `accepted_u`, but with all unknowns of a mixed space; None unless `accept`
-            has set it.
         motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) in the present
             solve.
         accepted_motions: `motions` at the last accepted step, from which the slip counts.
@@ -81,7 +79,6 @@ class LoadSteps:
         self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None
         self.accepted_u: fem.Function | None = None
-        self.accepted_w: fem.Function | None = None
         self.motions = self.accepted_motions = motions
         self.begin(SlipHistory.none(jump))
         self.forget()
@@ -187,8 +184,7 @@ class LoadSteps:
         """
         history, w = self.acceptable(unconverged)
         self.begin_with(history)
-        self.accepted_w = w.copy()
-        self.accepted_u = self.jump.system.displacement(self.accepted_w, w.name)
+        self.accepted_u = self.jump.system.displacement(w.copy(), w.name)
         self._set_start(self.multipliers)
 
     def acceptable(self, unconverged: bool) -> tuple[SlipHistory, fem.Function]:
@@ -308,7 +304,8 @@ class LoadSteps:
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
         """Continue from the file that `save` wrote, and return the number of its step. Collective.
 
-        Obstacles keep their present positions.
+        Obstacles keep their present positions. After an error, a part of the state may have
+        changed: the caller returns to the former state.
 
         Args:
             path: path of the file, the same on all ranks.
@@ -319,25 +316,22 @@ class LoadSteps:
             InputError: the file cannot be read, belongs to another mesh, other pairs or other
                 kinds of laws, or lacks a displacement that is needed.
         """
-        if self.u is not None and u is None:
-            raise InputError(
-                f"the state in '{path}' has no displacement, since a ContactProblem wrote it; a "
-                "NonlinearContactProblem needs one."
-            )
         component = self.jump.system.component
-        others: list[fem.Function] = []
-        if self.u is not None and component is not None:
-            others = component.other_parts(self.u)
-            for other, values in zip(
-                others, read_functions(path, others, self.jump.comm, UNKNOWN), strict=True
-            ):
-                other.x.array[:] = values
-        state = SavedState.read(path, self.jump)
-        if self.u is not None and u is not None:
+        if self.u is not None:
+            if u is None:
+                raise InputError(
+                    f"the state in '{path}' has no displacement, since a ContactProblem wrote it; "
+                    "a NonlinearContactProblem needs one."
+                )
+            others = [] if component is None else component.other_parts(self.u)
+            read = read_functions(path, others, self.jump.comm, UNKNOWN)
+            for unknown, values in zip(others, read, strict=True):
+                unknown.x.array[:] = values
             if component is None:
                 self.u.x.array[:] = u.x.array
             else:
                 component.compose(self.u, u, others)
+        state = SavedState.read(path, self.jump)
         self.begin_with(state.history)
         self.accepted_u = accepted_u
         self.start_at(state.multipliers)

@@ -96,22 +96,11 @@ class SlipHistory:
             of_pairs: for each pair whether its slip counts from u.
         """
         at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
-        origin, rows = self.origin.copy(), jump.unbounded.tangential
-        replaced = np.zeros(len(origin), dtype=np.bool_)
-        for has_new_origin, (_, tangential) in zip(of_pairs, jump.slices, strict=True):
-            replaced[tangential] = has_new_origin
-        rows = rows[replaced[rows]]
-        origin[rows] = at_start[rows]
+        origin = self.origin.copy()
+        for pair, has_new_origin, (_, t) in zip(jump.pairs, of_pairs, jump.slices, strict=True):
+            if has_new_origin and not pair.bonded:
+                origin[t] = at_start[t]
         return replace(self, origin=origin)
-
-    def with_moved_obstacles(self, displacement: Array) -> SlipHistory:
-        """Return the history for obstacles that move in the step. Not collective.
-
-        Args:
-            displacement: (size,) tangential displacement of the obstacles under the nodes since the
-                last accepted step, divided by `JumpOperator.length_scale`; zero in normal rows.
-        """
-        return replace(self, origin=self.origin + displacement)
 
     def after(
         self, jump: JumpOperator, slip: Array, steps: Sequence[Array], dissipation: float

@@ -55,7 +55,8 @@ class ContactCompliance(PetscOwner):
     Attributes:
         jump: B.
         operator: A.
-        floating: the floating and softly held bodies; None if there are none.
+        springs: the springs that are in the solver's K, but not in the system's K; None if no body
+            floats or is held softly.
     """
 
     def __init__(
@@ -75,18 +76,11 @@ class ContactCompliance(PetscOwner):
                 same pairs; its products give the first model of A. None: there is none.
 
         Raises:
-            StiffnessError: a solve failed, or rows of B are linearly dependent on the rows of
-                incompressibility in K; the solver is destroyed.
+            StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
+                the solver is destroyed.
         """
-        self.jump = jump
+        self.jump, self.springs = jump, springs
         with destroyed_on_error(solver):
-            self.floating = (
-                None
-                if springs is None
-                else FloatingBodies(
-                    springs, springs.response(jump.system.K, solver), jump.of_columns
-                )
-            )
             if jump.system.component is not None:
                 _ = self.certificate  # now, since it raises errors of the scene
             self.operator = DualOperator(jump, solver)
@@ -119,10 +113,8 @@ class ContactCompliance(PetscOwner):
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.
 
         The solver is the same, and the model of A begins with the far field of this compliance.
-        PETSc objects of this compliance are destroyed, except the solver.
-
-        Raises:
-            StiffnessError: a solve failed; the solver is destroyed.
+        PETSc objects of this compliance are destroyed, except the solver. K need not be factored:
+        surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
         result = ContactCompliance(jump, self.operator.solver, self.springs, self)
@@ -152,10 +144,17 @@ class ContactCompliance(PetscOwner):
         base = None if near is None else near.updated_model()
         return store.successor(diagonal, base, None if jump is other else carry)
 
-    @property
-    def springs(self) -> FixingSprings | None:
-        """The springs that are in the solver's K, but not in the system's K."""
-        return None if self.floating is None else self.floating.springs
+    @cached_property
+    def floating(self) -> FloatingBodies | None:
+        """The floating and softly held bodies; None if there are none. Collective.
+
+        Raises:
+            StiffnessError: a solve failed.
+        """
+        if self.springs is None:
+            return None
+        response = self.springs.response(self.jump.system.K, self.operator.solver)
+        return FloatingBodies(response, self.jump.of_columns)
 
     @cached_property
     def certificate(self) -> EnergyBound:

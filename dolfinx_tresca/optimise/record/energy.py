@@ -54,7 +54,7 @@ def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float
         error: error of r in the norm sqrt(e'A^-1 e).
     """
     soft = float(c @ problem.constraints.softness @ c)
-    return float(np.hypot(problem.response.energy_norm(x, r, error), np.sqrt(soft)))
+    return float(np.hypot(problem.response.energy_norm(x, r, error), np.sqrt(max(soft, 0.0))))
 
 
 def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.sets.feasible_set import Face, FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_curves import Curve, NodalCurves
+from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes, NodalCurves
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class FrictionCones:
         pressure = self._pressures(x)
         return np.asarray(self._coefficients(pressure) * pressure > self.limit)
 
-    def curve_arguments(self, x: Array) -> list[tuple[Curve, Array, Array]]:
+    def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
         if self.curves is None or self.slip is None:
             return []

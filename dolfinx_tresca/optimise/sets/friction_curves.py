@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,25 @@ class Curve(Protocol):
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
         """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""
         ...
+
+
+#: A curve with the pressures (n,) [stress] and slips (n,) [length] of its nodes.
+CurveAtNodes: TypeAlias = tuple[Curve, Array, Array]
+
+
+def pressed_values(
+    curve: Curve, pressure: Array, slip: Array, points: Array | None = None
+) -> Array:
+    """Return F (n,) at nodes under pressure and 0 at open nodes, where F may be infinite.
+
+    Args:
+        curve: the coefficient of friction.
+        pressure: (n,) pressures [stress].
+        slip: (n,) slips [length].
+        points: positions of the nodes, on which F does not depend.
+    """
+    with np.errstate(all="ignore"):
+        return np.where(pressure > 0.0, curve.values(pressure, slip), 0.0)
 
 
 @dataclass(frozen=True)
@@ -63,7 +82,7 @@ class NodalCurves:
         )
         return by_pressure / self.root, by_slip / self.root
 
-    def arguments(self, pressure: Array, slip: Array) -> list[tuple[Curve, Array, Array]]:
+    def arguments(self, pressure: Array, slip: Array) -> list[CurveAtNodes]:
         """Return each curve with pressures (n,) [stress] and slips (n,) [length] of its nodes."""
         p, v = np.maximum(pressure, 0.0) / self.root, slip / self.root
         return [(curve, p[part], v[part]) for part, curve in self.parts]
