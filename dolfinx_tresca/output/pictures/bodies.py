@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.output.grid import Grid
 from dolfinx_tresca.output.pictures.canvas import (
     ALONG_Y,
@@ -21,7 +21,8 @@ from dolfinx_tresca.output.pictures.canvas import (
     handle,
     skin,
 )
-from dolfinx_tresca.output.pictures.contact import CURVE_COLOUR, Contact
+from dolfinx_tresca.output.pictures.contact import Contact
+from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, chains
 from dolfinx_tresca.output.revolved import revolved
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
@@ -34,11 +35,14 @@ THIN, THICK = 0.8, 2.8  #: widths in points of a contact curve, and of its press
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
 INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
 MARGIN = 0.12  #: margin round bodies in which obstacles are drawn, divided by the bodies' length
-BAND = 0.05  #: thickness of obstacles in 2D, divided by the length of the bodies
+BAND = 0.04  #: thickness of obstacles in 2D, divided by the length of all that is drawn
 SAMPLES = {2: 400, 3: 80}  #: samples of an obstacle along the longest side
-#: An obstacle is drawn as glass if it hides a larger fraction of the bodies' points. With twice
-#: this value even planes in front of the bodies would be solid.
+#: Obstacles in front of the bodies are drawn as glass if all together hide a larger fraction of the
+#: bodies' points. With twice this value they would be solid even if they hide everything.
 HIDDEN = 0.5
+#: An obstacle is in front of the bodies if it hides a larger fraction of their points. With twice
+#: this value small obstacles in front would be solid among others that are glass.
+IN_FRONT = 0.05
 
 
 def draw_bodies(
@@ -62,7 +66,7 @@ def draw_bodies(
         angle: angle in degrees by which a meridian is turned about the y axis; 0: not at all.
     """
     scale = magnification(volume, contacts) if scale is None else scale
-    curves = [contact for contact in contacts if volume.dim == 2]
+    curves = contacts if volume.dim == 2 else []
     normal, up = (UPWARDS, ALONG_Y) if volume.dim == 2 else (OBLIQUE, UPWARDS)
     if angle:
         volume, normal, up = revolved(volume, angle), TO_THE_CUT, ALONG_Y
@@ -88,12 +92,18 @@ def draw_bodies(
         plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
         legend.append(handle("undeformed", OUTLINE, width=1.2))
     seen = np.concatenate([bodies.points, faces.points])
-    rigid = [contact.obstacle for contact in contacts if contact.obstacle]
-    around = [
-        draw_obstacle(plotter, obstacle, seen, volume.dim, normal, angle > 0.0)
-        for obstacle in {(rigid.signed_distance, rigid.motion): rigid for rigid in rigid}.values()
+    obstacles = [contact.obstacle for contact in contacts if contact.obstacle]
+    near = [
+        obstacle_near(obstacle, seen, volume.dim, normal, angle > 0.0)
+        for obstacle in {(key.signed_distance, key.motion): key for key in obstacles}.values()
     ]
-    if any(map(len, around)):
+    near = [(grid, hidden) for grid, hidden in near if grid is not None]
+    glass = np.any([hidden for _, hidden in near], axis=0).mean() > HIDDEN
+    around = [
+        draw_obstacle(plotter, grid, volume.dim, bool(glass and hidden.mean() > IN_FRONT))
+        for grid, hidden in near
+    ]
+    if around:
         legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
     for curve in curves:
         points = curve.grid.points + scale * curve.grid.values["displacement"]
@@ -101,10 +111,10 @@ def draw_bodies(
         box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
         style = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center", "bbox": box}
         if curve.label:
-            notes.append((points[curve.pieces[0][0]], curve.label, style))
+            notes.append((points[chains(curve.grid)[0][0]], curve.label, style))
     if any(curve.pressed.any() for curve in curves):
         legend.append(handle("contact", CURVE_COLOUR, width=THICK))
-    if any(curve.is_open.any() for curve in curves):
+    if not all(curve.pressed.all() for curve in curves):
         legend.append(handle("open", OPEN_COLOUR, width=THIN))
     if len(curves) == 1:
         legend.append(handle("start", OPEN_COLOUR, "o"))
@@ -147,7 +157,8 @@ def _draw_curve(plotter: Any, curve: Contact, points: Array) -> None:
     """
     import pyvista
 
-    for piece in curve.pieces:
+    pieces = chains(curve.grid)
+    for piece in pieces:
         strokes = [(piece, OPEN_COLOUR, THIN)]
         ends = np.diff(curve.pressed[piece].astype(int), prepend=0, append=0)
         for begin, end in np.flatnonzero(ends).reshape(-1, 2):
@@ -158,25 +169,15 @@ def _draw_curve(plotter: Any, curve: Contact, points: Array) -> None:
             plotter.add_mesh(line, color=colour, line_width=2.0 * width, lighting=False)
     if not curve.label:
         dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
-        plotter.add_points(points[curve.pieces[0][:1]], color=OPEN_COLOUR, **dot)
+        plotter.add_points(points[pieces[0][:1]], color=OPEN_COLOUR, **dot)
 
 
-def draw_obstacle(
-    plotter: Any,
-    obstacle: RigidObstacle,
-    points: Array,
-    dim: int,
-    normal: Array,
-    revolved: bool = False,
-) -> Array:
-    """Draw an obstacle round points: where its signed distance is not positive.
-
-    In 3D the obstacle is solid, unless it hides the bodies (`HIDDEN`): then only its surface is
-    drawn, and the sides that are seen from within are transparent. In 2D the surface is a line with
-    a grey band behind.
+def obstacle_near(
+    obstacle: RigidObstacle, points: Array, dim: int, normal: Array, revolved: bool = False
+) -> tuple[Any, Mask]:
+    """Return the distance from an obstacle on a grid around points, and which points it hides.
 
     Args:
-        plotter: a plotter of pyvista.
         obstacle: the obstacle to draw.
         points: (n, 3) points of the bodies [length].
         dim: dimension of space.
@@ -184,51 +185,70 @@ def draw_obstacle(
         revolved: whether the obstacle is given in the meridian plane and turned about the y axis.
 
     Returns:
-        the points that were drawn; none if the obstacle is not near the bodies.
+        a grid of pyvista with the field "distance", None if the surface of the obstacle is not near
+        the points or its distance cannot be computed; and whether the part of the obstacle in the
+        grid is between the viewer and the points, for (k,) of the points.
     """
     import pyvista
 
-    def distance(at: Array) -> Array:
-        radius = np.stack([np.hypot(at[:, 0], at[:, 2]), at[:, 1], 0.0 * at[:, 0]], axis=1)
-        return obstacle.distance(radius if revolved else at)
-
     length = float(np.linalg.norm(np.ptp(points, axis=0)))
-    in_space = np.arange(3) < dim
-    low = points.min(axis=0) - MARGIN * length * in_space
-    high = points.max(axis=0) + MARGIN * length * in_space
+    margin = MARGIN * length * (np.arange(3) < dim)
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     spacing = float((high - low).max()) / SAMPLES[dim]
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     grid = pyvista.ImageData(dimensions=counts, spacing=3 * (spacing,), origin=low)
     steps = np.linspace(0.05, 1.0, 16)[:, None, None] * length * normal / np.linalg.norm(normal)
-    towards_viewer = points[:: 1 + len(points) // 500] + steps
+    rays = points[:: 1 + len(points) // 500] + steps
+    places = np.concatenate([np.array(grid.points), rays.reshape(-1, 3)])
+    if revolved:
+        radius = np.hypot(places[:, 0], places[:, 2])
+        places = np.stack([radius, places[:, 1], 0.0 * radius], axis=1)
     try:
-        grid.point_data["distance"] = distance(np.array(grid.points))
-        inside = distance(towards_viewer.reshape(-1, 3)).reshape(towards_viewer.shape[:2]) < 0.0
+        distance = obstacle.distance(places)
     except Exception as error:  # the user's function may fail away from the surface
         _LOGGER.warning("%s is not in the picture: its signed distance fails: %s", obstacle, error)
-        return np.empty((0, 3))
-    surface = grid.contour([0.0], scalars="distance")
-    if not surface.n_points:
-        return np.empty((0, 3))
+        return None, np.empty(0, dtype=bool)
+    grid.point_data["distance"] = distance[: grid.n_points]
+    drawn = ((rays >= low) & (rays <= high)).all(axis=2)
+    inside = distance[grid.n_points :].reshape(rays.shape[:2]) < 0.0
+    crossed = grid["distance"].min() < 0.0 <= grid["distance"].max()
+    return grid if crossed else None, (inside & drawn).any(axis=0)
+
+
+def draw_obstacle(plotter: Any, grid: Any, dim: int, glass: bool) -> Array:
+    """Draw an obstacle: where its signed distance is not positive.
+
+    In 3D the obstacle is solid, or as glass: then only its surface is drawn, and the sides that are
+    seen from within are transparent. In 2D the surface is a line with a grey band behind.
+
+    Args:
+        plotter: a plotter of pyvista.
+        grid: a grid of pyvista with the signed distance, from `obstacle_near`.
+        dim: dimension of space.
+        glass: whether the obstacle hides the bodies.
+
+    Returns:
+        the points that were drawn.
+    """
     solid = grid.clip_scalar(scalars="distance", value=0.0, invert=True)
+    surface = grid.contour([0.0], scalars="distance")
     if dim == 2:
-        behind = np.array([0.0, 0.0, -0.01 * length])  # behind everything else
-        band = solid.clip_scalar(scalars="distance", value=-BAND * length, invert=False)
+        behind = np.array([0.0, 0.0, -0.01 * grid.length])  # behind everything else
+        band = solid.clip_scalar(scalars="distance", value=-BAND * grid.length, invert=False)
         flat = {"lighting": False, "show_scalar_bar": False}
         plotter.add_mesh(band.translate(behind), color=OBSTACLE_COLOUR, **flat)
         plotter.add_mesh(surface.translate(0.5 * behind), color=RIM, line_width=3.0, **flat)
         return np.asarray(band.points)
-    drawn = ((towards_viewer >= low) & (towards_viewer <= high)).all(axis=2)
     options = {"color": OBSTACLE_COLOUR, "smooth_shading": True, "ambient": 0.4, "diffuse": 0.6}
-    if (inside & drawn).any(axis=0).mean() <= HIDDEN:
-        surface = skin(solid).compute_normals(cell_normals=False, split_vertices=True)
-        surface.clear_cell_data()
-        plotter.add_mesh(surface, **options)
-    else:  # normals point to where distances grow
+    if glass:  # normals point to where distances grow
         sides = {"auto_orient_normals": False, "consistent_normals": False}
         surface = surface.compute_normals(cell_normals=False, **sides)
         plotter.add_mesh(surface, culling="front", **options)
         plotter.add_mesh(surface, culling="back", opacity=0.15, **options)
+    else:
+        surface = skin(solid).compute_normals(cell_normals=False, split_vertices=True)
+        surface.clear_cell_data()
+        plotter.add_mesh(surface, **options)
     rim = surface.extract_feature_edges(30.0, non_manifold_edges=False, manifold_edges=False)
     if rim.n_points:
         plotter.add_mesh(rim, color=RIM, line_width=1.5, lighting=False)
