@@ -115,8 +115,8 @@ def chart(figure: Any, box: Box, contact: Contact, units: Units | None) -> None:
     marker = "." if sum(map(len, pieces)) <= DOTS else None
     for axes, names, label, unit in charts:
         fields = {name: [along(grid, name, piece) for piece in pieces] for name in names}
-        largest = np.abs(np.concatenate(sum(fields.values(), []))).max(initial=0.0)
-        factor, text = scaled(label, unit, float(largest))
+        largest = max(float(np.abs(values).max()) for name in names for values in fields[name])
+        factor, text = scaled(label, unit, largest)
         for i, piece in enumerate(pieces):
             s = arcs[i] / divisor
             for name in names:
