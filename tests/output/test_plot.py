@@ -18,7 +18,6 @@ import numpy as np
 import PIL.Image
 import pytest
 
-import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import (
@@ -29,6 +28,7 @@ from dolfinx_tresca import (
     ContactState,
     Frictionless,
     InputError,
+    RigidPlane,
     Tresca,
     Units,
 )
@@ -47,7 +47,7 @@ from dolfinx_tresca.output.pictures.curve import (
 )
 from dolfinx_tresca.solution.fields import IntegerFunction
 from scenes.blocks import ABOVE, block
-from scenes.patches import dim_of, patch
+from scenes.patches import patch
 from scenes.scene import EPS
 from scenes.two_bricks import two_bricks
 
@@ -354,6 +354,39 @@ def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
 
 
 @pytest.mark.parallel
+@needs_xvfb
+def test_planes_round_a_body_do_not_hide_it(comm: MPI.Comm, folder: Path) -> None:
+    """Planes on all six sides of a block: most of the block that one sees without them is seen."""
+    with block(comm, (2, 2, 2)).problem() as problem:
+        solution = problem.solve(rtol=1e-6)
+    x = solution.u.function_space.mesh.geometry.x
+    low, high = np.empty(3), np.empty(3)
+    comm.Allreduce(x.min(axis=0), low, op=MPI.MIN)
+    comm.Allreduce(x.max(axis=0), high, op=MPI.MAX)
+    planes = [
+        RigidPlane(tuple(point), tuple(sign * normal))
+        for point, sign in ((low, 1.0), (high, -1.0))
+        for normal in np.eye(3)
+    ]
+    boxed = [dataclasses.replace(solution.surface, obstacle=plane) for plane in planes]
+    alone = [dataclasses.replace(solution.surface, obstacle=None)]
+    plot.plot(folder / "boxed.png", solution.u, boxed, scale=0.0)
+    plot.plot(folder / "alone.png", solution.u, alone, scale=0.0)
+    sizes = []
+    for name in ("boxed", "alone"):
+        picture = image(folder / f"{name}.png").astype(int)
+        edge = round(DPI * canvas.HEADER)
+        height = min(len(picture), round(DPI * plot.TALLEST))
+        view = picture[edge : height - edge, : round(plot.SPLIT * WIDTH)]
+        body = np.ptp(view, axis=2) > 45  # obstacles are grey
+        assert body.any(), name
+        sizes.append((np.ptp(np.flatnonzero(body.any(axis=1))), body.sum()))
+    assert len(image(folder / "boxed.png")) == 6 * ROW
+    # pixels are compared for the same height of the block in the picture
+    assert sizes[0][1] / sizes[0][0] ** 2 > 0.6 * sizes[1][1] / sizes[1][0] ** 2
+
+
+@pytest.mark.parallel
 def test_slip_of_earlier_steps_where_nodes_stick(comm) -> None:
     """Files have the increment as well; pictures and tables show the slip of the step."""
     model = block(comm, (3, 3, 2))
@@ -503,7 +536,9 @@ def test_view_is_along_the_normal(direction: tuple[float, float, float]) -> None
 
 
 def test_view_of_a_closed_surface() -> None:
-    np.testing.assert_array_equal(surface.direction(pyvista.Sphere().compute_normals())[0], canvas.OBLIQUE)
+    np.testing.assert_array_equal(
+        surface.direction(pyvista.Sphere().compute_normals())[0], canvas.OBLIQUE
+    )
 
 
 @pytest.fixture

@@ -80,7 +80,7 @@ def draw_bodies(
     light = {"lighting": volume.dim == 3, "ambient": 0.35, "diffuse": 0.7}
     plotter.add_mesh(faces, scalars="|u|", **light, **colours.options)
     if not angle:  # in 3D edges inside are hidden by the faces
-        edges = deformed.extract_all_edges().translate(0.1 * lift)
+        edges = deformed.extract_all_edges().translate(0.4 * lift)
         plotter.add_mesh(edges, color="white", opacity=0.3, line_width=1.0, lighting=False)
     # no creases in 2D: orientations of triangles may differ
     outline = skin(bodies).clean().extract_feature_edges(

@@ -83,6 +83,6 @@ def test_solid_obstacles_are_closed() -> None:
 
 @pytest.mark.parametrize(("normal", "hides"), [((0.0, 1.0, 0.0), True), ((0.0, -1.0, 0.0), False)])
 def test_what_hides_the_bodies(normal: tuple[float, float, float], hides: bool) -> None:
-    """A wall that the bodies touch on the side of the viewer does, on the other side it does not."""
+    """A wall that bodies touch on the side of the viewer does, not one on the other side."""
     wall = RigidPlane((0.0, -9.0 * normal[1], 0.0), normal)
     assert obstacle_near(wall, CORNERS, 3, OBLIQUE)[1].any() == hides
