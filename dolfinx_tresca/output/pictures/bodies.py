@@ -153,23 +153,25 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 def _draw_curve(plotter: Any, curve: Contact, points: Array) -> None:
     """Draw a contact curve through (n, 3) points: thick and red where it is pressed.
 
-    A dot marks the start of the curve, unless its label does.
+    A node that is pressed alone is drawn with the facets beside it. A dot marks the start of the
+    curve, unless its label does.
     """
     import pyvista
 
-    pieces = chains(curve.grid)
-    for piece in pieces:
-        strokes = [(piece, OPEN_COLOUR, THIN)]
-        ends = np.diff(curve.pressed[piece].astype(int), prepend=0, append=0)
-        for begin, end in np.flatnonzero(ends).reshape(-1, 2):
-            alone = end - begin == 1  # a single node is drawn with the facets beside it
-            strokes.append((piece[max(begin - alone, 0) : end + alone], CURVE_COLOUR, THICK))
-        for nodes, colour, width in strokes:
-            line = pyvista.lines_from_points(points[nodes])
-            plotter.add_mesh(line, color=colour, line_width=2.0 * width, lighting=False)
+    facets = curve.grid.cells
+    at_ends = curve.pressed[facets[:, 1:]]
+    alone = curve.pressed.copy()
+    alone[facets[at_ends.all(axis=1), 1:]] = False
+    pressed = at_ends.all(axis=1) | alone[facets[:, 1:]].any(axis=1)
+    flat = {"lighting": False}
+    strokes = ((facets, OPEN_COLOUR, THIN), (facets[pressed], CURVE_COLOUR, THICK))
+    for lines, colour, width in strokes:
+        if len(lines):
+            mesh = pyvista.PolyData(points, lines=lines.ravel())
+            plotter.add_mesh(mesh, color=colour, line_width=2.0 * width, **flat)
     if not curve.label:
-        dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
-        plotter.add_points(points[pieces[0][:1]], color=OPEN_COLOUR, **dot)
+        dot = {"point_size": 14.0, "render_points_as_spheres": True}
+        plotter.add_points(points[chains(curve.grid)[0][:1]], color=OPEN_COLOUR, **dot, **flat)
 
 
 def obstacle_near(

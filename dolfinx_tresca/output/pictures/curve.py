@@ -98,13 +98,13 @@ def chart(figure: Any, box: Box, contact: Contact, units: Units | None) -> None:
     inner = Box(box.left + 0.65, box.bottom + 0.5, box.width - 0.9, box.height - HEADER - 0.55)
     low, gap = (0.36 * inner.height, 0.22) if has_friction else (0.0, 0.0)
     upper = Box(inner.left, inner.bottom + low + gap, inner.width, inner.height - low - gap)
-    charts = [(upper.axes(figure), ("pressure",), "contact pressure", stress)]
+    charts = [(upper.axes(figure), ["pressure"], "contact pressure", stress)]
     legend = []
     if has_friction:
         lower = Box(inner.left, inner.bottom, inner.width, low).axes(figure)
         charts = [
-            (charts[0][0], ("traction", "pressure"), "stress", stress),
-            (lower, (slip,), slip.replace("_", " "), length),
+            (charts[0][0], ["traction", "pressure"], "stress", stress),
+            (lower, [slip], slip.replace("_", " "), length),
         ]
         legend.append(handle("pressure", CURVE_COLOUR, width=1.8))
         legend.append(handle(f"traction, {slip_of}", TANGENT_COLOUR, width=1.8))
