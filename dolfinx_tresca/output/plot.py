@@ -21,9 +21,9 @@ from dolfinx_tresca.output.display import display_for_pictures
 from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
 from dolfinx_tresca.output.pictures import canvas
 from dolfinx_tresca.output.pictures.bodies import draw_bodies
-from dolfinx_tresca.output.pictures.canvas import STYLE, Box, view
+from dolfinx_tresca.output.pictures.canvas import STYLE, Box, render
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
-from dolfinx_tresca.output.pictures.curve import Curve, chart
+from dolfinx_tresca.output.pictures.curve import chart
 from dolfinx_tresca.output.pictures.surface import draw_surface
 from dolfinx_tresca.output.revolved import checked_angle
 from dolfinx_tresca.solution.fields import SurfaceFields
@@ -31,6 +31,7 @@ from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
 WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height for one pair; for each of several
+TALLEST = 2 * ROW  #: inches: largest height of the view of the bodies
 SPLIT = 0.42  #: part of the width for the bodies
 
 #: Metadata that would differ from run to run.
@@ -50,13 +51,15 @@ def plot(
     """Draw the deformed bodies, and beside them each contact surface.
 
     The bodies are drawn with the magnified displacement u. Colours show the length of u, lines the
-    undeformed edges. Rigid obstacles near the bodies are drawn, too.
-    `pictures.magnification.Magnification` describes how bodies in contact also touch in the
-    picture, and how initial overlaps are drawn.
+    undeformed edges. Rigid obstacles near the bodies are drawn, too: solid, or as glass where they
+    would hide the bodies. The magnification that `pictures.bodies.magnification` chooses is so
+    small that surfaces which have met, and the sides of an initial overlap, also touch in the
+    picture.
 
     Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
-    mean normal, or obliquely if they are closed. Surfaces that are bent about an axis, like holes
-    and shafts, are unrolled and seen from outside. Colours show the pressure, and arrows the slip
+    mean normal; closed ones, like holes and shafts, obliquely from outside, so that their far side
+    is hidden (`to_pyvista` returns the data for other views). Colours show the pressure, and arrows
+    the slip
     of the secondary side against the primary side (after an accepted load step the slip of the new
     step; with finite sliding the legend then also has the longest path of the slip over all steps).
     Black discs mark pressed nodes that stick, rings open nodes that stick; open parts are grey.
@@ -162,23 +165,22 @@ def compose(
 
     height = HEIGHT if len(contacts) < 2 else ROW * len(contacts)
     left = SPLIT * WIDTH if contacts else WIDTH
-    curves = [Curve.of(contact) for contact in contacts] if volume.dim == 2 else []
     figure = Figure(figsize=(WIDTH, height), facecolor="white")
     bodies = partial(
         draw_bodies,
         volume=volume,
         contacts=contacts,
-        curves=curves,
         scale=scale,
         unit=units.length if units else "",
         angle=angle,
     )
-    view(figure, Box(0.0, 0.0, left, height), bodies)
+    tall = min(height, TALLEST)
+    render(figure, Box(0.0, height - tall, left, tall), bodies)
     for i, contact in enumerate(contacts):
         row = height / len(contacts)
         box = Box(left, height - (i + 1) * row, WIDTH - left, row)
-        if curves:
-            chart(figure, box, curves[i], units)
+        if volume.dim == 2:
+            chart(figure, box, contact, units)
         else:
-            view(figure, box, partial(draw_surface, contact=contact, units=units))
+            render(figure, box, partial(draw_surface, contact=contact, units=units))
     return figure

@@ -18,7 +18,6 @@ import numpy as np
 import PIL.Image
 import pytest
 
-import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import (
@@ -29,18 +28,26 @@ from dolfinx_tresca import (
     ContactState,
     Frictionless,
     InputError,
+    RigidPlane,
     Tresca,
     Units,
 )
 from dolfinx_tresca.output import display, plot
 from dolfinx_tresca.output.blocks import blocks_of
 from dolfinx_tresca.output.grid import Grid, gather_grid
-from dolfinx_tresca.output.pictures import bodies, canvas, magnification, obstacles, surface
+from dolfinx_tresca.output.pictures import bodies, canvas, surface
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
-from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
+from dolfinx_tresca.output.pictures.curve import (
+    CURVE_COLOUR,
+    OPEN_BACKGROUND,
+    TANGENT_COLOUR,
+    along,
+    arc_lengths,
+    chains,
+)
 from dolfinx_tresca.solution.fields import IntegerFunction
 from scenes.blocks import ABOVE, block
-from scenes.patches import dim_of, patch
+from scenes.patches import patch
 from scenes.scene import EPS
 from scenes.two_bricks import two_bricks
 
@@ -267,7 +274,7 @@ def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolutio
         assert fraction(row, "colour") > 0.1
     grid = gather_grid(bent.surface.functions)
     if grid is not None:
-        normal, up = surface.view(canvas.skin(grid.to_pyvista()))
+        normal, up = surface.direction(canvas.skin(grid.to_pyvista()).compute_normals())
         np.testing.assert_allclose(normal, (0.0, 0.0, 1.0), atol=0.05)
         assert abs(normal @ up) < 0.1
 
@@ -291,12 +298,12 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "white") > 0.3
     assert near(left, CURVE_COLOUR) > 0.001
-    assert near(left, obstacles.COLOUR) > 0.01
+    assert near(left, bodies.OBSTACLE_COLOUR) > 0.01
     assert near(right, CURVE_COLOUR) > 0.001
     upper, lower = np.split(right, [HEIGHT * 6 // 10])
     for part in (upper, lower):
         assert near(part, TANGENT_COLOUR) > 0.0005
-        assert near(part, "#ebebeb") > 0.02
+        assert near(part, OPEN_BACKGROUND) > 0.02
     for edge in (picture[:, :4], picture[:, -4:], picture[:4], picture[-4:]):
         assert fraction(edge, "white") == 1.0
 
@@ -344,6 +351,39 @@ def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert picture.shape == (2 * ROW, WIDTH, 3)
     for row in np.split(picture[:, round(plot.SPLIT * WIDTH) :], 2):
         assert near(row, CURVE_COLOUR) > 0.001
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_planes_round_a_body_do_not_hide_it(comm: MPI.Comm, folder: Path) -> None:
+    """Planes on all six sides of a block: most of the block that one sees without them is seen."""
+    with block(comm, (2, 2, 2)).problem() as problem:
+        solution = problem.solve(rtol=1e-6)
+    x = solution.u.function_space.mesh.geometry.x
+    low, high = np.empty(3), np.empty(3)
+    comm.Allreduce(x.min(axis=0), low, op=MPI.MIN)
+    comm.Allreduce(x.max(axis=0), high, op=MPI.MAX)
+    planes = [
+        RigidPlane(tuple(point), tuple(sign * normal))
+        for point, sign in ((low, 1.0), (high, -1.0))
+        for normal in np.eye(3)
+    ]
+    boxed = [dataclasses.replace(solution.surface, obstacle=plane) for plane in planes]
+    alone = [dataclasses.replace(solution.surface, obstacle=None)]
+    plot.plot(folder / "boxed.png", solution.u, boxed, scale=0.0)
+    plot.plot(folder / "alone.png", solution.u, alone, scale=0.0)
+    sizes = []
+    for name in ("boxed", "alone"):
+        picture = image(folder / f"{name}.png").astype(int)
+        edge = round(DPI * canvas.HEADER)
+        height = min(len(picture), round(DPI * plot.TALLEST))
+        view = picture[edge : height - edge, : round(plot.SPLIT * WIDTH)]
+        body = np.ptp(view, axis=2) > 45  # obstacles are grey
+        assert body.any(), name
+        sizes.append((np.ptp(np.flatnonzero(body.any(axis=1))), body.sum()))
+    assert len(image(folder / "boxed.png")) == 6 * ROW
+    # pixels are compared for the same height of the block in the picture
+    assert sizes[0][1] / sizes[0][0] ** 2 > 0.6 * sizes[1][1] / sizes[1][0] ** 2
 
 
 @pytest.mark.parallel
@@ -411,43 +451,42 @@ def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
     np.testing.assert_array_equal(contact.pressed, contact.touching)
     assert np.all(contact.grid.values["slip"][contact.sticking] == 0.0)
     assert np.all(contact.grid.values["slip"][~contact.sticking, 0] != 0.0)
-    for pressed, nodes in contact.marks():
+    for pressed, nodes in contact.marks:
         assert np.all(contact.touching[nodes] == pressed)
         assert np.all(contact.sticking[nodes])
 
 
 @pytest.mark.parallel
 def test_all_nodes_stick(comm: MPI.Comm) -> None:
-    """Words in place of a mark on each node; bonded surfaces are such."""
+    """The legend says so beside the mark that each node has; bonded surfaces are such."""
     bonded = patch(comm, "triangle", upper=(2, 1), lower=(3, 1), friction=Bonded())
     with bonded.problem() as problem:
         contact = gather_contact(problem.solve(rtol=1e-6).surface)
     if contact is not None:
-        assert not contact.marks()
-        (words,) = contact.legend_of_marks()
-        assert words.get_label() == "all nodes stick"
+        ((touches, nodes),) = contact.marks
+        assert touches
+        np.testing.assert_array_equal(nodes, contact.nodes)
+        (entry,) = contact.legend_of_marks()
+        assert entry.get_label() == "all nodes stick"
+        assert entry.get_marker() == "o"
 
 
-def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) -> Curve:
+def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) -> Grid:
     """Return the curve of some lines; "height" is y, and "east" the unit vector along x."""
     x = np.array([(*point, 0.0) for point in points])
-    values = {"state": np.full(len(x), float(ContactState.SLIP)), "height": x[:, 1]}
-    values["east"] = np.broadcast_to([1.0, 0.0, 0.0], x.shape)
+    values = {"height": x[:, 1], "east": np.broadcast_to([1.0, 0.0, 0.0], x.shape)}
     cells = np.array([(2, *line) for line in lines])
-    nodes = np.ones(len(x), dtype=bool)
-    grid = Grid(2, 1, x, cells, np.full(len(cells), 3), values)
-    none = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
-    return Curve.of(Contact(grid, nodes, ~nodes, "", *none, None))
+    return Grid(2, 1, x, cells, np.full(len(cells), 3), values)
 
 
 def test_open_curve() -> None:
     """It begins at the end with the least coordinates, whatever the numbers are."""
     curve = curve_of([(2, 0), (0, 0), (2, 3), (1, 0)], [(0, 3), (2, 0), (1, 3)])
-    ((nodes,), (arc,)) = curve.pieces, curve.arcs
+    (nodes,) = chains(curve)
     assert nodes.tolist() == [1, 3, 0, 2]
-    np.testing.assert_allclose(arc, [0.0, 1.0, 2.0, 5.0])
-    np.testing.assert_allclose(curve.along("height", 0), [0.0, 0.0, 0.0, 3.0])
-    np.testing.assert_allclose(curve.along("east", 0)[[0, 1, 3]], [1.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(arc_lengths(curve, [nodes]), [[0.0, 1.0, 2.0, 5.0]])
+    np.testing.assert_allclose(along(curve, "height", nodes), [0.0, 0.0, 0.0, 3.0])
+    np.testing.assert_allclose(along(curve, "east", nodes)[[0, 1, 3]], [1.0, 1.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("turn", [1, -1])
@@ -455,75 +494,51 @@ def test_closed_curve(turn: int) -> None:
     """It runs counterclockwise, and its first node is its last."""
     lines = [(0, 1), (1, 2), (2, 3), (3, 0)]
     curve = curve_of([(0, 0), (1, 0), (1, 1), (0, 1)][::turn], lines)
-    points = curve.contact.grid.points[curve.pieces[0]]
+    (nodes,) = chains(curve)
+    points = curve.points[nodes]
     np.testing.assert_array_equal(points[:, :2], [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-    np.testing.assert_allclose(curve.arcs[0], np.arange(5))
+    np.testing.assert_allclose(arc_lengths(curve, [nodes])[0], np.arange(5))
     half = np.sqrt(0.5)
-    np.testing.assert_allclose(curve.along("east", 0), [half, half, -half, -half, half])
+    np.testing.assert_allclose(along(curve, "east", nodes), [half, half, -half, -half, half])
 
 
 def test_curve_in_pieces() -> None:
     """From left to right, with a break between them."""
     curve = curve_of([(3, 0), (4, 0), (0, 0), (1, 0)], [(0, 1), (2, 3)])
-    assert [piece.tolist() for piece in curve.pieces] == [[2, 3], [0, 1]]
-    np.testing.assert_allclose(curve.arcs[0], [0.0, 1.0])
-    np.testing.assert_allclose(curve.arcs[1], [1.08, 2.08])
+    pieces = chains(curve)
+    assert [piece.tolist() for piece in pieces] == [[2, 3], [0, 1]]
+    np.testing.assert_allclose(arc_lengths(curve, pieces), [[0.0, 1.0], [1.08, 2.08]])
 
 
-@pytest.mark.parallel(kind=["triangle", "hexahedron"])
-@pytest.mark.parametrize(
-    ("kind", "count"),
-    # 3 by 3 squares have 24 sides and 9 diagonals; 36 edges of a cube are on two of its faces
-    [
-        ("triangle", 33),
-        ("quadrilateral", 24),
-        ("tetrahedron", 6 * 33 - 36),
-        ("hexahedron", 6 * 24 - 36),
-    ],
-)
-def test_edges_of_degree_2(comm: MPI.Comm, kind: str, count: int) -> None:
-    """Each edge outside, by its middle, and none inside."""
-    cells = dolfinx.mesh.CellType[kind]
-    if dim_of(kind) == 2:
-        mesh = dolfinx.mesh.create_unit_square(comm, 3, 3, cells)
-    else:
-        mesh = dolfinx.mesh.create_unit_cube(comm, 3, 3, 3, cells)
-    V = fem.functionspace(mesh, ("Lagrange", 2, (mesh.geometry.dim,)))
-    grid = gather_grid([fem.Function(V, name="u")])
-    if grid is not None:
-        edges = bodies._outer_edges(grid.to_pyvista())
-        assert edges.n_lines == count
-        first, middle, last = edges.points[edges.lines.reshape(-1, 4)[:, 1:]].transpose(1, 0, 2)
-        np.testing.assert_allclose(middle, 0.5 * (first + last), atol=1e-12)
-        if mesh.geometry.dim == 3:
-            np.testing.assert_allclose(np.abs(middle - 0.5).max(axis=1), 0.5)
+@pytest.mark.parametrize("beyond", [1, 2])
+def test_tip_of_a_crack_is_closed(beyond: int) -> None:
+    """A node shared by both lips has no multiplier, and is drawn as the node beside it.
 
-
-def test_light() -> None:
-    """Colours on flat surfaces are those of the bar; curved ones have shades."""
-    for shape, lit in ((pyvista.Plane(), False), (pyvista.Sphere(), True)):
-        shape = shape.compute_normals()
-        assert surface._light(shape, np.array([0.0, 0.0, 1.0]))["lighting"] is lit
+    Where a surface goes on beyond the other side there are more such nodes: these are open.
+    """
+    grid = curve_of([(i, 0) for i in range(6)], [(i, i + 1) for i in range(5)])
+    carries = np.arange(6 - beyond)
+    touching = np.isin(np.arange(6), carries[2:])
+    none = np.zeros((len(carries), 3)), np.zeros(len(carries)), None
+    contact = Contact(grid, touching, touching, carries, *none)
+    assert contact.pressed[carries].tolist() == touching[carries].tolist()
+    assert contact.pressed[len(carries) :].tolist() == ([True] if beyond == 1 else [False, False])
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-0.8, 0.6, 0.0)])
 def test_view_is_along_the_normal(direction: tuple[float, float, float]) -> None:
     """From the side of the larger coordinate, however the facets are oriented."""
-    normal, up = surface.view(pyvista.Plane(direction=direction).triangulate())
+    normal, up = surface.direction(
+        pyvista.Plane(direction=direction).triangulate().compute_normals()
+    )
     np.testing.assert_allclose(normal, np.sign(sum(direction)) * np.array(direction), atol=1e-6)
     assert abs(normal @ up) < 1e-6
 
 
 def test_view_of_a_closed_surface() -> None:
-    np.testing.assert_array_equal(surface.view(pyvista.Sphere())[0], canvas.OBLIQUE)
-
-
-@pytest.mark.parametrize(
-    ("largest", "wanted"),
-    [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0), (2.0, 1.0)],
-)
-def test_scale_is_chosen(largest: float, wanted: float) -> None:
-    assert magnification.visible_scale(3.7, largest) == pytest.approx(wanted)
+    np.testing.assert_array_equal(
+        surface.direction(pyvista.Sphere().compute_normals())[0], canvas.OBLIQUE
+    )
 
 
 @pytest.fixture

@@ -1,8 +1,9 @@
-"""A matplotlib figure with views that pyvista renders; matplotlib draws all text."""
+"""A figure of matplotlib with views that pyvista renders; matplotlib draws all text."""
 
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,20 +11,21 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.output.pictures.labels import Range, locator, quantity, scaled
 
 OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: direction from which bodies are seen
 UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in the oblique view; direction from which 2D is seen
-
-#: Names and directions of the coordinates.
-COORDINATES = tuple(zip("xyz", np.eye(3), strict=True))
+ALONG_Y = np.array([0.0, 1.0, 0.0])
 
 DPI = 200  #: pixels per inch of rendered views
-TURN = 0.75  #: views are rotated if this enlarges the bodies by more than 1 / TURN
+TURN = 0.75  #: views are turned if this enlarges what they show by more than 1 / TURN
 LEFT = 0.15  #: inches between the left end of a panel and its title
+HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
 GREY = "#404040"  #: colour of legends and other small text
-HEADER = 0.66  #: inches for title and legend
-FOOTER = 0.62  #: inches for a colour bar
+
+#: A range of colours ends below its largest value if this value is more than `PEAK` times the value
+#: at the percentile `PEAK_PERCENTILE`: otherwise most values would have one colour. With twice
+#: `PEAK` the colours of the two bricks end at the pressure of their edge.
+PEAK, PEAK_PERCENTILE = 2.5, 85.0
 
 #: Settings of matplotlib in place of the user's own.
 STYLE = {
@@ -65,59 +67,35 @@ class Camera:
         centre: (3,) the point in the middle [length].
         axes: (3, 3) unit vectors to the right, up, and to the viewer.
         half: half the height of the view [length].
-        aspect: width divided by height.
     """
 
     centre: Array
     axes: Array
     half: float
-    aspect: float
 
     @classmethod
-    def at(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return the largest view of all points, seen from the direction `normal`."""
-        right = np.cross(up, normal)
-        axes = np.array([right / np.linalg.norm(right), up, normal / np.linalg.norm(normal)])
-        axes[1] = np.cross(axes[2], axes[0])
-        seen = points @ axes.T
-        spans, middle = np.ptp(seen, axis=0), 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-        return cls(middle @ axes, axes, _half(spans, aspect) or 1.0, aspect)
-
-    @classmethod
-    def turned(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return the view of `at`, turned by a right angle if points are then much larger.
-
-        In the turned view `up` points to the right.
-        """
-        upright = cls.at(points, normal, up, aspect)
-        flat = cls.at(points, normal, -upright.axes[0], aspect)
-        return flat if flat.half < TURN * upright.half else upright
-
-    def project(self, points: Array) -> Array:
-        """Return positions (n, 2) of points in the view: (0, 0) lower left, (1, 1) upper right."""
-        seen = (points - self.centre) @ self.axes[:2].T
-        return np.asarray(0.5 + seen / (2.0 * self.half * np.array([self.aspect, 1.0])))
-
-    def use(self, plotter: Any, depth: float) -> None:
-        """Set the camera of a pyvista plotter to this view.
+    def framing(
+        cls, points: Array, normal: Array, up: Array, aspect: float, may_turn: bool = False
+    ) -> Camera:
+        """Return the largest view of all points, seen from the direction `normal`.
 
         Args:
-            plotter: the plotter.
-            depth: extent of the scene along the viewing direction [length].
+            points: (n, 3) points to show [length].
+            normal: (3,) direction to the viewer.
+            up: (3,) direction that is upward in the view.
+            aspect: width of the view divided by its height.
+            may_turn: whether `up` may point to the right, if points are then much larger.
         """
-        plotter.enable_parallel_projection()
-        plotter.camera_position = [
-            tuple(self.centre + 2.0 * depth * self.axes[2]),
-            tuple(self.centre),
-            tuple(self.axes[1]),
-        ]
-        plotter.camera.parallel_scale = self.half
-        plotter.renderer.reset_camera_clipping_range()
-
-
-def _half(spans: Array, aspect: float) -> float:
-    """Return half the height of a view that shows a width and a height, with a margin."""
-    return 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 / aspect)
+        right = np.cross(up, normal)
+        axes = np.array([right, np.cross(normal, right), normal])
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        cameras = []
+        for turned in (axes, np.array([axes[1], -axes[0], axes[2]])):
+            seen = points @ turned.T
+            spans, middle = np.ptp(seen, axis=0), 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+            half = 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 / aspect) or 1.0
+            cameras.append(cls(middle @ turned, turned, half))
+        return cameras[may_turn and cameras[1].half < TURN * cameras[0].half]
 
 
 @dataclass(frozen=True)
@@ -128,24 +106,44 @@ class Colours:
         name: name of the quantity.
         unit: unit of the values, or "".
         cmap: matplotlib's name of the colours.
-        range: values of the first and the last colour.
+        low: value of the first colour.
+        high: value of the last colour, also used for larger values.
+        peak: the largest value, if colours end below it, else None.
     """
 
     name: str
     unit: str
     cmap: str
-    range: Range
+    low: float
+    high: float
+    peak: float | None = None
+
+    @classmethod
+    def from_values(
+        cls, values: Array, name: str, unit: str, cmap: str, *, clip: bool = False
+    ) -> Colours:
+        """Return colours that show how values of 0 or more vary.
+
+        Colours begin at zero, unless all values are far from zero. With `clip` they may end, at a
+        round number, below a few values that are much larger than the others.
+        """
+        least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
+        most = float(np.percentile(values, PEAK_PERCENTILE)) if clip and len(values) else 0.0
+        if 0.0 < PEAK * most < largest:
+            step = 0.5 * 10.0 ** math.floor(math.log10(most))
+            return cls(name, unit, cmap, 0.0, step * math.ceil(most / step - 1e-9), largest)
+        far = 0.5 * largest < least < (1.0 - 1e-6) * largest
+        return cls(name, unit, cmap, least if far else 0.0, largest or 1.0)
 
     @property
-    def mesh_options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, Any]:
         """Options of pyvista's `add_mesh`."""
-        limits = (self.range.low, self.range.high)
-        return {"cmap": self.cmap, "clim": limits, "show_scalar_bar": False}
+        return {"cmap": self.cmap, "clim": (self.low, self.high), "show_scalar_bar": False}
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """The camera of a drawing, and the texts that are to be written in and beside the view.
+class View:
+    """The camera of a drawing, and what is written in and beside the view.
 
     Attributes:
         title: text above the view.
@@ -154,7 +152,6 @@ class Drawn:
         colours: field that the colour bar explains; None: there is no colour bar.
         notes: texts in the view: for each its place (3,) [length], the text, and matplotlib's
             options of the text.
-        directions: names and (3,) vectors of the directions that are shown as arrows.
     """
 
     title: str
@@ -162,40 +159,45 @@ class Drawn:
     camera: Camera
     colours: Colours | None = None
     notes: Sequence[tuple[Array, str, dict[str, Any]]] = ()
-    directions: Sequence[tuple[str, Array]] = COORDINATES
 
 
-def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
+def render(figure: Any, box: Box, draw: Callable[[Any, float], View]) -> None:
     """Render a view and put it into a box of a figure, with title, legend and colour bar.
 
     Args:
         figure: a figure of matplotlib.
         box: box of the whole picture.
-        draw: function (plotter, aspect) -> camera and texts. It draws the view with a plotter of
-            pyvista; `aspect` is the width of the view divided by its height.
+        draw: function (plotter, aspect) -> view. It draws with a plotter of pyvista; `aspect` is
+            the width of the view divided by its height.
     """
     import pyvista
 
     inner = Box(box.left, box.bottom + FOOTER, box.width, box.height - HEADER - FOOTER)
-    pixels = round(DPI * inner.width), round(DPI * inner.height)
-    plotter = pyvista.Plotter(off_screen=True, window_size=list(pixels))
+    pixels = [round(DPI * inner.width), round(DPI * inner.height)]
+    plotter = pyvista.Plotter(off_screen=True, window_size=pixels)
     try:
         plotter.set_background("white")
-        drawn = draw(plotter, pixels[0] / pixels[1])
-        drawn.camera.use(plotter, max(plotter.length, drawn.camera.half))
+        view = draw(plotter, pixels[0] / pixels[1])
+        camera = view.camera
+        eye = camera.centre + 2.0 * max(plotter.length, camera.half) * camera.axes[2]
+        plotter.enable_parallel_projection()
+        plotter.camera_position = [tuple(eye), tuple(camera.centre), tuple(camera.axes[1])]
+        plotter.camera.parallel_scale = camera.half
+        plotter.renderer.reset_camera_clipping_range()
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         image = plotter.screenshot(return_img=True)
     finally:
         plotter.close()
-    axes = inner.axes(figure)
-    axes.imshow(image, extent=(0, 1, 0, 1), aspect="auto", interpolation="none")
+    axes, half = inner.axes(figure), camera.half
+    wide = half * pixels[0] / pixels[1]
+    axes.imshow(image, extent=(-wide, wide, -half, half), aspect="auto", interpolation="none")
     axes.set_axis_off()
-    for place, text, options in drawn.notes:
-        axes.text(*drawn.camera.project(place[None])[0], text, **options)
-    _draw_directions(figure, box, drawn)
-    write_header(figure, box, drawn.title, drawn.legend)
-    if drawn.colours is not None:
-        _draw_bar(figure, box, drawn.colours)
+    for place, text, options in view.notes:
+        axes.text(*(camera.axes[:2] @ (place - camera.centre)), text, **options)
+    _draw_directions(figure, box, camera)
+    write_header(figure, box, view.title, view.legend)
+    if view.colours is not None:
+        _draw_bar(figure, box, view.colours)
 
 
 def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> None:
@@ -203,21 +205,13 @@ def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> No
     width, height = figure.get_size_inches()
     left, top = box.left + LEFT, box.bottom + box.height
     figure.text(left / width, (top - 0.3) / height, title, fontsize=11.0)
-    if legend:
-        narrow = 0.6 if len(legend) > 3 else 1.0  # four entries may be wider than half a picture
-        figure.legend(
-            handles=list(legend),
-            loc="upper left",
-            bbox_to_anchor=(left / width, (top - 0.36) / height),
-            bbox_transform=figure.transFigure,
-            ncols=len(legend),
-            borderpad=0.0,
-            borderaxespad=0.0,
-            handlelength=1.6 * narrow,
-            handletextpad=0.5,
-            columnspacing=1.4 * narrow,
-            labelcolor=GREY,
-        )
+    narrow = 0.6 if len(legend) > 3 else 1.0  # four entries may be wider than half a picture
+    spacing = {"handlelength": 1.6 * narrow, "handletextpad": 0.5, "columnspacing": 1.4 * narrow}
+    figure.legend(
+        handles=list(legend), ncols=max(len(legend), 1), loc="upper left", labelcolor=GREY,
+        bbox_to_anchor=(left / width, (top - 0.36) / height), borderpad=0.0, borderaxespad=0.0,
+        **spacing,
+    )  # fmt: skip
 
 
 def _draw_bar(figure: Any, box: Box, colours: Colours) -> None:
@@ -225,42 +219,68 @@ def _draw_bar(figure: Any, box: Box, colours: Colours) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    low, high, peak = colours.range.low, colours.range.high, colours.range.peak
-    how = scaled(colours.name, colours.unit, max(abs(low), abs(high)))
+    factor, label = scaled(colours.name, colours.unit, colours.high)
     axes = Box(box.left + 0.27 * box.width, box.bottom + 0.42, 0.58 * box.width, 0.12).axes(figure)
+    peak = "" if colours.peak is None else f", at most {quantity(colours.peak, colours.unit)}"
     bar = figure.colorbar(
-        ScalarMappable(Normalize(low / how.factor, high / how.factor), colours.cmap),
-        cax=axes,
-        orientation="horizontal",
-        ticks=locator(),
-        extend="neither" if peak is None else "max",
-        label=how.label + ("" if peak is None else f", at most {quantity(peak, colours.unit)}"),
-    )
+        ScalarMappable(Normalize(colours.low / factor, colours.high / factor), colours.cmap),
+        cax=axes, orientation="horizontal", ticks=round_ticks(), label=label + peak,
+        extend="max" if peak else "neither",
+    )  # fmt: skip
     bar.outline.set_linewidth(0.5)
     bar.ax.tick_params(width=0.6, length=2.5, pad=2.0)
     bar.ax.xaxis.labelpad = 1.5
 
 
-def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
-    """Draw the visible directions as arrows, left of the colour bar."""
-    size, length, distance = 0.7, 0.22, 0.08  # inches
+def _draw_directions(figure: Any, box: Box, camera: Camera) -> None:
+    """Draw the visible coordinate directions as arrows, left of the colour bar."""
+    size, length, beyond = 0.7, 0.22, 0.08  # inches
     axes = Box(box.left + LEFT, box.bottom + 0.06, size, size).axes(figure)
     axes.set(xlim=(0.0, size), ylim=(0.0, size))
     axes.set_axis_off()
-    arrows = {name: drawn.camera.axes[:2] @ direction for name, direction in drawn.directions}
-    arrows = {name: along for name, along in arrows.items() if np.linalg.norm(along) > 0.2}
-    ends = np.stack([np.zeros(2), *arrows.values()])
-    start = 0.5 * (size - length * (ends.min(axis=0) + ends.max(axis=0)))
-    start[0] = 0.1 - length * ends[:, 0].min()
-    for name, along in arrows.items():
-        tip = start + length * along
-        axes.annotate(
-            "", tip, start,
-            arrowprops={"arrowstyle": "-|>", "mutation_scale": 5, "lw": 0.8, "color": GREY,
-                        "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
-        place = tip + distance * along / np.linalg.norm(along)
-        axes.text(*place, name, fontsize=8, color=GREY, ha="center", va="center")
+    ends = length * camera.axes[:2].T
+    start = np.array([0.1, 0.1]) - np.minimum(ends.min(axis=0), 0.0)
+    for name, end in zip("xyz", ends, strict=True):
+        if np.linalg.norm(end) > 0.2 * length:
+            arrow = {"arrowstyle": "-|>", "mutation_scale": 5, "lw": 0.8, "color": GREY}
+            axes.annotate("", start + end, start, arrowprops={**arrow, "shrinkA": 0, "shrinkB": 0})
+            place = start + end * (1.0 + beyond / np.linalg.norm(end))
+            axes.text(*place, name, fontsize=8, color=GREY, ha="center", va="center")
+
+
+def handle(label: str, color: str, marker: str = "", width: float = 0.0, **options: Any) -> Any:
+    """Return an entry of a legend: a line of some width, or a marker as in matplotlib."""
+    from matplotlib.lines import Line2D
+
+    style = {"linestyle": "-" if width else "", "linewidth": width, "markersize": 5.0, **options}
+    return Line2D([], [], color=color, marker=marker, label=label, **style)
+
+
+def scaled(name: str, unit: str, largest: float) -> tuple[float, str]:
+    """Return a divisor of values, and a label such as "slip [10⁻⁶ m]".
+
+    The divisor is 1 if the largest absolute value is from 0.02 to 9999, else a power of thousand.
+    """
+    plain = largest == 0.0 or 0.02 <= largest < 10_000.0
+    power = 0 if plain else 3 * math.floor(math.log10(largest * (1.0 + 1e-12)) / 3.0)
+    ten = "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    inside = f"{ten if power else ''} {unit}".strip()
+    return 10.0**power, f"{name} [{inside}]" if inside else name
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value with three digits and its unit, such as "18.9 · 10⁻⁶ m"."""
+    factor, label = scaled("", unit, abs(value))
+    digits, inside = value / factor, label.strip(" []")
+    number = f"{digits:.0f}" if abs(digits) >= 99.95 else f"{digits:.3g}"
+    return f"{number}{' ·' if factor != 1.0 else ''} {inside}".strip()
+
+
+def round_ticks() -> Any:
+    """Return matplotlib's locator of at most six round ticks."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=5, steps=(1.0, 2.0, 2.5, 5.0, 10.0))
 
 
 def skin(grid: Any) -> Any:
@@ -268,7 +288,6 @@ def skin(grid: Any) -> Any:
 
     Newer versions of pyvista require the argument `algorithm`, older ones have none.
     """
-    kwargs: dict[str, Any] = {"nonlinear_subdivision": 1}
-    if "algorithm" in inspect.signature(grid.extract_surface).parameters:
-        kwargs["algorithm"] = "dataset_surface"
-    return grid.extract_surface(**kwargs)
+    takes_algorithm = "algorithm" in inspect.signature(grid.extract_surface).parameters
+    kwargs = {"algorithm": "dataset_surface"} if takes_algorithm else {}
+    return grid.extract_surface(nonlinear_subdivision=1, **kwargs)

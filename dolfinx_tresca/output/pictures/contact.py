@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from textwrap import shorten
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.output.grid import Grid, gather_grid
-from dolfinx_tresca.output.pictures.legend import mark, words
+from dolfinx_tresca.output.pictures.canvas import handle
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
 
@@ -64,38 +65,40 @@ class Contact:
         name = f" {self.label}: {shorten(self.name, NAME_WIDTH, placeholder=' ...')}"
         return what + (name if self.label else "")
 
-    @property
+    @cached_property
     def pressed(self) -> Mask:
-        """(n,) whether a node is in contact; other nodes are open or carry no multiplier."""
-        mask: Mask = self.grid.values["state"] >= ContactState.PRESSED
+        """(n,) whether a node is drawn as touching; the other nodes are open.
+
+        A node that carries no multiplier, such as the tip of a crack or a prescribed node, touches
+        if all nodes beside it touch, provided that each of its facets has a node that carries one.
+        Nodes farther beyond the primary side are open.
+        """
+        facets, count = self.grid.cells[:, 1:], len(self.grid.points)
+        carries, beside = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
+        carries[self.nodes] = True
+        at_facets = (carries[facets] & ~self.touching[facets]).any(axis=1)
+        closes = carries[facets].any(axis=1) & ~at_facets
+        np.logical_and.at(beside, facets, closes[:, None])
+        mask: Mask = np.where(carries, self.touching, beside)
         return mask
 
-    def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
-        """Return the sticking nodes to mark: (True, pressed nodes) and (False, open nodes).
-
-        The list is empty if all nodes are pressed and stick, since the legend says so.
-        """
-        if not self.has_friction or self.all_stick:
-            return []
-        marks = [
-            (pressed, np.flatnonzero(self.sticking & (self.touching == pressed)))
-            for pressed in (True, False)
-        ]
-        return [mark for mark in marks if len(mark[1])]
-
     @property
-    def all_stick(self) -> bool:
-        """Whether all nodes are pressed and stick."""
-        carries = self.grid.values["state"] > ContactState.OUTSIDE
-        return self.has_friction and bool((self.touching & self.sticking)[carries].all())
+    def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
+        """The sticking nodes to mark: (True, pressed nodes) and (False, open nodes)."""
+        kinds = [(touches, self.sticking & (self.touching == touches)) for touches in (True, False)]
+        return [(touches, np.flatnonzero(kind)) for touches, kind in kinds if kind.any()]
 
     def legend_of_marks(self) -> list[Any]:
         """Return handles of matplotlib for a legend."""
-        if self.all_stick:
-            return [words("all nodes stick")]
+        if not self.has_friction:
+            return []
+        whole = bool((self.touching & self.sticking)[self.nodes].all())
+        sticks = "all nodes stick" if whole else "sticks"
         return [
-            mark("sticks", "o") if pressed else mark("open, sticks", "o", face="white")
-            for pressed, _ in self.marks()
+            handle(sticks, "black", "o")
+            if touches
+            else handle("open, sticks", "black", "o", markerfacecolor="white")
+            for touches, _ in self.marks
         ]
 
 
