@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import sys
+import time
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -25,6 +27,14 @@ hypothesis.settings.load_profile("tests")
 # Two processes may want the same form at once: one compiles it, the other waits, by default no more
 # than 10 seconds, which is too short on a busy machine.
 dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["timeout"] = (300, "seconds")
+
+# A process that is killed while it compiles a form leaves the source without the library, for which
+# all later processes would wait in vain. Nobody waits longer than the timeout.
+for _source in Path(dolfinx.jit.get_options()["cache_dir"]).expanduser().glob("*.c"):
+    with contextlib.suppress(FileNotFoundError):  # another process may remove it as well
+        if not _source.with_suffix(".c.cached").exists():
+            if time.time() - _source.stat().st_mtime > 2 * 300:
+                _source.unlink()
 
 # Meshes are small: forms are compiled in less time than -O2 gains (194 forms of some tests from an
 # empty cache: 48 seconds of processor time in place of 54).
