@@ -254,7 +254,7 @@ VALUES = pytest.mark.parametrize(
 @VALUES
 def test_a_number_that_is_no_slip_bound(scene, value, text):
     """It takes no solve to tell."""
-    with pytest.raises(InputError, match=f"must (not be negative|be a number), found {text}"):
+    with pytest.raises(InputError, match=f"must not be negative, found {text}"):
         scene.problem(pairs=[pair_with(scene, friction=Tresca(value))])
 
 

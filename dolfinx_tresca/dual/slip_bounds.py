@@ -224,9 +224,8 @@ class SlipBounds:
         with errors_on_all_ranks(self._comm):
             bad = ~(values >= zero)
             if bad.any():
-                wanted = "be a number" if np.isnan(values[bad][0]) else "not be negative"
                 raise InputError(
-                    f"{name} must {wanted}, found {values[bad][0]:g} "
+                    f"{name} must not be negative, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
                 )
             if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():

@@ -10,7 +10,6 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
@@ -108,12 +107,10 @@ def nodes_with_multipliers(
         )
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
-        hint = " The normal of an obstacle points out of it, towards the body."
         raise PairingError(
             f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
             f"side ({secondary}) the outward normal leads to the primary side "
             f"({primary}){within}. Check the tags{' and the search distance' if within else ''}."
-            f"{hint * isinstance(pair.primary, RigidObstacle)}"
         )
     if number == 0:
         raise PairingError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -123,12 +122,8 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
     known = gmsh.parser.getNames() if parameters else []
     unknown = [name for name in parameters if name not in known]
     if unknown:
-        text = re.sub(r'//.*|"[^"]*"', "", path.read_text())
-        declared = " ".join(re.findall(r"DefineConstant\s*\[(.*?)\]\s*;", text, re.DOTALL))
-        names = re.findall(r"\b([A-Za-z_]\w*)\s*=", declared) or known
         raise InputError(
-            f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
-            f"{', '.join(names)}."
+            f"'{path}' has no parameter {', '.join(unknown)}; its names are {', '.join(known)}."
         )
 
 

@@ -52,8 +52,7 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
                 f"expression, or a function of points, found {shown(value)}."
             )
         if not number > -rounding:
-            wanted = "be a number" if np.isnan(number) else "not be negative"
-            raise InputError(f"{name} must {wanted}, found {number:g}.")
+            raise InputError(f"{name} must not be negative, found {number:g}.")
 
 
 def _check_shape(shape: tuple[int, ...], name: str) -> None:

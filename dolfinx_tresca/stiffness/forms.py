@@ -116,12 +116,9 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             continue
         if not isinstance(form, kinds):
             other = "a PETSc.Mat" if name == "a" else "None"
-            hint = f" {_ONE_SPACE}" if isinstance(form, Sequence) else ""
-            if name == "L" and isinstance(form, int | float):
-                hint = " Without loads, give L=None and V=."
             raise InputError(
                 f"{name} must be a UFL form, or a compiled one or {other} together with V=, found "
-                f"{shown(form)}.{hint}"
+                f"{shown(form)}." + (f" {_ONE_SPACE}" if isinstance(form, Sequence) else "")
             )
     if not isinstance(bcs, Sequence):
         raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
