@@ -144,7 +144,7 @@ def evaluate(
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(found.multipliers, slip))
-    jump, increment, moved_by = (one * B.length_scale for one in (jump, increment, slip))
+    increment, moved_by = (one * B.length_scale for one in (increment, slip))
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
@@ -153,8 +153,8 @@ def evaluate(
     steps: list[Array] = []
     greatest = np.zeros(3)
     first = 0
-    for operators, surface, slipped, (n, t) in zip(
-        B.pairs, surfaces, dual.history.slipped, B.slices, strict=True
+    for operators, surface, slipped, closing, (n, t) in zip(
+        B.pairs, surfaces, dual.history.slipped, B.closings(u), B.slices, strict=True
     ):
         own = slice(first, first + len(operators.nodes))
         sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
@@ -173,7 +173,7 @@ def evaluate(
             path=before[:, -1] + steps[-1][:, -1],
         )
         states = pressed, sticking, rubbing
-        fields.append(surface.fields(operators, u, *tractions, jump[n], slips_of, *states))
+        fields.append(surface.fields(operators, u, *tractions, closing, slips_of, *states))
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
