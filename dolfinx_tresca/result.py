@@ -97,10 +97,10 @@ class ContactSolution(Evaluation, Tabulated):
             lengths of its slips in all steps [length].
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
-        pair_resultants: force and moment on the secondary side of each pair, about the centre of
-            the bounding box of all contact forces; see `resultants`.
-        body_resultants: force and moment of all contact on each body, in the order in which
-            messages number the bodies.
+        pair_resultants: force and moment on the secondary side of each pair, about the same
+            point as `body_resultants`; see `resultants`.
+        body_resultants: force and moment of all contact on each body, about the centre of the
+            bounding box of all contact forces, in the order in which messages number the bodies.
         between_bodies: (i, j) -> force and moment on body i by body j, for bodies i < j in contact.
             Moments are about the mean of the points at which the forces between both bodies act,
             weighted by the sizes of the forces; i and j count from 0 in the order of
@@ -204,13 +204,13 @@ class ContactSolution(Evaluation, Tabulated):
         sums over all pairs for each body.
 
         Args:
-            point: (d,) reference point of the moments [length]; the origin by default.
+            point: (d,) reference point of the moments [length]; the point of `body_resultants` by
+                default.
 
         Raises:
             InputError: the point does not have d finite coordinates.
         """
-        dim = self.u.function_space.mesh.geometry.dim
-        about = np.zeros(dim) if point is None else point
+        about = self.body_resultants[0].point if point is None else point
         return tuple(resultant.about(about) for resultant in self.pair_resultants)
 
     def resultants_between(
@@ -222,7 +222,8 @@ class ContactSolution(Evaluation, Tabulated):
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
             other: the body that exerts the force, given in the same way.
-            point: (d,) reference point of the moment [length]; the origin by default.
+            point: (d,) reference point of the moment [length]; the point of `body_resultants` by
+                default.
 
         Raises:
             InputError: an index belongs to no body, both are equal, or the point does not have d
@@ -236,7 +237,7 @@ class ContactSolution(Evaluation, Tabulated):
         found = self.between_bodies.get((min(first, second), max(first, second)), none)
         sign = 1.0 if first < second else -1.0
         found = Resultant(sign * found.force, sign * found.moment, found.point)
-        return found.about(np.zeros(dim) if point is None else point)
+        return found.about(self.body_resultants[0].point if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
         """Return the index of a body that is given by its index or by its name.
