@@ -217,22 +217,17 @@ class JumpOperator(PetscOwner):
         normal, are included.
         """
         jump, dofmap = self.of_displacement(u) * self.length_scale, u.function_space.dofmap
-        result = [np.zeros(len(pair.nodes)) for pair in self.pairs]
-        without = [
-            np.setdiff1d(np.arange(len(pair.nodes)), pair.normal_node).astype(np.int32)
-            for pair in self.pairs
-        ]
-        rows = [pair.normal_rows(nodes) for pair, nodes in zip(self.pairs, without, strict=True)]
+        rows = [pair.rows_without_multiplier for pair in self.pairs]
         matrix = as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
         product = matrix.createVecLeft()
         matrix.mult(u.x.petsc_vec, product)
-        ends = np.cumsum([len(nodes) for nodes in without])[:-1]
-        for k, values in enumerate(np.split(product.array, ends)):
-            result[k][without[k]] = values
-            result[k][self.pairs[k].normal_node] = jump[self.slices[k][0]]
+        values = np.split(product.array.copy(), np.cumsum([one.shape[0] for one in rows])[:-1])
         matrix.destroy()
         product.destroy()
-        return result
+        for k, pair in enumerate(self.pairs):
+            order = np.argsort(np.append(pair.normal_node, pair.without_normal))
+            values[k] = np.append(jump[self.slices[k][0]], values[k])[order]
+        return values
 
     def of_values(self, u: Array) -> Array:
         """Return B u for the values of u on this rank. Collective."""

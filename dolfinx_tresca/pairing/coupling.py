@@ -121,12 +121,12 @@ def nodes_with_multipliers(
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
     if number == 0 < eligible and pair.sliding == "finite":
-        reversed_normals = _about_obstacle_normals(V.mesh.comm, pair, nodes, own)
+        along = _about_obstacle_normals(V.mesh.comm, pair, nodes, own)
         log(
             V.mesh.comm,
             "pairing: %s: no node that could carry a multiplier faces the other.%s",
-            *(pair, reversed_normals),
-            level=logging.WARNING if reversed_normals else logging.INFO,
+            *(pair, along),
+            level=logging.WARNING if along else logging.INFO,
             about=str(pair),
         )
         return np.flatnonzero(carries)
