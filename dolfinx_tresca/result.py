@@ -104,10 +104,10 @@ class ContactSolution(Evaluation, Tabulated):
             lengths of its slips in all steps [length].
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
-        pair_resultants: force and moment on the secondary side of each pair, about the centre of
-            the bounding box of all contact forces; see `resultants`.
+        pair_resultants: force and moment on the secondary side of each pair, about the same
+            point as `body_resultants`; see `resultants`.
         body_resultants: force and moment of all contact on each body, about the centre of the
-            bounding box of the forces on nodes, in the order in which messages number the bodies.
+            bounding box of all contact forces, in the order in which messages number the bodies.
         between_bodies: (i, j) -> force and moment on body i by body j, for bodies i < j in contact.
             Moments are about the mean of the points at which the forces between both bodies act,
             weighted by the sizes of the forces; i and j count from 0 in the order of
@@ -210,15 +210,14 @@ class ContactSolution(Evaluation, Tabulated):
         sums over all pairs for each body.
 
         Args:
-            point: (d,) reference point of the moments [length]; by default the point of
-                `pair_resultants`.
+            point: (d,) reference point of the moments [length]; the point of `body_resultants` by
+                default.
 
         Raises:
             InputError: the point does not have d finite coordinates.
         """
-        if point is None:
-            return self.pair_resultants
-        return tuple(resultant.about(point) for resultant in self.pair_resultants)
+        about = self.body_resultants[0].point if point is None else point
+        return tuple(resultant.about(about) for resultant in self.pair_resultants)
 
     def resultants_between(
         self, body: int | str, other: int | str, point: npt.ArrayLike | None = None
@@ -229,8 +228,8 @@ class ContactSolution(Evaluation, Tabulated):
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
             other: the body that exerts the force, given in the same way.
-            point: (d,) reference point of the moment [length]; by default the point of
-                `body_resultants`, the centre of the bounding box of all contact forces.
+            point: (d,) reference point of the moment [length]; the point of `body_resultants` by
+                default.
 
         Raises:
             InputError: an index belongs to no body, both are equal, or the point does not have d

@@ -23,7 +23,7 @@ from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.friction_curves import Curve, NodalCurves
 from dolfinx_tresca.pairing.discs import FrictionDiscs
 from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
-from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, assemble_B, multiplier_slices
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -209,6 +209,25 @@ class JumpOperator(PetscOwner):
         """Return B u for a Function on the displacement's space. Collective."""
         self._of_V.mult(u.x.petsc_vec, self._jump)
         return np.array(self._jump.array)
+
+    def closings(self, u: fem.Function) -> list[Array]:
+        """Return for each pair the jumps (n,) along the normals at its nodes. Collective.
+
+        The jumps [length] of nodes without a row of N, such as nodes that are prescribed along the
+        normal, are included.
+        """
+        jump, dofmap = self.of_displacement(u) * self.length_scale, u.function_space.dofmap
+        rows = [pair.rows_without_multiplier for pair in self.pairs]
+        matrix = as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
+        product = matrix.createVecLeft()
+        matrix.mult(u.x.petsc_vec, product)
+        values = np.split(product.array.copy(), np.cumsum([one.shape[0] for one in rows])[:-1])
+        matrix.destroy()
+        product.destroy()
+        for k, pair in enumerate(self.pairs):
+            order = np.argsort(np.append(pair.normal_node, pair.without_normal))
+            values[k] = np.append(jump[self.slices[k][0]], values[k])[order]
+        return values
 
     def of_values(self, u: Array) -> Array:
         """Return B u for the values of u on this rank. Collective."""

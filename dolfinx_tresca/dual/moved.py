@@ -62,17 +62,14 @@ def moved_jump(
     moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
     jump = JumpOperator(system, operators)
     with destroyed_on_error(jump):
-        closed = jump.of_displacement(moves) * jump.length_scale
-        for k, (one, old, pair, (normal, _)) in enumerate(
-            zip(operators, before.pairs, pairs, jump.slices, strict=True)
-        ):
+        closings = jump.closings(moves)
+        for k, (one, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
                 if straight is not values:
                     moves.x.array[:] = _bent_primary(V, straight, values, pair).ravel()
-                    closed = jump.of_displacement(moves) * jump.length_scale
+                    closings = jump.closings(moves)
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
-                distance = one.distance + one.secondary_sagitta - raised
-                distance[one.normal_node] += closed[normal]
+                distance = one.distance + one.secondary_sagitta - raised + closings[k]
                 operators[k] = dataclasses.replace(one, distance=distance, secondary_sagitta=raised)
         jump.set_distances(operators)
     return jump

@@ -24,7 +24,7 @@ from dolfinx_tresca.scene.friction import (
     DryFriction,
     Friction,
 )
-from dolfinx_tresca.scene.scalar_field import ScalarField
+from dolfinx_tresca.scene.scalar_field import ScalarField, invalid
 
 #: A negative slip bound counts as rounding, and means zero, if its absolute value is at most this
 #: fraction of the largest finite bound of the pair.
@@ -225,7 +225,7 @@ class SlipBounds:
             bad = ~(values >= zero)
             if bad.any():
                 raise InputError(
-                    f"{name} must not be negative, found {values[bad][0]:g} "
+                    f"{name} must not be {invalid(values[bad][0])}, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
                 )
             if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():

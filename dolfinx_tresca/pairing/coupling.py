@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
@@ -56,6 +60,28 @@ def owned_nodes(V: Any, nodes: SurfaceNodes) -> Mask:
     return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
 
 
+def _about_obstacle_normals(
+    comm: MPI.Comm, pair: ContactPair, nodes: SurfaceNodes, own: Mask
+) -> str:
+    """Say at how many nodes an obstacle's normal is along the outward normal. Collective.
+
+    The result is empty if there is no such node, or the primary side is no obstacle.
+    """
+    if not isinstance(pair.primary, RigidObstacle):
+        return ""
+    with errors_on_all_ranks(comm):
+        _, normals = pair.primary.at(nodes.points[own])
+    along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
+    number = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
+    if number == 0:
+        return ""
+    return (
+        f" At {number} nodes the obstacle's normal is along the outward normal of the body, and so "
+        "points into the body: it must point out of the obstacle, towards the surface that may "
+        "touch it. Reverse it if the tag is right."
+    )
+
+
 def nodes_with_multipliers(
     V: Any,
     pair: ContactPair,
@@ -95,7 +121,14 @@ def nodes_with_multipliers(
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
     if number == 0 < eligible and pair.sliding == "finite":
-        log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
+        along = _about_obstacle_normals(V.mesh.comm, pair, nodes, own)
+        log(
+            V.mesh.comm,
+            "pairing: %s: no node that could carry a multiplier faces the other.%s",
+            *(pair, along),
+            level=logging.WARNING if along else logging.INFO,
+            about=str(pair),
+        )
         return np.flatnonzero(carries)
     if pair.touches_itself and outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
@@ -111,6 +144,7 @@ def nodes_with_multipliers(
             f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
             f"side ({secondary}) the outward normal leads to the primary side "
             f"({primary}){within}. Check the tags{' and the search distance' if within else ''}."
+            f"{_about_obstacle_normals(V.mesh.comm, pair, nodes, own)}"
         )
     if number == 0:
         raise PairingError(

@@ -57,6 +57,7 @@ class PairOperators:
             are part of N and T, with global column numbers.
         primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
             empty for an obstacle.
+        prescribed: (n,) whether the displacement of the node is prescribed along the normal.
         N: (n_normal, dofs of V) sparse matrix, with global column numbers.
         normal_node: (n_normal,) index in `nodes` of each row of N.
         T: (n_tangential, dofs of V) sparse matrix; without rows if there is no friction.
@@ -79,6 +80,7 @@ class PairOperators:
     secondary_sagitta: Array
     secondary: Any
     primary: Any
+    prescribed: Mask
     N: Any
     normal_node: LocalNumbers
     T: Any
@@ -120,6 +122,7 @@ class PairOperators:
         free = nodes.free[coupling.position]
         normals = coupling.normals[:, :dim]
         moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
+        prescribed = ~moves
         numbers = nodes.numbers[coupling.position]
         friction_acts = free
         if primary is not None and not isinstance(friction, Bonded):
@@ -151,6 +154,7 @@ class PairOperators:
             secondary_sagitta=coupling.secondary_sagitta,
             secondary=coupling.jump + coupling.primary,
             primary=coupling.primary,
+            prescribed=prescribed,
             N=_directional_rows(coupling.jump, normal_node, normals[normal_node]),
             normal_node=normal_node,
             T=_directional_rows(coupling.jump, tangent_node, along),
@@ -182,6 +186,17 @@ class PairOperators:
     def row_node(self) -> LocalNumbers:
         """The index in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
+
+    @property
+    def without_normal(self) -> LocalNumbers:
+        """The indices in `nodes` of the nodes without a row of N."""
+        return np.setdiff1d(np.arange(len(self.nodes), dtype=np.int32), self.normal_node)
+
+    @property
+    def rows_without_multiplier(self) -> Any:
+        """(n, dofs of V) sparse rows of the jump along the normals of nodes without a row of N."""
+        nodes = self.without_normal
+        return _directional_rows(self.secondary - self.primary, nodes, self.normals[nodes])
 
     def tangential_vectors(self, values: Array) -> Array:
         """Return nodal vectors (n, d) from their components (n_tangential,) along `tangents`."""

@@ -30,7 +30,7 @@ from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
+from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_overlap, hint_at_scene
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -246,7 +246,7 @@ class ContactSystem(PetscOwner):
             self.surfaces.update_gaps()
 
     def check_displacement(self, u: fem.Function) -> None:
-        """Log a warning, once, if a body is deformed by more than the extent of all bodies.
+        """Log warnings at prescribed overlaps, and once at a deformation beyond all bodies' extent.
 
         Collective.
 
@@ -256,6 +256,7 @@ class ContactSystem(PetscOwner):
         Args:
             u: displacement of a solution [length].
         """
+        hint_at_overlap(u, self.pairs, self.surfaces.jump)
         if not self._has_hinted_at_displacement:
             self._has_hinted_at_displacement = hint_at_displacement(u, self._stiffness.bodies)
 

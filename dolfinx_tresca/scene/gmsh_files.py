@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -123,8 +124,21 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
     unknown = [name for name in parameters if name not in known]
     if unknown:
         raise InputError(
-            f"'{path}' has no parameter {', '.join(unknown)}; its names are {', '.join(known)}."
+            f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
+            f"{', '.join(_declared(path, known)) or 'none: declare them with DefineConstant'}."
         )
+
+
+def _declared(path: Path, names: Sequence[str]) -> list[str]:
+    """Return those of the names that a `.geo` file declares itself.
+
+    Gmsh's list of names does not tell the names in `DefineConstant` from the file's own variables.
+    """
+    text = re.sub(r'"[^"]*"|//[^\n]*|/\*.*?\*/', "", path.read_text(errors="replace"), flags=re.S)
+    while (outer := re.sub(r"\{[^{}]*\}", "", text)) != text:  # options of a name are in braces
+        text = outer
+    declared = " ".join(re.findall(r"DefineConstant\s*\[(.*?)\]", text, flags=re.S))
+    return [name for name in names if re.search(rf"\b{re.escape(name)}\b", declared)]
 
 
 def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:

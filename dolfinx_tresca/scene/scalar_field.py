@@ -52,7 +52,12 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
                 f"expression, or a function of points, found {shown(value)}."
             )
         if not number > -rounding:
-            raise InputError(f"{name} must not be negative, found {number:g}.")
+            raise InputError(f"{name} must not be {invalid(number)}, found {number:g}.")
+
+
+def invalid(number: float) -> str:
+    """Return the word for a number that is no slip bound: NaN passes no comparison with a bound."""
+    return "NaN" if math.isnan(number) else "negative"
 
 
 def _check_shape(shape: tuple[int, ...], name: str) -> None:

@@ -26,6 +26,7 @@ from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
 from dolfinx_tresca.solution.resultants import (
     Resultant,
+    centre_of_forces,
     forces_on_secondary,
     resultants_between,
     resultants_on,
@@ -144,7 +145,7 @@ def evaluate(
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(found.multipliers, slip))
-    jump, increment, moved_by = (one * B.length_scale for one in (jump, increment, slip))
+    increment, moved_by = (one * B.length_scale for one in (increment, slip))
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
@@ -153,8 +154,8 @@ def evaluate(
     steps: list[Array] = []
     greatest = np.zeros(3)
     first = 0
-    for operators, surface, slipped, (n, t) in zip(
-        B.pairs, surfaces, dual.history.slipped, B.slices, strict=True
+    for operators, surface, slipped, closing, (n, t) in zip(
+        B.pairs, surfaces, dual.history.slipped, B.closings(u), B.slices, strict=True
     ):
         own = slice(first, first + len(operators.nodes))
         sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
@@ -173,7 +174,7 @@ def evaluate(
             path=before[:, -1] + steps[-1][:, -1],
         )
         states = pressed, sticking, rubbing
-        fields.append(surface.fields(operators, u, *tractions, jump[n], slips_of, *states))
+        fields.append(surface.fields(operators, u, *tractions, closing, slips_of, *states))
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
@@ -208,6 +209,7 @@ def evaluate(
         )
     cells = dual.compliance.estimator.of(u) if estimate else None
     force_on_nodes = _contact_force(B, found.multipliers)
+    on_bodies = _on_bodies(force_on_nodes, bodies)
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -228,8 +230,8 @@ def evaluate(
         counts=NodeCounts(*(int(count) for count in numbers)),
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
-        pair_resultants=resultants_on(comm, acting, len(acting)),
-        body_resultants=_on_bodies(force_on_nodes, bodies),
+        pair_resultants=resultants_on(comm, acting, len(acting), on_bodies[0].point),
+        body_resultants=on_bodies,
         between_bodies=resultants_between(comm, shares),
         body_names=bodies.names,
         peak_pressure=float(peak),
@@ -273,4 +275,5 @@ def _on_bodies(contact_force: fem.Function, bodies: Bodies) -> tuple[Resultant, 
     dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
     forces = contact_force.x.array.reshape(-1, dim)[:owned]
     points = V.tabulate_dof_coordinates()[:owned, :dim]
-    return resultants_on(V.mesh.comm, [(points, forces, bodies.label)], bodies.number)
+    centre = centre_of_forces(V.mesh.comm, points, forces)
+    return resultants_on(V.mesh.comm, [(points, forces, bodies.label)], bodies.number, centre)

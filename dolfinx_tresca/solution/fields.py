@@ -78,7 +78,8 @@ class SurfaceFields:
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
             over all steps in which it was pressed or had a positive slip bound. None without
             friction.
-        gap: distance d - N u [length], positive: open.
+        gap: distance d - N u [length], positive: open. Negative where Dirichlet conditions, which
+            prescribe the displacement along the normal, push a node into the other side.
         initial_gap: distance d before the bodies move [length], positive: open.
         state: values of `ContactState`.
         displacement: displacement of the secondary side [length] at the corners of its facets.
@@ -304,7 +305,7 @@ class Surface:
         u: fem.Function,
         pressure: Array,
         traction: Array,
-        normal_jump: Array,
+        closing: Array,
         slips: SlipFields,
         pressed: Mask,
         sticking: Mask,
@@ -317,19 +318,15 @@ class Surface:
             u: displacement [length], with ghosts.
             pressure: (n_normal,) pressures [stress].
             traction: (n_tangential,) tangential multipliers [stress].
-            normal_jump: (n_normal,) jumps N u [length].
+            closing: (n,) jumps of the displacement along the normals [length].
             slips: slip at the nodes.
             pressed: (n,) True at pressed nodes.
             sticking: (n,) True where the traction is below the slip bound.
             rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
         """
         nodes, count = operators.nodes, len(operators.nodes)
-
-        def at_nodes(values: Array) -> Array:
-            result = np.zeros(count)
-            result[operators.normal_node] = values
-            return result
-
+        pressures = np.zeros(count)
+        pressures[operators.normal_node] = pressure
         vectors, primary = operators.tangential_vectors, self.pair.primary
         has_friction = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
         if operators.bonded:
@@ -349,12 +346,12 @@ class Surface:
         return SurfaceFields(
             name=str(self.pair),
             mesh=self.mesh,
-            pressure=self.function("pressure", nodes, at_nodes(pressure)),
+            pressure=self.function("pressure", nodes, pressures),
             traction=self.function("traction", nodes, vectors(traction)) if has_friction else None,
             slip=slip,
             slip_increment=slip_increment,
             slip_path=slip_path,
-            gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
+            gap=self.function("gap", nodes, operators.gap - closing),
             initial_gap=self.function("initial_gap", nodes, operators.gap),
             state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
             displacement=self.displacement(u),

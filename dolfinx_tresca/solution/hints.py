@@ -13,9 +13,10 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -113,6 +114,37 @@ def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
         level=logging.WARNING,
     )
     return True
+
+
+def hint_at_overlap(u: fem.Function, pairs: Sequence[ContactPair], jump: JumpOperator) -> None:
+    """Warn where prescribed displacements push the sides of pairs into each other. Collective.
+
+    Args:
+        u: displacement of a solution [length].
+        pairs: the pairs.
+        jump: jumps of these pairs.
+    """
+    comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
+    rounding = ROUNDING * comm.allreduce(float(np.abs(points).max(initial=0.0)), op=MPI.MAX)
+    for pair, one, closing in zip(pairs, jump.pairs, jump.closings(u), strict=True):
+        depth = np.where(one.prescribed, closing - one.gap, 0.0)
+        deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
+        if deepest <= rounding:
+            continue
+        number = comm.allreduce(len(np.unique(one.nodes[depth > rounding])))
+        # the least of all equally deep points: the same with any number of ranks
+        there = points[one.nodes[depth >= deepest - rounding]]
+        place = min(comm.allgather(min(map(tuple, there.tolist()), default=(np.inf,))))
+        log(
+            comm,
+            "%s overlaps by up to %.3g, at (%s): Dirichlet conditions prescribe the displacement "
+            "along the normal at %d nodes of the secondary side, which so have no pressure to hold "
+            "the sides apart. Prescribe no overlap, or make a side that can give way the secondary "
+            "side",
+            *(pair, deepest, ", ".join(f"{x:.4g}" for x in place), number),
+            level=logging.WARNING,
+            about=str(pair),
+        )
 
 
 def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:

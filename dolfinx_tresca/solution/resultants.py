@@ -64,28 +64,40 @@ def moments(arm: Array, force: Array) -> Array:
     return turning if dim == 3 else turning[..., 2:]
 
 
+def centre_of_forces(comm: Any, places: Array, forces: Array) -> Array:
+    """Return the centre (d,) of the bounding box of all points with forces. Collective.
+
+    This is the point of moments unless the user gives another one; the origin without forces.
+
+    Args:
+        comm: communicator of the mesh.
+        places: (n, d) points of application [length].
+        forces: (n, d) forces.
+    """
+    places = places[forces.any(axis=1)]
+    bounds = [places.min(axis=0, initial=np.inf), (-places).min(axis=0, initial=np.inf)]
+    low, high = reduce_array(comm, bounds, MPI.MIN)
+    return 0.5 * (low - high) if np.isfinite(low).all() else np.zeros_like(low)
+
+
 def resultants_on(
-    comm: Any, parts: Sequence[tuple[Array, Array, Indices]], number: int
+    comm: Any, parts: Sequence[tuple[Array, Array, Indices]], number: int, point: Array
 ) -> tuple[Resultant, ...]:
-    """Return resultants about the centre of the bounding box of all points with forces. Collective.
+    """Return resultants about a point. Collective.
 
     Args:
         comm: communicator of the mesh.
         parts: groups of this rank's forces: points of application (n, d) [length], forces (n, d),
             and the index (n,) of the resultant to which each force belongs.
         number: number of resultants.
+        point: (d,) reference point of the moments [length].
     """
     places, forces, index = (np.concatenate(column) for column in zip(*parts, strict=True))
-    acts = forces.any(axis=1)
-    places, forces, index = places[acts], forces[acts], index[acts]
-    bounds = [places.min(axis=0, initial=np.inf), (-places).min(axis=0, initial=np.inf)]
-    low, high = reduce_array(comm, bounds, MPI.MIN)
-    middle = 0.5 * (low - high) if np.isfinite(low).all() else np.zeros_like(low)
-    both = np.hstack([forces, moments(places - middle, forces)])
+    both = np.hstack([forces, moments(places - point, forces)])
     sums = np.zeros((number, both.shape[1]))
     np.add.at(sums, index, both)
     dim = forces.shape[1]
-    return tuple(Resultant(one[:dim], one[dim:], middle) for one in reduce_array(comm, sums))
+    return tuple(Resultant(one[:dim], one[dim:], point) for one in reduce_array(comm, sums))
 
 
 def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Array) -> Array:

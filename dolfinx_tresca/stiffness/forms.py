@@ -111,13 +111,15 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     Raises:
         InputError: forms and conditions do not fit together, or do not suit contact.
     """
-    for name, form, kinds in (("a", a, (fem.Form, PETSc.Mat)), ("L", L, (fem.Form, type(None)))):
+    for name, form, kinds, instead in (
+        ("a", a, (fem.Form, PETSc.Mat), "a PETSc.Mat"),
+        ("L", L, (fem.Form, type(None)), "None for no load"),
+    ):
         if isinstance(form, ufl.Form):
             continue
         if not isinstance(form, kinds):
-            other = "a PETSc.Mat" if name == "a" else "None"
             raise InputError(
-                f"{name} must be a UFL form, or a compiled one or {other} together with V=, found "
+                f"{name} must be a UFL form, {instead}, or a compiled form together with V=, found "
                 f"{shown(form)}." + (f" {_ONE_SPACE}" if isinstance(form, Sequence) else "")
             )
     if not isinstance(bcs, Sequence):

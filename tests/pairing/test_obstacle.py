@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from logged import logged
 from rotations import rotation
 
 from dolfinx_tresca import (
@@ -224,8 +227,19 @@ def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
 @pytest.mark.parametrize("kind", KINDS)
 def test_plane_with_the_opposite_normal_is_an_error(comm, kind):
     scene = patch(comm, kind)
-    with pytest.raises(PairingError, match=r"do not face each other.*rigid plane"):
+    with pytest.raises(PairingError, match=r"do not face each other.*rigid plane.*Reverse it"):
         scene.problem(pairs=[floor(scene, flip=-1.0)])
+
+
+@pytest.mark.parallel
+def test_opposite_normal_is_warned_of_with_finite_sliding(comm, caplog):
+    """The surfaces need not face each other before they move."""
+    scene = patch(comm, "quadrilateral")
+    for flip, expected in ((1.0, False), (-1.0, comm.rank == 0)):
+        caplog.clear()
+        pair = dataclasses.replace(floor(scene, flip=flip), sliding="finite")
+        with scene.problem(pairs=[pair]):
+            assert ("points into the body" in logged(caplog)) == expected
 
 
 @pytest.mark.parallel

@@ -109,7 +109,7 @@ def test_only_in_contact_must_be_a_bool(value):
     ("law", "message"),
     [
         (lambda bad: Coulomb(bad(-1.0)), "the coefficient of friction must not be negative"),
-        (lambda bad: Coulomb(bad(np.nan)), "the coefficient of friction must not be negative"),
+        (lambda bad: Coulomb(bad(np.nan)), "the coefficient of friction must not be NaN"),
         (lambda bad: Coulomb(bad(np.inf)), "the coefficient of friction must be finite"),
         (lambda bad: Coulomb(0.3, bad(-1.0)), "the limit of the slip bound must not be negative"),
         (lambda bad: Coulomb(0.3, -1.0), "the limit of the slip bound must not be negative"),

@@ -215,6 +215,13 @@ def test_faulty_file_raises_on_all_ranks(comm, folder, fault):
     assert name in str(caught.value) or fault == "unknown kind of file"
 
 
+def test_unknown_parameter_names_those_that_can_be_set(comm):
+    """The file has 21 variables, of which it declares 4."""
+    with pytest.raises(InputError, match="no parameter Size") as caught:
+        read_gmsh(MESHES / "two_bricks.geo", comm, N=2, Size=1.0)
+    assert str(caught.value).endswith("its parameters are Hex, N, Offset, Shift.")
+
+
 def test_missing_file_is_named(comm, folder):
     with pytest.raises(MeshError, match=r"no file '.*absent\.geo'"):
         read_gmsh(folder / "absent.geo", comm)

@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, Coulomb, RigidPlane
 from scenes.blocks import BELOW, block
-from scenes.patches import patch
+from scenes.patches import LOWER, UPPER, patch
 from scenes.scene import Scene
 
 
@@ -50,6 +50,44 @@ def test_overlaps(comm, caplog, depth, deep):
     scene = block(comm, (3, 3), obstacles=[(BELOW, RigidPlane((0, depth), (0, 1)))])
     expected = deep and comm.rank == 0
     assert (f"overlaps by {depth:g} before anything moves" in hints(caplog, scene)) == expected
+
+
+@pytest.mark.parallel(sliding=["finite"], down=[0.02])
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+@pytest.mark.parametrize("exchanged", [False, True])
+@pytest.mark.parametrize("obstacle", [False, True])
+@pytest.mark.parametrize("down", [0.02, 0.0, -0.01])
+def test_prescribed_overlaps(comm, caplog, sliding, exchanged, obstacle, down):
+    """Both faces, or one above a plane, have prescribed normal components and free tangents.
+
+    The gap is what was prescribed, also where no pressure can change it.
+    """
+    scene = two_blocks(comm, scale=10.0)
+    normal = scene.V.sub(1)
+    bcs = [*scene.bcs]
+    for tag, value in ((UPPER, -down), (LOWER, down / 2)):
+        dofs = fem.locate_dofs_topological(normal, 1, scene.facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(value, dofs, normal))
+    pair = dataclasses.replace(scene.pair, friction=Coulomb(0.3), sliding=sliding)
+    if exchanged:
+        pair = dataclasses.replace(pair, secondary=pair.primary, primary=pair.secondary)
+    if obstacle:
+        plane = RigidPlane((0.0, 10.0), (0.0, 1.0))
+        pair = dataclasses.replace(pair, secondary=UPPER, primary=plane)
+    overlap = down if obstacle else 1.5 * down
+    caplog.clear()
+    with (
+        caplog.at_level(logging.INFO, "dolfinx_tresca"),
+        scene.problem(pairs=[pair], bcs=bcs) as problem,
+    ):
+        solution = problem.solve()
+        surface = solution.surfaces[0]
+        carries = surface.state.x.array >= 0
+        assert comm.allreduce(int(carries.sum())) > 0
+        assert surface.gap.x.array[carries] == pytest.approx(-overlap, abs=1e-13 * 20.0)
+    text = logged(caplog)
+    warned = comm.rank == 0 and overlap > 0.0
+    assert (f"overlaps by up to {overlap:g}, at (" in text) == warned
 
 
 @pytest.mark.parallel

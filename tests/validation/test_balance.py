@@ -101,7 +101,13 @@ def test_reactions_and_contact_forces_balance(solved):
     assert np.abs(contact - reaction)[:3].max() <= BALANCE * size
     components = [*range(dim), 5] if dim == 2 else range(6)
     on_lower, on_upper = solution.body_resultants
-    for one in (*solution.resultants(), on_upper.about(np.zeros(dim))):
+    # all moments have the same point unless another one is given
+    between = solution.resultants_between(0, 1)
+    np.testing.assert_array_equal(between.point, on_lower.point)
+    np.testing.assert_array_equal(solution.resultants()[0].point, on_lower.point)
+    assert np.abs(between.force - on_lower.force).max() <= BALANCE * size
+    assert np.abs(between.moment - on_lower.moment).max() <= BALANCE * size
+    for one in (*solution.resultants(np.zeros(dim)), on_upper.about(np.zeros(dim))):
         found = np.concatenate([one.force, one.moment])
         assert np.abs(found + reaction[components]).max() <= BALANCE * size
     assert np.abs(on_lower.force + on_upper.force).max() <= BALANCE * size
