@@ -273,7 +273,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def failure(self) -> str:
-        """What ended the iteration, and what helps; empty if it converged."""
+        """Reason why the iteration failed, and what helps; empty if it converged."""
         if self.status is ContactStatus.CONVERGED:
             return ""
         advice = self.sliding or ADVICE[self.status]

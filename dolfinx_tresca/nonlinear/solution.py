@@ -29,7 +29,7 @@ class NonlinearContactSolution(ContactSolution):
 
     @property
     def failure(self) -> str:
-        """What ended the iterations, and what helps; empty if they converged."""
+        """Reason why the iterations failed, and what helps; empty if they converged."""
         if self.status is ContactStatus.NO_EQUILIBRIUM:
             return self.newton.message
         return super().failure

@@ -585,4 +585,4 @@ def test_products_are_carried_over_to_the_next_configuration(comm, monkeypatch):
             solution = problem.solve()
             solution.raise_if_failed()
         products.append([step.products for step in solution.newton.steps])
-    assert sum(products[0][1:]) <= 0.5 * sum(products[1][1:])
+    assert sum(products[0][1:]) <= 0.6 * sum(products[1][1:])

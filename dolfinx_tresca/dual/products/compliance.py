@@ -39,9 +39,10 @@ NEAR_CAPACITY = 40
 #: memory that multigrid saves.)
 NEAR_SHARE = 0.4
 
-#: A is computed as a dense matrix if it has at most this number of rows: a step of Newton's method
-#: takes some seconds at this number, and A 72 MB on each rank.
-LARGEST_DENSE = 3000
+#: A is computed as a dense matrix if it has at most this number of rows, with a direct and with an
+#: iterative solver for K. With 3,000 rows, a step of Newton's method takes some seconds, and A 72 MB
+#: on each rank. An iterative solver needs a solve for each column.
+LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
 
 class ContactCompliance(PetscOwner):
@@ -189,9 +190,10 @@ class ContactCompliance(PetscOwner):
     def complete_products(self) -> bool:
         """Compute A as a dense matrix, unless it is known; return whether it is known. Collective.
 
-        A is not computed if it is too large (`LARGEST_DENSE`), or if K has an iterative solver.
+        A is not computed if it is too large (`LARGEST_DENSE`).
         """
-        affordable = self.operator.exact and self.jump.matrix.getSize()[0] <= LARGEST_DENSE
+        largest = LARGEST_DENSE if self.operator.exact else LARGEST_DENSE_ITERATIVE
+        affordable = self.jump.matrix.getSize()[0] <= largest
         if affordable and not isinstance(self._store, WholeProducts):
             self._store = WholeProducts(dense_model(self.operator, self.nodal_compliance))
         return isinstance(self._store, WholeProducts)

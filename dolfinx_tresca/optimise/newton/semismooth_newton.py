@@ -279,9 +279,9 @@ def solve_from_convex(
 
     Args:
         newton: Newton's method, which has failed.
-        model: its model.
-        start: its initial guess.
-        best: its result.
+        model: model of Newton's method.
+        start: initial guess from which Newton's method has failed.
+        best: result of Newton's method.
         tolerance: requested residual.
     """
     x, c, r = start.x, start.c, start.r
