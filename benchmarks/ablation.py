@@ -222,7 +222,7 @@ def random_blocks(seed: int) -> Scene:
 
 
 #: Seeds of random problems. The last ones of each kind need parts of the method that most problems
-#: do not need: safeguards and the interior-point method, or the path of friction.
+#: do not need, such as safeguards.
 PLAIN, BALANCED, CONES = range(6), (0, 1, 2, 4, 7, 59), (0, 1, 2, 5, 20, 29, 86)
 
 

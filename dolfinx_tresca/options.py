@@ -22,7 +22,8 @@ class SolverOptions:
     """Options of the dual solver.
 
     Attributes:
-        method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
+        method: the algorithm. All but "projected_newton" are algorithms of the paper, for bodies
+            held by supports and for slip bounds that do not depend on the pressure.
         accuracy: largest accepted error of the iteration relative to the displacement, both in the
             energy norm; in (0, 1). The solve stops when `ContactSolution.energy_error_bound` is at
             most this number. The error of the mesh is not included. With "balanced", the solve

@@ -63,7 +63,7 @@ def test_an_obstacle_has_one_side(comm):
 
 
 def test_one_factorisation_for_any_number_of_solves(comm):
-    """Of K, and with it those of the energy bound and of the near field; none of anything else."""
+    """Of K, and of the small matrices of the energy bound and, for the first step, near field."""
     with Factorisations() as factored, bricks_problem(comm, 4) as problem:
         assert factored.count == 1
         for asked in ({"rtol": 1e-6}, {"accuracy": 1e-3}, {}):

@@ -21,14 +21,10 @@ class Lambda:
         """Return |y_i| for each node."""
         return np.sqrt(self.discs.T @ y**2)
 
-    def onto_discs(self, y, nodes=True):
-        """Return y with psi_g applied to the tangential multipliers of some nodes."""
-        factors = np.where(nodes, self.g / np.maximum(self.norms(y), self.g), 1.0)
-        return y * (self.normal + self.discs @ factors)
-
     def project(self, y):
-        """Return P(y), the point of Lambda next to y."""
-        return np.where(self.normal, np.maximum(y, 0.0), self.onto_discs(y))
+        """Return P(y), the point of Lambda next to y: psi_g of the tangential multipliers."""
+        factors = self.g / np.maximum(self.norms(y), self.g)
+        return np.where(self.normal, np.maximum(y, 0.0), y * (self.discs @ factors))
 
     def means(self, v):
         """Return v with the tangential entries of each node replaced by their mean."""
@@ -65,30 +61,42 @@ class Model:
         return 1.0 / np.linalg.norm(self.Y, 2) ** 2
 
 
-# Stage 2: Newton's method on the faces of Lambda, without a product with A
-def minimum_of_model(M, x, r, lam, residual, tolerance):
+# Stage 2: Newton's method for x = P(x - rho r) with the model, without a product with A
+def minimum_of_model(M, x, r, lam):
     """Return the z in Lambda that minimises r'(z - x) + (z - x)'M (z - x) / 2."""
+    D = lam.means(np.diag(M))
+    rho = 0.2 / D  # a step length for each node
 
-    def error(z):
-        return residual(z, r + M @ (z - x))
+    def gradient(z):
+        return r + M @ (z - x)
+
+    def residual(z):
+        z = lam.project(z)
+        change = z - lam.project(z - rho * gradient(z))
+        return np.sqrt(change @ (D * change))  # an energy
+
+    def newton_step(z):
+        # the sets (38.12), (38.13): what opens, and what slips
+        y = z - rho * gradient(z)
+        is_open, slips = lam.normal & (y < 0.0), lam.norms(y) > lam.g
+        radial = lam.discs * np.where(slips, y[:, None] / np.maximum(lam.norms(y), lam.g), 0.0)
+        # (P M P + diag kappa) s = -P r on this face: slipping nodes move along their circles
+        on_face = np.where(is_open | (lam.discs @ slips > 0.0), 0.0, z) + radial @ lam.g
+        kappa = lam.discs @ (np.maximum(-radial.T @ gradient(on_face), 0.0) / lam.g)
+        P = np.diag(1.0 - is_open) - radial @ radial.T
+        system = P @ (M + np.diag(kappa)) @ P + np.eye(len(x)) - P
+        return on_face + np.linalg.solve(system, -P @ gradient(on_face)) - z
 
     best = z = x
     for _ in range(30):
-        # the sets (38.12), (38.13), with a step length for each node: what opens, and what slips
-        y = z - 0.2 / lam.means(np.diag(M)) * (r + M @ (z - x))
-        is_open, slips = lam.normal & (y < 0.0), lam.norms(y) > lam.g
-        radial = lam.discs * np.where(slips, y[:, None] / np.maximum(lam.norms(y), lam.g), 0.0)
-        z = np.where(is_open | (lam.discs @ slips > 0.0), 0.0, z) + radial @ lam.g
-        # (P M P + diag kappa) s = -P r on that face: slipping nodes move along their circles
-        r_z = r + M @ (z - x)
-        kappa = lam.discs @ (np.maximum(-radial.T @ r_z, 0.0) / lam.g)
-        P = np.diag(1.0 - is_open) - radial @ radial.T
-        s = np.linalg.solve(P @ (M + np.diag(kappa)) @ P + np.eye(len(x)) - P, -P @ r_z)
-        z = lam.onto_discs(z + s, slips)
-        best = min(best, lam.project(z), key=error)
-        if error(best) <= tolerance:
+        if residual(best) <= 1e-12 * residual(x):
             break
-    return best
+        step, before, n = newton_step(z), residual(z), 0
+        while residual(z + step / 2**n) > 0.9 * before and n < 6:  # halved until it helps
+            n += 1
+        z = z + step / 2**n
+        best = min(best, z, key=residual)
+    return lam.project(best)
 
 
 def minimiser_between(r, p, Ap, d, Ad):
@@ -112,7 +120,7 @@ def minimise(A, b, lam, rtol=1e-6):
         if residual(x, r) <= rtol * residual(np.zeros_like(b), -b):
             break
         # Stage 3: one product with A on the step of the model; the best part of the step
-        d = minimum_of_model(model.matrix(), x, r, lam, residual, 0.1 * residual(x, r)) - x
+        d = minimum_of_model(model.matrix(), x, r, lam) - x
         Ad = model.product(d)
         step, change = minimiser_between(r, np.zeros_like(d), np.zeros_like(d), d, Ad)
         # Stage 4: does q fall as much as the gradient projection step p promises (Theorem 38.1)?

@@ -7,16 +7,16 @@ from __future__ import annotations
 #: benchmarks/ablation.py change by two at most.
 PROGRESS = 0.9
 
-#: Number of consecutive steps without progress after which an inner iteration, which needs no
-#: products, ends. If it is doubled, failing inner iterations take twice as long, and numbers of
-#: products of benchmarks/ablation.py change by one at most. With the value 2, a strip of 150 nodes
-#: that is pulled to and fro ends with STAGNATED.
+#: Number of consecutive iterations that change the energy by rounding only and reduce no residual,
+#: after which an iteration stagnates. If it is doubled, numbers of products of
+#: benchmarks/ablation.py change by one at most. With the value 2, a strip of 150 nodes that is
+#: pulled to and fro ends with STAGNATED.
 IDLE_STEPS = 8
 
 #: Number of iterations without progress after which a contact problem counts as stalled, and after
-#: which a search for a fixed point ends. If it is doubled, solves without a fixed point take more
-#: products, and warnings come later. Of the solves in tests/validation and tests/nonlinear that
-#: converge, none needs a value above 23.
+#: which a search for a fixed point, or Newton's method with a model of A, ends. If it is doubled,
+#: solves without a fixed point take more products, and warnings come later. Of the solves in
+#: tests/validation and tests/nonlinear that converge, none needs a value above 23.
 PATIENCE = 25
 
 #: Limit on the steps of an inner iteration. Most inner iterations end after a few steps. In

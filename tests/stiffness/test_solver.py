@@ -113,7 +113,7 @@ def test_what_is_returned_bounds_the_true_error(system, exact, rtol):
 
 
 def test_recorded_errors_bound_those_of_products(comm):
-    """Of all pairs that a solve keeps, the seed's among them, in the norm sqrt(e'A^-1 e)."""
+    """Of all pairs that a solve keeps, in the norm sqrt(e'A^-1 e)."""
     scene = two_bricks(comm, 3)
     with scene.problem(stiffness="cholesky") as direct:
         operator = direct._contact.surfaces.compliance.operator

@@ -88,8 +88,7 @@ def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
-# A search with one run of Newton's method in place of several, with exact constraints first, or
-# with a low-rank model of A misses these. Pile 0 is solved or missed as rounding decides.
+# Without the convex problems as other initial guesses of Newton's method, pile 28 is missed.
 @pytest.mark.parametrize("seed", [28, 208, 267])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
@@ -97,11 +96,11 @@ def test_piles_whose_fixed_point_is_hard_to_find(seed):
 
 @pytest.mark.long
 def test_a_search_that_repeats_itself_ends():
-    """A pile whose fixed point is not found: iterations repeat the same points from the third on.
+    """A pile whose fixed point is not found: iterations soon repeat the same points.
 
     A solve that goes on until its patience ends takes `PATIENCE` iterations more.
     """
-    with random_pile(2140).scene().problem() as problem:
+    with random_pile(2008).scene().problem() as problem:
         solution = problem.solve(rtol=RTOL)
     assert solution.iterations <= PATIENCE // 2
 

@@ -135,8 +135,9 @@ class ProjectedNewton:
     def compute_first_products(self) -> None:
         """Compute first products to bound sigma_max, unless some are known. Collective.
 
-        For a new A, `known_products` computes the seed products. If no product is known after this
-        call, b is multiplied by the near field if there is one, and otherwise by A.
+        For a new A, `known_products` computes a product with random signs, or all columns of A if A
+        is sparse. If no product is known after this call, b is multiplied by the near field if
+        there is one, and otherwise by A.
         """
         self.store = store = self.problem.known_products()
         store.drop_inaccurate_pairs()

@@ -279,9 +279,9 @@ def solve_from_convex(
 
     Args:
         newton: Newton's method, which has failed.
-        model: model of Newton's method.
-        start: initial guess from which Newton's method has failed.
-        best: result of Newton's method.
+        model: model of A in Newton's method.
+        start: initial guess with which Newton's method failed.
+        best: result of this failed run.
         tolerance: requested residual.
     """
     x, c, r = start.x, start.c, start.r
