@@ -40,8 +40,8 @@ NEAR_CAPACITY = 40
 NEAR_SHARE = 0.4
 
 #: A is computed as a dense matrix if it has at most this number of rows, with a direct and with an
-#: iterative solver for K. With 3,000 rows, a step of Newton's method takes some seconds, and A takes
-#: 72 MB on each rank. An iterative solver needs a solve for each column.
+#: iterative solver for K, which needs a solve for each column. With 3,000 rows, a step of Newton's
+#: method takes some seconds, and A takes 72 MB on each rank.
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
 
