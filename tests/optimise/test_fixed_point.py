@@ -110,6 +110,13 @@ def test_converged_means_what_it_says(problem):
     assert np.linalg.norm(moved) <= 100 * EPS * np.linalg.norm(found.multipliers)
 
 
+def test_newton_systems_may_be_singular():
+    """The solve ends with a status, whatever the numbers in the system."""
+    problem = random_dry_problem(325, 3, 3.7915943179032503, 3.0)
+    found = run(problem, rtol=RTOL)
+    assert found.status in (ContactStatus.NO_FIXED_POINT, ContactStatus.CONVERGED)
+
+
 def test_methods_of_the_paper_are_refused():
     """They are for slip bounds that are given."""
     problem = random_cone_problem(3, 6, 0.5, 0.3)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from dolfinx_tresca._base.arrays import Array, Matrix, dense
-from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps
+from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps, solve_or_fit
 from dolfinx_tresca.optimise.reductions import Reductions
 
 
@@ -121,7 +121,7 @@ class BlockBFGSModel(Model):
         capacitance[:rank, :rank] += self._C_inverse
         capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness
         wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
-        found = self._agreed(_solve(capacitance, wanted))
+        found = self._agreed(solve_or_fit(capacitance, wanted))
         return first - scaled @ found, -unit * found[rank:]
 
     def solve_between(
@@ -129,11 +129,3 @@ class BlockBFGSModel(Model):
     ) -> tuple[Array, Array]:
         """Return the result of `solve` with the function `maps.inverse`. Collective."""
         return self.solve(maps.inverse, right, G, softness, missing)
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    """Return the solution; for a singular matrix, the least-squares solution of least norm."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)

@@ -132,3 +132,11 @@ class Model(ABC):
         """
         maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
         return self.solve_between(maps, right, G, softness, missing)
+
+
+def solve_or_fit(matrix: Array, right: Array) -> Array:
+    """Return the solution; for a singular matrix, the least-squares solution of least norm."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)

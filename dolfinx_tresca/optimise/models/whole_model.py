@@ -10,7 +10,7 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, isspars
 from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix, dense
-from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps
+from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps, solve_or_fit
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose
@@ -138,7 +138,7 @@ class WholeModel(Model):
             free = self._gathered(abs(projector).sum(axis=1)) > 0.0
             moving = np.flatnonzero(np.append(free, np.ones(k, dtype=np.bool_)))
             solution = np.zeros(len(wanted))
-            solution[moving] = np.linalg.solve(matrix[np.ix_(moving, moving)], wanted[moving])
+            solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], wanted[moving])
         solution = self._reductions.from_first_rank(solution)
         return maps.trial(solution[self._mine]), unit * solution[len(solution) - k :]
 
