@@ -13,7 +13,13 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinx_tresca._base.number import integer
-from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
+from dolfinx_tresca.errors import (
+    ContactError,
+    ConvergenceError,
+    InputError,
+    OutsideTheoryError,
+    shown,
+)
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import io, plot
 from dolfinx_tresca.output.blocks import Field
@@ -51,7 +57,8 @@ class ContactSolution(Evaluation, Tabulated):
         iterations: number of outer iterations.
         sliding: explanation of the status `NO_FIXED_POINT` if friction cannot hold a body: the
             body, its motion, and by how much the loads exceed friction. If the configurations of
-            finite sliding did not converge: the reason, with advice. In all other cases empty.
+            finite sliding did not converge, or the status is `OUTSIDE_THEORY`: the reason, with
+            advice. In all other cases empty.
         sweeps: number of successive Tresca problems if slip bounds depend on the pressure; 0 for
             projected Newton, which finds the fixed point with its model of A.
         products: number of applications of A = B K^-1 B', set-up included.
@@ -260,7 +267,13 @@ class ContactSolution(Evaluation, Tabulated):
 
         Raises:
             ConvergenceError: the status is not CONVERGED.
+            OutsideTheoryError: the status is OUTSIDE_THEORY; this is a kind of ConvergenceError.
         """
+        if self.status is ContactStatus.OUTSIDE_THEORY:
+            raise OutsideTheoryError(
+                f"the equations are solved, but the scene has left its theory: {self.sliding}.",
+                self.u,
+            )
         if self.status is not ContactStatus.CONVERGED:
             advice = self.sliding or "Allow more iterations, or request less accuracy"
             if not self.sliding and self.options.method != "projected_newton":

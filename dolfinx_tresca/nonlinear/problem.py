@@ -355,8 +355,6 @@ class NonlinearContactProblem(ContactProcess):
                 "at another one, such as zero."
             )
         self._level, found = run.level, run.found
-        if self._contact.surfaces.slides_far:
-            self._contact.check_displacement(found.u)
         status, message = found.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -30,7 +30,8 @@ from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
+from dolfinx_tresca.solution.hints import hint_at_scene
+from dolfinx_tresca.solution.theory import TheoryCheck, motions_of_bodies, slips_of_pairs
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -98,7 +99,7 @@ class ContactSystem(PetscOwner):
         """
         self.linear, self.pairs = linear, pairs
         self._last_solve: LastSolve | None = None
-        self._destroyed = self._has_hinted_at_displacement = False
+        self._destroyed, self._theory = False, TheoryCheck()
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
             cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
@@ -245,19 +246,26 @@ class ContactSystem(PetscOwner):
             self.linear.assemble_load()
             self.surfaces.update_gaps()
 
-    def check_displacement(self, u: fem.Function) -> None:
-        """Log a warning, once, if a body is deformed by more than the extent of all bodies.
+    def within_theory(self, solution: ContactSolution) -> ContactSolution:
+        """Return a final solution of linear bodies, OUTSIDE_THEORY if it left theory. Collective.
 
-        Collective.
-
-        With finite sliding, only the final solution is checked, since surfaces that come from afar
-        may lie deep inside other bodies in the first configurations.
-
-        Args:
-            u: displacement of a solution [length].
+        With finite sliding, the first configurations are not checked, since surfaces that come from
+        afar may lie deep inside other bodies there.
         """
-        if not self._has_hinted_at_displacement:
-            self._has_hinted_at_displacement = hint_at_displacement(u, self._stiffness.bodies)
+        if solution.status is not ContactStatus.CONVERGED:
+            return solution
+        surfaces = self.surfaces
+        moved = solution.u.copy()
+        moved.x.array[:] -= surfaces.geometry.x.array
+        departures = [
+            *motions_of_bodies(solution.u, self._stiffness.bodies),
+            *slips_of_pairs(surfaces.jump, self.pairs, moved, solution.multipliers),
+        ]
+        reason = self._theory.reason(self.comm, departures)
+        if not reason:
+            return solution
+        surfaces.steps.set_last_status(ContactStatus.OUTSIDE_THEORY)
+        return replace(solution, status=ContactStatus.OUTSIDE_THEORY, sliding=reason)
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again. Collective.
@@ -329,10 +337,6 @@ class ContactSystem(PetscOwner):
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
         steps.last = status, history, evaluation.w
-        if not surfaces.slides_far:
-            self.check_displacement(evaluation.u)
-        if status is ContactStatus.CONVERGED:
-            surfaces.sliding.warn(surfaces.jump, self.pairs, evaluation.u, found.multipliers)
         self._last_solve = LastSolve(
             dual, found.multipliers, evaluation, curves, inputs, options, moved
         )

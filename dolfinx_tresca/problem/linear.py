@@ -299,7 +299,7 @@ class ContactProblem(ContactProcess):
         surfaces = self._contact.surfaces
         surfaces.begin_solve()
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
-        solution = solve(self._contact, options, self.units, observe)
+        solution = self._contact.within_theory(solve(self._contact, options, self.units, observe))
         self._warn_of_changed_form()
         return solution
 

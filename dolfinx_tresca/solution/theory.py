@@ -1,0 +1,233 @@
+"""The limits of linear theory: rotations of linear bodies, and slip with small sliding."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
+from dolfinx_tresca.scene.pair import ContactPair
+
+
+class Limit(NamedTuple):
+    """The values of a measure above which it is noticed in the log, and above which theory ends."""
+
+    noticed: float
+    largest: float
+
+
+#: Limits of the rotation of a linear body [rad]. A rotation r changes the directions of contact
+#: forces by r, and linear theory strains the turned body by r^2 / 2: at 0.05 rad by 0.1 %, as much
+#: as the yield strain of steel. With doubled limits these errors are two and four times as large.
+ROTATION = Limit(0.01, 0.05)
+
+#: Limits of the displacement of a linear body beyond its best-fit rigid motion, relative to the
+#: body's diagonal. Strains have about this size; with doubled limits they are twice as large.
+DEFORMATION = Limit(0.2, 1.0)
+
+#: Limits of the slip relative to the size of the contact. With small sliding, forces stay at this
+#: fraction of the contact from where they act; with doubled limits, twice as far.
+SLIP = Limit(0.2, 1.0)
+
+#: Limits of the slip relative to the size of a facet where nothing but the scatter of the normals
+#: from node to node stops a body. Such normals are normals of one facet; with doubled limits,
+#: bodies move on beyond the limit of friction twice as far without a word.
+WEDGED_SLIP = Limit(0.05, 0.2)
+
+#: A contact slides as a whole if this fraction of its force is at nodes that slip by more than half
+#: of the largest slip. With half the number, contacts with a stick zone would count, too.
+SLIDING_FORCE = 0.9
+
+#: Normals scatter if their mean component along the slip is at most this fraction of their mean
+#: absolute component. It is 1 for the faces of a wedge, and about the reciprocal root of the number
+#: of nodes for a cylinder that is pulled along its axis. With twice the number, wedges with
+#: differently inclined faces count.
+SCATTERED = 0.5
+
+#: Smallest mean component of normals along the slip that does not count as rounding.
+LEAST_TILT = 1e-6
+
+ADVICE_TO_BODIES = (
+    "Look for a force that should be a prescribed displacement, for missing supports, and at the "
+    "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations"
+)
+ADVICE_TO_PAIRS = (
+    'Prescribe the displacement in place of a force that friction cannot carry, or take ContactPair'
+    '(..., sliding="finite")'
+)
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A measure of how far a solution has left linear theory, beyond `limit.noticed`.
+
+    Attributes:
+        value: the measure.
+        limit: its limits.
+        text: what moves, and by how much.
+        advice: what to do.
+    """
+
+    value: float
+    limit: Limit
+    text: str
+    advice: str
+
+
+class TheoryCheck:
+    """The check whether solutions are inside linear theory; logs each kind of departure once."""
+
+    def __init__(self) -> None:
+        self._noticed: set[Limit] = set()
+
+    def reason(self, comm: MPI.Comm, departures: Sequence[Departure]) -> str:
+        """Return why a solution is outside of the theory; empty if it is inside. Collective.
+
+        Departures within the limits are logged.
+        """
+        outside = [one for one in departures if one.value > one.limit.largest]
+        for departure in [] if outside else departures:
+            if departure.limit not in self._noticed:
+                self._noticed.add(departure.limit)
+                log(
+                    comm,
+                    "%s: near the end of linear theory. %s",
+                    *(departure.text, departure.advice),
+                    level=logging.WARNING,
+                )
+        if not outside:
+            return ""
+        advice = dict.fromkeys(departure.advice for departure in outside)
+        return f"{'; '.join(one.text for one in outside)}. {'. '.join(advice)}"
+
+
+def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
+    """Return the departures of the body that turns most, and of the one that deforms most.
+
+    Collective.
+
+    Args:
+        u: displacement [length].
+        bodies: bodies of the mesh.
+    """
+    comm, dim, label = u.function_space.mesh.comm, u.function_space.mesh.geometry.dim, bodies.label
+    size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
+    moved = np.zeros((len(label), 3))
+    moved[:, :dim] = u.x.array.reshape(-1, dim)[: len(label)] / size[label, None]
+    incidence = csr_array((np.ones(len(label)), (label, np.arange(len(label)))))
+    incidence.resize((bodies.number, len(label)))
+
+    def sums(*columns: Array) -> Array:
+        return np.asarray(reduce_array(comm, incidence @ np.hstack(columns)))
+
+    means = sums(bodies.arm, moved) / bodies.nodes[:, None]
+    arm, moved = bodies.arm - means[label, :3], moved - means[label, 3:]
+    moments = sums(np.cross(arm, moved), (arm[:, :, None] * arm[:, None, :]).reshape(-1, 9))
+    spread = moments[:, 3:].reshape(-1, 3, 3)
+    inertia = np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(3) - spread
+    turn = np.linalg.solve(inertia, moments[:, :3, None])[:, :, 0]
+    moved -= np.cross(turn[label], arm)
+    strain = np.zeros(bodies.number)
+    np.maximum.at(strain, label, np.linalg.norm(moved, axis=1))
+    strain = reduce_array(comm, strain, MPI.MAX)
+    angle = np.linalg.norm(turn, axis=1)
+    body = int(angle.argmax())
+    if angle[body] > ROTATION.noticed:
+        text = (
+            f"{bodies.describe(body)} turns by {angle[body]:.3g} rad, which moves its ends by some "
+            f"{0.5 * angle[body] * size[body]:.3g}; linear theory allows {ROTATION.largest} rad"
+        )
+        yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
+    body = int(strain.argmax())
+    if strain[body] > DEFORMATION.noticed:
+        text = (
+            f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its rigid "
+            f"motion, {strain[body]:.3g} times its diagonal"
+        )
+        yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
+
+
+def slips_of_pairs(
+    jump: JumpOperator,
+    pairs: Sequence[ContactPair],
+    moved: fem.Function,
+    tractions: Array,
+) -> Iterator[Departure]:
+    """Return the departures of pairs with small sliding. Collective.
+
+    Some pairs are left out: pairs with finite sliding, bonded pairs, pairs with a plane, which has
+    the same normal everywhere, and two deformable surfaces without friction, which have no
+    tangential rows.
+
+    Args:
+        jump: the operator B.
+        pairs: the pairs.
+        moved: displacement since the surfaces were paired [length].
+        tractions: (size,) tractions of the solution [stress].
+    """
+    slip = jump.of_displacement(moved) * jump.length_scale
+    vectors = moved.x.array.reshape(-1, moved.function_space.mesh.geometry.dim)
+    for pair, on, (n, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
+        if pair.sliding == "finite" or on.bonded or isinstance(pair.primary, RigidPlane):
+            continue
+        if isinstance(pair.primary, RigidObstacle):
+            nodal = vectors[on.nodes]
+            along = nodal - np.einsum("ni,ni->n", nodal, on.normals)[:, None] * on.normals
+        else:
+            along = on.tangential_vectors(slip[t])
+        force = np.zeros(len(on.nodes))
+        force[on.normal_node] = on.weights[on.normal_node] * np.maximum(tractions[n], 0.0)
+        yield from _slip_of_pair(jump.comm, pair, on, along, force)
+
+
+def _slip_of_pair(
+    comm: Any, pair: ContactPair, on: PairOperators, along: Array, force: Array
+) -> Iterator[Departure]:
+    """Return the departures of a pair from the slip (n, d) and forces (n,) of nodes. Collective."""
+    pressed: Mask = force > 0.0
+    length = np.linalg.norm(along, axis=1)
+    places, sizes = on.places[pressed], on.sizes[pressed]
+    extremes = np.hstack(
+        [
+            *(places.max(axis=0, initial=-np.inf), -places.min(axis=0, initial=np.inf)),
+            *(sizes.max(initial=0.0), length[pressed].max(initial=0.0)),
+            (length[pressed] / sizes).max(initial=0.0),
+        ]
+    )
+    *corners, facet, slip, facets = reduce_array(comm, extremes, MPI.MAX)
+    if slip == 0.0:
+        return
+    size = float(np.linalg.norm(np.add(*np.split(np.array(corners), 2)))) + facet
+    text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
+    if slip > SLIP.noticed * size:
+        of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
+        of_size += "their normals and partners"
+        yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
+    if facets <= WEDGED_SLIP.noticed:
+        return
+    sliding = force @ (length > 0.5 * slip)
+    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ along]))
+    tilt = on.normals @ (sums[2:] / (np.linalg.norm(sums[2:]) or 1.0))
+    weighted = [on.weights @ tilt, on.weights @ np.abs(tilt), on.weights.sum()]
+    mean, scatter, area = reduce_array(comm, np.array(weighted))
+    held_by_scatter = abs(mean) <= SCATTERED * scatter and scatter > LEAST_TILT * area
+    if held_by_scatter and sums[1] > SLIDING_FORCE * sums[0]:
+        text += (
+            f", {facets:.2g} times the size of a facet: friction is overcome everywhere, and only "
+            f"the scatter of the normals from node to node, {scatter / area:.1g} rad, resists"
+        )
+        yield Departure(facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
