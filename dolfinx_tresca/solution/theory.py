@@ -52,14 +52,19 @@ WEDGED_SLIP = Limit(0.05, 0.2)
 #: of the largest slip. With half the number, contacts with a stick zone would count, too.
 SLIDING_FORCE = 0.9
 
-#: Normals scatter if their mean component along the slip is at most this fraction of their mean
-#: absolute component. It is 1 for the faces of a wedge, and about the reciprocal root of the number
-#: of nodes for a cylinder that is pulled along its axis. With twice the number, wedges with
-#: differently inclined faces count.
+#: Normals scatter if this fraction of the mean square of their component along the slip remains
+#: when an affine function of the position is subtracted. It is 0 for wedges, cones and spheres, and
+#: nearly 1 for the mesh of a cylinder that is pulled along its axis. With half the number, deep
+#: sockets count.
 SCATTERED = 0.5
 
-#: Smallest mean component of normals along the slip that does not count as rounding.
+#: Smallest component of normals along the slip that does not count as rounding [rad].
 LEAST_TILT = 1e-6
+
+#: A body turns if its rotation [rad] is larger than this multiple of its displacement beyond the
+#: rigid motion, relative to its diagonal. A body that is sheared, with a ratio of about 1.5, turns
+#: on average, too. With twice the number, stout beams that bend do not count.
+TURNS = 2.0
 
 ADVICE_TO_BODIES = (
     "Look for a force that should be a prescribed displacement, for missing supports, and at the "
@@ -100,19 +105,21 @@ class TheoryCheck:
         Departures within the limits are logged.
         """
         outside = [one for one in departures if one.value > one.limit.largest]
-        for departure in [] if outside else departures:
+        if outside:
+            advice = dict.fromkeys(departure.advice for departure in outside)
+            reason = f"{'; '.join(one.text for one in outside)}. {'. '.join(advice)}"
+            log(comm, "the scene has left linear theory: %s", reason, level=logging.WARNING)
+            return reason
+        for departure in departures:
             if departure.limit not in self._noticed:
                 self._noticed.add(departure.limit)
                 log(
                     comm,
-                    "%s: near the end of linear theory. %s",
+                    "near the end of linear theory: %s. %s",
                     *(departure.text, departure.advice),
                     level=logging.WARNING,
                 )
-        if not outside:
-            return ""
-        advice = dict.fromkeys(departure.advice for departure in outside)
-        return f"{'; '.join(one.text for one in outside)}. {'. '.join(advice)}"
+        return ""
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
@@ -145,6 +152,7 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     np.maximum.at(strain, label, np.linalg.norm(moved, axis=1))
     strain = reduce_array(comm, strain, MPI.MAX)
     angle = np.linalg.norm(turn, axis=1)
+    angle[angle <= TURNS * strain] = 0.0
     body = int(angle.argmax())
     if angle[body] > ROTATION.noticed:
         text = (
@@ -222,12 +230,14 @@ def _slip_of_pair(
     sliding = force @ (length > 0.5 * slip)
     sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ along]))
     tilt = on.normals @ (sums[2:] / (np.linalg.norm(sums[2:]) or 1.0))
-    weighted = [on.weights @ tilt, on.weights @ np.abs(tilt), on.weights.sum()]
-    mean, scatter, area = reduce_array(comm, np.array(weighted))
-    held_by_scatter = abs(mean) <= SCATTERED * scatter and scatter > LEAST_TILT * area
-    if held_by_scatter and sums[1] > SLIDING_FORCE * sums[0]:
+    affine = np.column_stack([np.ones(len(tilt)), on.places / size, tilt])
+    gram = reduce_array(comm, affine.T @ (on.weights[:, None] * affine))
+    fitted = gram[-1, :-1] @ np.linalg.pinv(gram[:-1, :-1], hermitian=True) @ gram[:-1, -1]
+    scatter = np.sqrt(max(gram[-1, -1] - fitted, 0.0) / gram[0, 0])
+    scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
+    if scatters and sums[1] > SLIDING_FORCE * sums[0]:
         text += (
             f", {facets:.2g} times the size of a facet: friction is overcome everywhere, and only "
-            f"the scatter of the normals from node to node, {scatter / area:.1g} rad, resists"
+            f"the scatter of the normals from node to node, {scatter:.1g} rad, resists"
         )
         yield Departure(facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
