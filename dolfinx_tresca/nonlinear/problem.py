@@ -378,4 +378,4 @@ class NonlinearContactProblem(ContactProcess):
             "timings": run.timings,
             "newton": NewtonRecord(tuple(run.steps), run.fraction, message),
         }
-        return NonlinearContactSolution(**values)
+        return self._contact.within_theory(NonlinearContactSolution(**values), linear=False)

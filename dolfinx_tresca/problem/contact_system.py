@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
@@ -36,6 +36,8 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
+
+Solution = TypeVar("Solution", bound=ContactSolution)
 
 
 @dataclass
@@ -246,11 +248,15 @@ class ContactSystem(PetscOwner):
             self.linear.assemble_load()
             self.surfaces.update_gaps()
 
-    def within_theory(self, solution: ContactSolution) -> ContactSolution:
-        """Return a final solution of linear bodies, OUTSIDE_THEORY if it left theory. Collective.
+    def within_theory(self, solution: Solution, *, linear: bool = True) -> Solution:
+        """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
         With finite sliding, the first configurations are not checked, since surfaces that come from
         afar may lie deep inside other bodies there.
+
+        Args:
+            solution: the solution at the end of a solve.
+            linear: whether bodies are linear, so that rotations and deformations have limits.
         """
         if solution.status is not ContactStatus.CONVERGED:
             return solution
@@ -258,7 +264,7 @@ class ContactSystem(PetscOwner):
         moved = solution.u.copy()
         moved.x.array[:] -= surfaces.geometry.x.array
         departures = [
-            *motions_of_bodies(solution.u, self._stiffness.bodies),
+            *(motions_of_bodies(solution.u, self._stiffness.bodies) if linear else ()),
             *slips_of_pairs(surfaces.jump, self.pairs, moved, solution.multipliers),
         ]
         reason = self._theory.reason(self.comm, departures)

@@ -71,8 +71,8 @@ ADVICE_TO_BODIES = (
     "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations"
 )
 ADVICE_TO_PAIRS = (
-    'Prescribe the displacement in place of a force that friction cannot carry, or take ContactPair'
-    '(..., sliding="finite")'
+    "Prescribe the displacement in place of a force that friction cannot carry, or take "
+    'ContactPair(..., sliding="finite")'
 )
 
 

@@ -213,5 +213,17 @@ def test_plate_on_three_balls(comm):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
         edge.value = 2.0
         solution = problem.solve(rtol=1e-6)
-    print(solution.status, solution.sliding, solution.u.x.array.min())
     assert solution.status is ContactStatus.OUTSIDE_THEORY
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("modulus", [1e3, 1e-3])
+def test_deformation_beyond_the_size_of_the_body(comm, modulus):
+    """As with a modulus in GPa beside loads in Pa."""
+    with block(comm, (3, 3), young=modulus).problem() as problem:
+        solution = problem.solve()
+    if modulus > 1.0:
+        assert solution.status is ContactStatus.CONVERGED
+    else:
+        assert solution.status is ContactStatus.OUTSIDE_THEORY
+        assert "units of moduli and loads" in solution.sliding
