@@ -31,7 +31,12 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.hints import hint_at_scene
-from dolfinx_tresca.solution.theory import TheoryCheck, motions_of_bodies, slips_of_pairs
+from dolfinx_tresca.solution.theory import (
+    Limit,
+    motions_of_bodies,
+    reason_outside,
+    slips_of_pairs,
+)
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -101,7 +106,8 @@ class ContactSystem(PetscOwner):
         """
         self.linear, self.pairs = linear, pairs
         self._last_solve: LastSolve | None = None
-        self._destroyed, self._theory = False, TheoryCheck()
+        self._destroyed = False
+        self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
             cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
@@ -267,7 +273,7 @@ class ContactSystem(PetscOwner):
             *(motions_of_bodies(solution.u, self._stiffness.bodies) if linear else ()),
             *slips_of_pairs(surfaces.jump, self.pairs, moved, solution.multipliers),
         ]
-        reason = self._theory.reason(self.comm, departures)
+        reason = reason_outside(self.comm, departures, self._noticed)
         if not reason:
             return solution
         surfaces.steps.set_last_status(ContactStatus.OUTSIDE_THEORY)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from mpi4py import MPI
@@ -76,15 +75,14 @@ ADVICE_TO_PAIRS = (
 )
 
 
-@dataclass(frozen=True)
-class Departure:
+class Departure(NamedTuple):
     """A measure of how far a solution has left linear theory, beyond `limit.noticed`.
 
     Attributes:
         value: the measure.
-        limit: its limits.
-        text: what moves, and by how much.
-        advice: what to do.
+        limit: the limits of the measure.
+        text: name and motion of the body or the pair, with figures.
+        advice: possible changes of the scene.
     """
 
     value: float
@@ -93,33 +91,26 @@ class Departure:
     advice: str
 
 
-class TheoryCheck:
-    """The check whether solutions are inside linear theory; logs each kind of departure once."""
+def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
+    """Return why a solution is outside of the theory; empty if it is inside. Collective.
 
-    def __init__(self) -> None:
-        self._noticed: set[Limit] = set()
+    Departures are logged; those within the limits only once.
 
-    def reason(self, comm: MPI.Comm, departures: Sequence[Departure]) -> str:
-        """Return why a solution is outside of the theory; empty if it is inside. Collective.
-
-        Departures within the limits are logged.
-        """
-        outside = [one for one in departures if one.value > one.limit.largest]
-        if outside:
-            advice = dict.fromkeys(departure.advice for departure in outside)
-            reason = f"{'; '.join(one.text for one in outside)}. {'. '.join(advice)}"
-            log(comm, "the scene has left linear theory: %s", reason, level=logging.WARNING)
-            return reason
-        for departure in departures:
-            if departure.limit not in self._noticed:
-                self._noticed.add(departure.limit)
-                log(
-                    comm,
-                    "near the end of linear theory: %s. %s",
-                    *(departure.text, departure.advice),
-                    level=logging.WARNING,
-                )
+    Args:
+        comm: communicator of the mesh.
+        departures: the departures of the solution.
+        noticed: the limits whose departures were logged; this call adds to them.
+    """
+    outside = [departure for departure in departures if departure.value > departure.limit.largest]
+    told = outside or [departure for departure in departures if departure.limit not in noticed]
+    if not comm.bcast(bool(told)):
         return ""
+    noticed.update(departure.limit for departure in told)
+    advice = dict.fromkeys(departure.advice for departure in told)
+    text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
+    where = "the scene has left" if outside else "near the end of"
+    log(comm, "%s linear theory: %s", where, text, level=logging.WARNING)
+    return str(comm.bcast(text if outside else ""))
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
@@ -135,8 +126,8 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
     moved = np.zeros((len(label), 3))
     moved[:, :dim] = u.x.array.reshape(-1, dim)[: len(label)] / size[label, None]
-    incidence = csr_array((np.ones(len(label)), (label, np.arange(len(label)))))
-    incidence.resize((bodies.number, len(label)))
+    nodes = np.ones(len(label)), (label, np.arange(len(label)))
+    incidence = csr_array(nodes, shape=(bodies.number, len(label)))
 
     def sums(*columns: Array) -> Array:
         return np.asarray(reduce_array(comm, incidence @ np.hstack(columns)))
@@ -153,20 +144,17 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     strain = reduce_array(comm, strain, MPI.MAX)
     angle = np.linalg.norm(turn, axis=1)
     angle[angle <= TURNS * strain] = 0.0
-    body = int(angle.argmax())
-    if angle[body] > ROTATION.noticed:
-        text = (
-            f"{bodies.describe(body)} turns by {angle[body]:.3g} rad, which moves its ends by some "
-            f"{0.5 * angle[body] * size[body]:.3g}; linear theory allows {ROTATION.largest} rad"
-        )
-        yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
-    body = int(strain.argmax())
-    if strain[body] > DEFORMATION.noticed:
-        text = (
-            f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its rigid "
-            f"motion, {strain[body]:.3g} times its diagonal"
-        )
-        yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
+    for values, limit in ((angle, ROTATION), (strain, DEFORMATION)):
+        body = int(values.argmax())
+        value, name = float(values[body]), bodies.describe(body)
+        if limit is ROTATION:
+            text = f"{name} turns by {value:.3g} rad, which moves its ends by some "
+            text += f"{0.5 * value * size[body]:.3g}; linear theory allows {limit.largest} rad"
+        else:
+            text = f"{name} deforms by {value * size[body]:.3g} beyond its rigid motion, "
+            text += f"{value:.3g} times its diagonal"
+        if value > limit.noticed:
+            yield Departure(value, limit, text, ADVICE_TO_BODIES)
 
 
 def slips_of_pairs(
@@ -209,13 +197,9 @@ def _slip_of_pair(
     pressed: Mask = force > 0.0
     length = np.linalg.norm(along, axis=1)
     places, sizes = on.places[pressed], on.sizes[pressed]
-    extremes = np.hstack(
-        [
-            *(places.max(axis=0, initial=-np.inf), -places.min(axis=0, initial=np.inf)),
-            *(sizes.max(initial=0.0), length[pressed].max(initial=0.0)),
-            (length[pressed] / sizes).max(initial=0.0),
-        ]
-    )
+    corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
+    lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
+    extremes = np.append(corners, lengths.max(axis=0, initial=0.0))
     *corners, facet, slip, facets = reduce_array(comm, extremes, MPI.MAX)
     if slip == 0.0:
         return

@@ -198,7 +198,7 @@ def test_plate_on_three_balls(comm):
     size, balls = (20.0, 20.0, 1.0), ((4.0, 4.0), (16.0, 4.0), (10.0, 16.0))
     scene = block(
         comm,
-        (10, 10, 1),
+        (5, 5, 1),
         size=size,
         boxes=True,
         young=2e5,
