@@ -36,7 +36,7 @@ ROTATION = Limit(0.01, 0.05)
 
 #: Limits of the displacement of a linear body beyond its best-fit rigid motion, relative to the
 #: body's diagonal. Strains have about this size; with doubled limits they are twice as large.
-DEFORMATION = Limit(0.2, 1.0)
+DEFORMATION = Limit(0.5, 1.0)
 
 #: Limits of the slip relative to the size of the contact. With small sliding, forces stay at this
 #: fraction of the contact from where they act; with doubled limits, twice as far.
