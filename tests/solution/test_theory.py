@@ -26,6 +26,7 @@ from dolfinx_tresca import (
 )
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import elasticity, fixed
+from scenes.patches import BOTTOM, TOP, patch
 from scenes.rubber_block import neo_hookean
 
 #: Of a pin in a ring, that are meshed apart: the coefficient of friction, the radius of the hole
@@ -167,6 +168,52 @@ def test_pressed_block_that_turns_on_a_plane(comm, sliding):
             solution = problem.solve(rtol=1e-8)
             assert solution.status is status
             assert solution.normal_force > 0.0
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("deformable", [False, True])
+@pytest.mark.parametrize(
+    ("shift", "status", "warned"),
+    [
+        (0.1, ContactStatus.CONVERGED, 0),
+        (0.5, ContactStatus.CONVERGED, 1),
+        (1.5, ContactStatus.OUTSIDE_THEORY, 1),
+    ],
+)
+def test_slip_over_the_size_of_the_contact(comm, caplog, shift, status, warned, deformable):
+    """A block of width 1 slides on a large ball or on another block, with facets of at most 1/3."""
+    if deformable:
+        scene = patch(
+            comm,
+            "quadrilateral",
+            upper=(3, 1),
+            lower=(3, 1),
+            distort=0.0,
+            friction=Coulomb(FRICTION),
+        )
+        moved = fixed(scene.V, scene.facet_tags.find(TOP), (-shift, -0.001))
+        bcs = [moved, fixed(scene.V, scene.facet_tags.find(BOTTOM))]
+    else:
+        motion = np.array([[-shift], [-0.001]])
+        ball = [(BELOW, RigidSphere((0.5, -1e3), 1e3))]
+        scene = block(
+            comm,
+            (3, 3),
+            boxes=True,
+            held=(ABOVE,),
+            moved=lambda x: 0.0 * x[:2] + motion,
+            obstacles=ball,
+            friction=Coulomb(FRICTION),
+        )
+        bcs = scene.bcs
+    caplog.clear()
+    with scene.problem(bcs=bcs) as problem:
+        solution = problem.solve(rtol=1e-8)
+    assert solution.status is status
+    assert warnings(caplog) == warned * (comm.rank == 0)
+    if status is ContactStatus.OUTSIDE_THEORY:
+        assert f"have slid by {shift:.2g}" in solution.sliding
+        assert 'sliding="finite"' in solution.sliding
 
 
 @pytest.mark.parallel
