@@ -148,8 +148,9 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
         body = int(values.argmax())
         value, name = float(values[body]), bodies.describe(body)
         if limit is ROTATION:
-            text = f"{name} turns by {value:.3g} rad, which moves its ends by some "
-            text += f"{0.5 * value * size[body]:.3g}; linear theory allows {limit.largest} rad"
+            ends = 0.5 * value * size[body]
+            text = f"{name} turns by {value:.3g} rad: its ends move by some {ends:.3g}, and linear "
+            text += f"theory, which allows {limit.largest} rad, swells it by {value * ends:.2g}"
         else:
             text = f"{name} deforms by {value * size[body]:.3g} beyond its rigid motion, "
             text += f"{value:.3g} times its diagonal"
