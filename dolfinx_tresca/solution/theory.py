@@ -198,13 +198,13 @@ def _slip_of_pair(
     pressed: Mask = force > 0.0
     length = np.linalg.norm(along, axis=1)
     places, sizes = on.places[pressed], on.sizes[pressed]
-    corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
     lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
-    extremes = np.append(corners, lengths.max(axis=0, initial=0.0))
-    *corners, facet, slip, facets = reduce_array(comm, extremes, MPI.MAX)
+    corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
+    extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
+    facet, slip, facets, *bounds = reduce_array(comm, extremes, MPI.MAX)
     if slip == 0.0:
         return
-    size = float(np.linalg.norm(np.add(*np.split(np.array(corners), 2)))) + facet
+    size = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
     text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
     if slip > SLIP.noticed * size:
         of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
@@ -213,7 +213,7 @@ def _slip_of_pair(
     if facets <= WEDGED_SLIP.noticed:
         return
     sliding = force @ (length > 0.5 * slip)
-    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ along]))
+    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (along / slip)]))
     tilt = on.normals @ (sums[2:] / (np.linalg.norm(sums[2:]) or 1.0))
     affine = np.column_stack([np.ones(len(tilt)), on.places / size, tilt])
     gram = reduce_array(comm, affine.T @ (on.weights[:, None] * affine))
