@@ -80,6 +80,7 @@ def summary(rows: list[Row]) -> str:
 #: Status -> its name in the table; any other status is an error.
 OUTCOMES = {
     ContactStatus.CONVERGED.name: "converged",
+    ContactStatus.OUTSIDE_THEORY.name: "converged, outside of linear theory",
     ContactStatus.MAX_ITERATIONS.name: "at the iteration limit",
     ContactStatus.STAGNATED.name: "stagnated",
 }

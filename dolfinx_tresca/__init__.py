@@ -11,6 +11,7 @@ from dolfinx_tresca.errors import (
     InputError,
     MechanismError,
     MeshError,
+    OutsideTheoryError,
     PairingError,
     StiffnessError,
 )
@@ -78,6 +79,7 @@ __all__ = [
     "NonlinearContactProblem",
     "NonlinearContactSolution",
     "NormalForce",
+    "OutsideTheoryError",
     "PairingError",
     "PressureNorm",
     "ProcessTape",

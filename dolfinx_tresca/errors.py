@@ -53,6 +53,20 @@ class ConvergenceError(ContactError):
     """The iteration ended before the requested accuracy was reached."""
 
 
+class OutsideTheoryError(ConvergenceError):
+    """The equations are solved, but bodies turn or slide too far for linear theory.
+
+    Attributes:
+        motion: the displacement of the bodies in the solution [length].
+    """
+
+    motion: Any
+
+    def __init__(self, message: str, motion: Any) -> None:
+        super().__init__(message)
+        self.motion = motion
+
+
 def shown(value: Any) -> str:
     """Return the text for a value in an error message: its `repr`, cut off if it is long.
 

@@ -13,7 +13,13 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinx_tresca._base.number import integer
-from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
+from dolfinx_tresca.errors import (
+    ContactError,
+    ConvergenceError,
+    InputError,
+    OutsideTheoryError,
+    shown,
+)
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import io, plot
 from dolfinx_tresca.output.blocks import Field
@@ -60,7 +66,8 @@ class ContactSolution(Evaluation, Tabulated):
         iterations: number of outer iterations.
         sliding: explanation of the status `NO_FIXED_POINT` if friction cannot hold a body: the
             body, its motion, and by how much the loads exceed friction. If the configurations of
-            finite sliding did not converge: the reason, with advice. In all other cases empty.
+            finite sliding did not converge, or the status is `OUTSIDE_THEORY`: the reason, with
+            advice. In all other cases empty.
         products: number of applications of A = B K^-1 B', set-up included.
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
@@ -267,7 +274,10 @@ class ContactSolution(Evaluation, Tabulated):
 
         Raises:
             ConvergenceError: the status is not CONVERGED.
+            OutsideTheoryError: the status is OUTSIDE_THEORY; this is a kind of ConvergenceError.
         """
+        if self.status is ContactStatus.OUTSIDE_THEORY:
+            raise OutsideTheoryError(self.failure, self.u)
         if self.failure:
             raise ConvergenceError(self.failure)
 
@@ -276,6 +286,8 @@ class ContactSolution(Evaluation, Tabulated):
         """Reason why the iteration failed, and what helps; empty if it converged."""
         if self.status is ContactStatus.CONVERGED:
             return ""
+        if self.status is ContactStatus.OUTSIDE_THEORY:
+            return f"the equations are solved, but the scene has left its theory: {self.sliding}."
         advice = self.sliding or ADVICE[self.status]
         if not self.sliding and self.options.method != "projected_newton":
             advice += ", or take method='projected_newton', which converges from any start"

@@ -13,6 +13,7 @@ class ContactStatus(Enum):
     STAGNATED = "no further progress in double precision"
     NO_FIXED_POINT = "found no fixed point of pressures and slip bounds"
     NO_EQUILIBRIUM = "Newton's method found no equilibrium for the whole load"
+    OUTSIDE_THEORY = "solved, but the scene has left linear theory"
     STOPPED = "stopped by the observer"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -12,7 +11,6 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
@@ -357,8 +355,6 @@ class NonlinearContactProblem(ContactProcess):
                 "at another one, such as zero."
             )
         self._level, found = run.level, run.found
-        if self._contact.surfaces.slides_far:
-            self._contact.check_displacement(found.u)
         status, message = found.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
@@ -382,7 +378,4 @@ class NonlinearContactProblem(ContactProcess):
             "timings": run.timings,
             "newton": NewtonRecord(tuple(run.steps), run.fraction, message),
         }
-        solution = NonlinearContactSolution(**values)
-        if solution.failure:
-            log(self.comm, "%s", solution.failure, level=logging.WARNING)
-        return solution
+        return self._contact.checked(NonlinearContactSolution(**values), linear=False)

@@ -77,8 +77,7 @@ class ContactSurfaces(PetscOwner):
         guess: displacements of earlier solves with the present B, for first guesses of iterative
             solves with K.
         steps: the multipliers at which the next solve starts, and the accepted load steps.
-        sliding: the displacement at which surfaces were last paired, and a check of the slip since
-            this pairing.
+        sliding: the displacement at which surfaces were last paired.
         geometry: displacement at which pairs without finite sliding were paired.
         obstacles: the rigid obstacles and their positions.
         summary: the sizes of the problem, for tables.

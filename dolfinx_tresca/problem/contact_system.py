@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
@@ -30,11 +31,19 @@ from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_overlap, hint_at_scene
+from dolfinx_tresca.solution.hints import hint_at_overlap, hint_at_scene
+from dolfinx_tresca.solution.theory import (
+    Limit,
+    motions_of_bodies,
+    reason_outside,
+    slips_of_pairs,
+)
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
+
+Solution = TypeVar("Solution", bound=ContactSolution)
 
 
 @dataclass
@@ -98,7 +107,8 @@ class ContactSystem(PetscOwner):
         """
         self.linear, self.pairs = linear, pairs
         self._last_solve: LastSolve | None = None
-        self._destroyed = self._has_hinted_at_displacement = False
+        self._destroyed = False
+        self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
             cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
@@ -245,20 +255,33 @@ class ContactSystem(PetscOwner):
             self.linear.assemble_load()
             self.surfaces.update_gaps()
 
-    def check_displacement(self, u: fem.Function) -> None:
-        """Log warnings at prescribed overlaps, and once at a deformation beyond all bodies' extent.
+    def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
+        """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
-        Collective.
-
-        With finite sliding, only the final solution is checked, since surfaces that come from afar
-        may lie deep inside other bodies in the first configurations.
+        Prescribed overlaps and the reason of a failure are logged. With finite sliding, the first configurations are not checked, since surfaces that come from
+        afar may lie deep inside other bodies there.
 
         Args:
-            u: displacement of a solution [length].
+            solution: the solution at the end of a solve.
+            linear: whether bodies are linear, so that rotations and deformations have limits.
         """
-        hint_at_overlap(u, self.pairs, self.surfaces.jump)
-        if not self._has_hinted_at_displacement:
-            self._has_hinted_at_displacement = hint_at_displacement(u, self._stiffness.bodies)
+        hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
+        if solution.status is ContactStatus.CONVERGED:
+            surfaces = self.surfaces
+            moved = solution.u.copy()
+            moved.x.array[:] -= surfaces.geometry.x.array
+            departures = [
+                *(motions_of_bodies(solution.u, self._stiffness.bodies) if linear else ()),
+                *slips_of_pairs(surfaces.jump, self.pairs, moved, solution.multipliers),
+            ]
+            reason = reason_outside(self.comm, departures, self._noticed)
+            if reason:
+                status = ContactStatus.OUTSIDE_THEORY
+                surfaces.steps.set_last_status(status)
+                solution = replace(solution, status=status, sliding=reason)
+        if solution.failure:
+            log(self.comm, "%s", solution.failure, level=logging.WARNING)
+        return solution
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again. Collective.
@@ -330,10 +353,6 @@ class ContactSystem(PetscOwner):
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
         steps.last = status, history, evaluation.w
-        if not surfaces.slides_far:
-            self.check_displacement(evaluation.u)
-        if status is ContactStatus.CONVERGED:
-            surfaces.sliding.warn(surfaces.jump, self.pairs, evaluation.u, found.multipliers)
         self._last_solve = LastSolve(
             dual, found.multipliers, evaluation, curves, inputs, options, moved
         )

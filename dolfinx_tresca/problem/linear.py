@@ -299,10 +299,8 @@ class ContactProblem(ContactProcess):
         surfaces = self._contact.surfaces
         surfaces.begin_solve()
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
-        solution = solve(self._contact, options, self.units, observe)
+        solution = self._contact.checked(solve(self._contact, options, self.units, observe))
         self._warn_of_changed_form()
-        if solution.failure:
-            log(self.comm, "%s", solution.failure, level=logging.WARNING)
         return solution
 
     def _warn_of_changed_form(self) -> None:

@@ -155,12 +155,13 @@ class ContactProcess(PetscOwner, Tabulated):
         Collective.
 
         Args:
-            unconverged: whether to accept a solution that missed the requested accuracy.
+            unconverged: whether to accept a solution that missed the requested accuracy, or has
+                left linear theory.
 
         Raises:
             ContactError: nothing was solved since the last step; or the history of a material has
                 changed since the last solve.
-            ConvergenceError: the last solve failed.
+            ConvergenceError: the last solve failed, or the scene has left linear theory.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             self._advance_material(self._contact.surfaces.steps.acceptable(unconverged)[1])

@@ -79,43 +79,6 @@ def hint_at_scene(
             )
 
 
-def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
-    """Log a warning if a body is deformed by more than the size of all bodies. Collective.
-
-    Bodies may move farther than their size: the mean displacement of each body is subtracted.
-
-    Args:
-        u: displacement [length].
-        bodies: bodies of the mesh.
-
-    Returns:
-        whether the warning was logged.
-    """
-    mesh = u.function_space.mesh
-    points = mesh.geometry.x
-    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    bounds = reduce_array(mesh.comm, np.concatenate([-low, high]), MPI.MAX)
-    size = float(np.linalg.norm(bounds[:3] + bounds[3:]))
-    values = u.x.array.reshape(-1, mesh.geometry.dim)[: len(bodies.label)]
-    sums = np.zeros((bodies.number, 1 + values.shape[1]))
-    np.add.at(sums, bodies.label, np.insert(values, 0, 1.0, axis=1))
-    sums = reduce_array(mesh.comm, sums)
-    mean = sums[:, 1:] / sums[:, :1]
-    moved = np.linalg.norm(values - mean[bodies.label], axis=1).max(initial=0.0)
-    moved = mesh.comm.allreduce(float(moved), op=MPI.MAX)
-    if moved <= size:
-        return False
-    log(
-        mesh.comm,
-        "a body is deformed by %.3g beyond its mean displacement, which is larger than all bodies "
-        "together, %.3g: are moduli and loads in the same unit of stress, not one in Pa and the "
-        "other in MPa?",
-        *(moved, size),
-        level=logging.WARNING,
-    )
-    return True
-
-
 def hint_at_overlap(u: fem.Function, pairs: Sequence[ContactPair], jump: JumpOperator) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective.
 

@@ -16,15 +16,14 @@ from scenes.patches import LOWER, UPPER, patch
 from scenes.scene import Scene
 
 
-def hints(caplog, scene: Scene, *, pairs: list[ContactPair] | None = None, solve: bool = False):
-    """Return what the first rank logs while a scene is built, and maybe solved."""
+def hints(caplog, scene: Scene, *, pairs: list[ContactPair] | None = None):
+    """Return what the first rank logs while a scene is built."""
     caplog.clear()
     with (
         caplog.at_level(logging.INFO, "dolfinx_tresca"),
-        scene.problem(pairs=[scene.pair] if pairs is None else pairs) as problem,
+        scene.problem(pairs=[scene.pair] if pairs is None else pairs),
     ):
-        for _ in range(2 * solve):
-            problem.solve()
+        pass
     return logged(caplog)
 
 
@@ -96,13 +95,3 @@ def test_both_sides_on_one_body(comm, caplog):
     for merge, expected in ((None, False), (lambda x: x[:, 0] < 1e-9, comm.rank == 0)):
         scene = patch(comm, "quadrilateral", upper=(3, 1), lower=(3, 1), distort=0.0, merge=merge)
         assert ("are on body 1: it touches itself" in hints(caplog, scene)) == expected
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("modulus", [1e3, 1e-3])
-def test_displacements_larger_than_the_bodies(comm, caplog, modulus):
-    """As with a modulus in GPa beside loads in Pa; said once."""
-    scene = block(comm, (3, 3), young=modulus)
-    text = hints(caplog, scene, solve=True)
-    expected = modulus < 1.0 and comm.rank == 0
-    assert text.count("are moduli and loads in the same unit of stress") == expected

@@ -481,7 +481,13 @@ def test_methods_that_need_held_bodies(comm):
 @pytest.mark.parametrize("spring", [1e-1, 1e-3, 1e-8])
 @pytest.mark.parametrize("stiffness", STIFFNESS)
 def test_a_sprung_block_that_is_lifted_off(comm, stiffness, spring):
-    """Springs alone bear the load: what rounding of that is left for contact counts as zero."""
+    """Springs alone bear the load: what rounding of that is left for contact counts as zero.
+
+    The moment 0.15 N m of the load turns the block on springs of the stiffness k / 6; far beyond
+    linear theory, if they are soft.
+    """
+    turns = 6.0 * 0.15 / (spring * YOUNG_OF_BLOCK)
+    expected = ContactStatus.OUTSIDE_THEORY if turns > 0.05 else ContactStatus.CONVERGED
     for friction in (Tresca(1.0, only_in_contact=True), Coulomb(0.3)):
         spring_stiffness = spring * YOUNG_OF_BLOCK
         scene = block(comm, (2, 2), spring=spring_stiffness, load=(0.3, 0, 1), friction=friction)
@@ -489,7 +495,7 @@ def test_a_sprung_block_that_is_lifted_off(comm, stiffness, spring):
             for asked in ({}, {"accuracy": 1e-4}, {"rtol": 1e-6}):
                 problem.forget()
                 solution = problem.solve(**asked)
-                assert solution.status is ContactStatus.CONVERGED
+                assert solution.status is expected
                 assert solution.normal_force <= EPS / spring
 
 

@@ -59,6 +59,10 @@ HOLDING, FARTHER, SWEEPS, SETTLED = 1e-5, 30.0, 60, 1e-6
 #: may end so though no body slides away: of a thousand two do, whose bodies slide on soft springs.
 MISSES, MISSED = (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED), 1
 
+#: How an iteration ends that finds a solution. Loads are random: some turn bodies on soft springs
+#: by many radians, where the discrete problem, but not linear theory, has an answer.
+SOLVED = (ContactStatus.CONVERGED, ContactStatus.OUTSIDE_THEORY)
+
 #: Of Clarabel.
 TOLERANCE = 1e-10
 #: Gaps over what the load moves, beyond which an interior-point method has trouble with them.
@@ -364,7 +368,7 @@ def agrees_with_a_fresh_solve(
         other = fresh.solve(**asked)
     if other.status in MISSES:
         return False
-    assert other.status is ContactStatus.CONVERGED
+    assert other.status in SOLVED
     assert conic.distance(solution.u.x.array, other.u.x.array) <= 2.0 * ACCURACY
     conic.check(other)
     return True
@@ -398,7 +402,7 @@ def check(seed: int, coulomb: bool = False) -> str:
                 solution = warm.solve(**{**asked, **rough})
                 if coulomb and solution.status in MISSES:
                     return why_none_is_found(conic)
-                assert solution.status is ContactStatus.CONVERGED, (turned, factor)
+                assert solution.status in SOLVED, (turned, factor)
                 assert factor > 0.0 or not solution.u.x.array.any()
                 if factor > TINY and not agrees_with_a_fresh_solve(scene, conic, solution, asked):
                     return why_none_is_found(conic)
@@ -444,7 +448,7 @@ def test_a_small_load_far_from_the_floor():
     scene.scale(1e-9)
     with scene.problem() as problem:
         solution = problem.solve(accuracy=ACCURACY)
-    assert solution.status is ContactStatus.CONVERGED
+    assert solution.status in SOLVED
     assert solution.counts.contact == 0
 
 
@@ -458,7 +462,7 @@ def test_what_errors_leave_of_known_pairs_is_not_new(seed, factors):
         for factor in factors:
             scene.scale(factor)
             solution = problem.solve(accuracy=ACCURACY)
-            assert solution.status is ContactStatus.CONVERGED
+            assert solution.status in SOLVED
             assert solution.products <= len(solution.multipliers)
 
 

@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    ContactStatus,
     Coulomb,
     Frictionless,
     NewtonOptions,
@@ -183,8 +184,9 @@ def two_blocks(comm, draw, way, boxes, turn, shift, degree, law):
 
 
 def force_of(solution):
-    """Return the force on the secondary side."""
-    solution.raise_if_failed()
+    """Return the force on the secondary side, in random scenes that may leave linear theory."""
+    if solution.status is not ContactStatus.OUTSIDE_THEORY:
+        solution.raise_if_failed()
     return solution.pair_resultants[0].force
 
 

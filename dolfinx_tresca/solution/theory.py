@@ -1,0 +1,228 @@
+"""The limits of linear theory: rotations of linear bodies, and slip with small sliding."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
+from dolfinx_tresca.scene.pair import ContactPair
+
+
+class Limit(NamedTuple):
+    """The values of a measure above which it is noticed in the log, and above which theory ends."""
+
+    noticed: float
+    largest: float
+
+
+#: Limits of the rotation of a linear body [rad]. A rotation r changes the directions of contact
+#: forces by r, and linear theory strains the turned body by r^2 / 2: at 0.05 rad by 0.1 %, as much
+#: as the yield strain of steel. With doubled limits these errors are two and four times as large.
+ROTATION = Limit(0.01, 0.05)
+
+#: Limits of the displacement of a linear body beyond its best-fit rigid motion, relative to the
+#: body's diagonal. Strains have about this size; with doubled limits they are twice as large.
+DEFORMATION = Limit(0.5, 1.0)
+
+#: Limits of the slip relative to the size of the contact. With small sliding, forces stay at this
+#: fraction of the contact from where they act; with doubled limits, twice as far.
+SLIP = Limit(0.2, 1.0)
+
+#: Limits of the slip relative to the size of a facet where nothing but the scatter of the normals
+#: from node to node stops a body. Such normals are normals of one facet; with doubled limits,
+#: bodies move on beyond the limit of friction twice as far without a word.
+WEDGED_SLIP = Limit(0.05, 0.2)
+
+#: A contact slides as a whole if this fraction of its force is at nodes that slip by more than half
+#: of the largest slip. With half the number, contacts with a stick zone would count, too.
+SLIDING_FORCE = 0.9
+
+#: Normals scatter if this fraction of the mean square of their component along the slip remains
+#: when an affine function of the position is subtracted. It is 0 for wedges, cones and spheres, and
+#: nearly 1 for the mesh of a cylinder that is pulled along its axis. With half the number, deep
+#: sockets count.
+SCATTERED = 0.5
+
+#: Smallest component of normals along the slip that does not count as rounding [rad].
+LEAST_TILT = 1e-6
+
+#: A body turns if its rotation [rad] is larger than this multiple of its displacement beyond the
+#: rigid motion, relative to its diagonal. A body that is sheared, with a ratio of about 1.5, turns
+#: on average, too. With twice the number, stout beams that bend do not count.
+TURNS = 2.0
+
+ADVICE_TO_BODIES = (
+    "Look for a force that should be a prescribed displacement, for missing supports, and at the "
+    "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations"
+)
+ADVICE_TO_PAIRS = (
+    "Prescribe the displacement in place of a force that friction cannot carry, or take "
+    'ContactPair(..., sliding="finite")'
+)
+
+
+class Departure(NamedTuple):
+    """A measure of how far a solution has left linear theory, beyond `limit.noticed`.
+
+    Attributes:
+        value: the measure.
+        limit: the limits of the measure.
+        text: name and motion of the body or the pair, with figures.
+        advice: possible changes of the scene.
+    """
+
+    value: float
+    limit: Limit
+    text: str
+    advice: str
+
+
+def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
+    """Return why a solution is outside of the theory; empty if it is inside. Collective.
+
+    Departures are logged; those within the limits only once.
+
+    Args:
+        comm: communicator of the mesh.
+        departures: the departures of the solution.
+        noticed: the limits whose departures were logged; this call adds to them.
+    """
+    outside = [departure for departure in departures if departure.value > departure.limit.largest]
+    told = outside or [departure for departure in departures if departure.limit not in noticed]
+    if not comm.bcast(bool(told)):
+        return ""
+    noticed.update(departure.limit for departure in told)
+    advice = dict.fromkeys(departure.advice for departure in told)
+    text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
+    where = "the scene has left" if outside else "near the end of"
+    log(comm, "%s linear theory: %s", where, text, level=logging.WARNING)
+    return str(comm.bcast(text if outside else ""))
+
+
+def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
+    """Return the departures of the body that turns most, and of the one that deforms most.
+
+    Collective.
+
+    Args:
+        u: displacement [length].
+        bodies: bodies of the mesh.
+    """
+    comm, dim, label = u.function_space.mesh.comm, u.function_space.mesh.geometry.dim, bodies.label
+    size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
+    moved = np.zeros((len(label), 3))
+    moved[:, :dim] = u.x.array.reshape(-1, dim)[: len(label)] / size[label, None]
+    nodes = np.ones(len(label)), (label, np.arange(len(label)))
+    incidence = csr_array(nodes, shape=(bodies.number, len(label)))
+
+    def sums(*columns: Array) -> Array:
+        return np.asarray(reduce_array(comm, incidence @ np.hstack(columns)))
+
+    means = sums(bodies.arm, moved) / bodies.nodes[:, None]
+    arm, moved = bodies.arm - means[label, :3], moved - means[label, 3:]
+    moments = sums(np.cross(arm, moved), (arm[:, :, None] * arm[:, None, :]).reshape(-1, 9))
+    spread = moments[:, 3:].reshape(-1, 3, 3)
+    inertia = np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(3) - spread
+    turn = np.linalg.solve(inertia, moments[:, :3, None])[:, :, 0]
+    moved -= np.cross(turn[label], arm)
+    strain = np.zeros(bodies.number)
+    np.maximum.at(strain, label, np.linalg.norm(moved, axis=1))
+    strain = reduce_array(comm, strain, MPI.MAX)
+    angle = np.linalg.norm(turn, axis=1)
+    angle[angle <= TURNS * strain] = 0.0
+    for values, limit in ((angle, ROTATION), (strain, DEFORMATION)):
+        body = int(values.argmax())
+        value, name = float(values[body]), bodies.describe(body)
+        if limit is ROTATION:
+            ends = 0.5 * value * size[body]
+            text = f"{name} turns by {value:.3g} rad: its ends move by some {ends:.3g}, and linear "
+            text += f"theory, which allows {limit.largest} rad, swells it by {value * ends:.2g}"
+        else:
+            text = f"{name} deforms by {value * size[body]:.3g} beyond its rigid motion, "
+            text += f"{value:.3g} times its diagonal"
+        if value > limit.noticed:
+            yield Departure(value, limit, text, ADVICE_TO_BODIES)
+
+
+def slips_of_pairs(
+    jump: JumpOperator,
+    pairs: Sequence[ContactPair],
+    moved: fem.Function,
+    tractions: Array,
+) -> Iterator[Departure]:
+    """Return the departures of pairs with small sliding. Collective.
+
+    Some pairs are left out: pairs with finite sliding, bonded pairs, pairs with a plane, which has
+    the same normal everywhere, and two deformable surfaces without friction, which have no
+    tangential rows.
+
+    Args:
+        jump: the operator B.
+        pairs: the pairs.
+        moved: displacement since the surfaces were paired [length].
+        tractions: (size,) tractions of the solution [stress].
+    """
+    slip = jump.of_displacement(moved) * jump.length_scale
+    vectors = moved.x.array.reshape(-1, moved.function_space.mesh.geometry.dim)
+    for pair, on, (n, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
+        if pair.sliding == "finite" or on.bonded or isinstance(pair.primary, RigidPlane):
+            continue
+        if isinstance(pair.primary, RigidObstacle):
+            nodal = vectors[on.nodes]
+            along = nodal - np.einsum("ni,ni->n", nodal, on.normals)[:, None] * on.normals
+        else:
+            along = on.tangential_vectors(slip[t])
+        force = np.zeros(len(on.nodes))
+        force[on.normal_node] = on.weights[on.normal_node] * np.maximum(tractions[n], 0.0)
+        yield from _slip_of_pair(jump.comm, pair, on, along, force)
+
+
+def _slip_of_pair(
+    comm: Any, pair: ContactPair, on: PairOperators, along: Array, force: Array
+) -> Iterator[Departure]:
+    """Return the departures of a pair from the slip (n, d) and forces (n,) of nodes. Collective."""
+    pressed: Mask = force > 0.0
+    length = np.linalg.norm(along, axis=1)
+    places, sizes = on.places[pressed], on.sizes[pressed]
+    lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
+    corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
+    extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
+    facet, slip, facets, *bounds = reduce_array(comm, extremes, MPI.MAX)
+    if slip == 0.0:
+        return
+    size = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
+    text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
+    if slip > SLIP.noticed * size:
+        of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
+        of_size += "their normals and partners"
+        yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
+    if facets <= WEDGED_SLIP.noticed:
+        return
+    sliding = force @ (length > 0.5 * slip)
+    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (along / slip)]))
+    tilt = on.normals @ (sums[2:] / (np.linalg.norm(sums[2:]) or 1.0))
+    affine = np.column_stack([np.ones(len(tilt)), on.places / size, tilt])
+    gram = reduce_array(comm, affine.T @ (on.weights[:, None] * affine))
+    fitted = gram[-1, :-1] @ np.linalg.pinv(gram[:-1, :-1], hermitian=True) @ gram[:-1, -1]
+    scatter = np.sqrt(max(gram[-1, -1] - fitted, 0.0) / gram[0, 0])
+    scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
+    if scatters and sums[1] > SLIDING_FORCE * sums[0]:
+        text += (
+            f", {facets:.2g} times the size of a facet: friction is overcome everywhere, and only "
+            f"the scatter of the normals from node to node, {scatter:.1g} rad, resists"
+        )
+        yield Departure(facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
