@@ -258,8 +258,9 @@ class ContactSystem(PetscOwner):
     def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
-        Prescribed overlaps and the reason of a failure are logged. With finite sliding, the first configurations are not checked, since surfaces that come from
-        afar may lie deep inside other bodies there.
+        Prescribed overlaps and the reason of a failure are logged. With finite sliding, the first
+        configurations are not checked, since surfaces that come from afar may lie deep inside other
+        bodies there.
 
         Args:
             solution: the solution at the end of a solve.
