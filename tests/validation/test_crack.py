@@ -15,6 +15,8 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, PairingError
+from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.patches import block, dim_of
 
@@ -64,6 +66,7 @@ def crack(comm, kind, *, degree=1, shift=0.0, angle=0.0, scale=1.0, shear=0.0, p
     push = scale * (shear * turn[:, 0] - PRESSURE * turn[:, -1])
     bcs = [fixed(V, tags.find(BOTTOM)), fixed(V, tags.find(TOP), push)]
     return SimpleNamespace(
+        V=V,
         tags=tags,
         a=elasticity(V, 1.0, poisson),
         L=no_load(V),
@@ -121,6 +124,29 @@ def test_a_crack_with_one_tag_is_a_crack_with_two(comm, kind, degree, shift, sca
     by_hand = [nodes(scene, *sides) for sides in ((LOWER, UPPER), (UPPER, LOWER))]
     differences = [np.abs(found - one).max() for one in by_hand if len(one) == len(found)]
     assert min(differences) < 1e-8 * PRESSURE
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("height", [0.3, 1e-2, 1e-5, -1e-5, -1e-2])
+@pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
+def test_a_curved_lip_is_not_hidden_by_its_own_facets(comm, kind, height):
+    """Points on curved facets are not on the straight pieces with which lines are intersected."""
+    scene = crack(comm, kind, degree=2)
+    V, sides = scene.V, [LOWER, UPPER]
+    lip = fem.locate_dofs_topological(V, 1, scene.tags.find(UPPER))
+    r = V.tabulate_dof_coordinates()[lip, 0] - 0.5
+    u = fem.Function(V)
+    u.x.array.reshape(-1, 2)[lip, 1] = height * (0.3**2 - r**2)
+    u.x.scatter_forward()
+    free = np.zeros(V.dofmap.index_map.size_local * 2, dtype=np.bool_)
+    sums = []
+    for secondary, primary in ((sides, sides), (LOWER, UPPER), (UPPER, LOWER)):
+        pair = ContactPair(scene.tags, secondary, primary, Coulomb(0.3), sliding="finite")
+        undeformed = Undeformed.of(V, free, pair)
+        k = pair_displaced_surfaces(V, pair, undeformed, u.x.array.reshape(-1, 2))
+        own = [k.weights.sum(), (k.weights * k.distance).sum() / height]
+        sums.append([comm.allreduce(value) for value in own])
+    assert min(np.abs(np.subtract(sums[0], by_hand)).max() for by_hand in sums[1:]) < 1e-8
 
 
 @pytest.mark.parametrize("slope", [0.06, 0.09, 0.5])
