@@ -14,11 +14,20 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, PairingError
+from dolfinx_tresca import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    NonlinearContactProblem,
+    PairingError,
+    SolverOptions,
+)
 from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.patches import block, dim_of
+from scenes.rubber_block import neo_hookean
 
 LOWER, UPPER, BOTTOM, TOP = 1, 2, 3, 4
 PRESSURE = 0.02  # Young's modulus is 1
@@ -147,6 +156,31 @@ def test_a_curved_lip_is_not_hidden_by_its_own_facets(comm, kind, height):
         own = [k.weights.sum(), (k.weights * k.distance).sum() / height]
         sums.append([comm.allreduce(value) for value in own])
     assert min(np.abs(np.subtract(sums[0], by_hand)).max() for by_hand in sums[1:]) < 1e-8
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("angle", [0.0, 0.35])
+def test_a_crack_that_moves_closes_and_just_touches_with_one_tag_as_with_two(comm, angle):
+    """Also where displacements of degree 2 bend the lips, whose bending counts on one side only."""
+    scene = crack(comm, "quadrilateral", degree=2, angle=angle)
+    up = np.array([-np.sin(angle), np.cos(angle)])
+    options = SolverOptions(rtol=1e-9, geometry_accuracy=1e-8)
+    forces = []
+    for secondary, primary in (([LOWER, UPPER],) * 2, (LOWER, UPPER), (UPPER, LOWER)):
+        u, push = fem.Function(scene.V), fem.Constant(scene.V.mesh, np.zeros(2))
+        F = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
+        ends = (fixed(scene.V, scene.tags.find(BOTTOM)), fixed(scene.V, scene.tags.find(TOP), push))
+        pair = ContactPair(scene.tags, secondary, primary, Frictionless(), sliding="finite")
+        forces.append([])
+        with NonlinearContactProblem(F, u, [pair], ends, options=options) as problem:
+            for depth in (-PRESSURE, PRESSURE, 0.0):  # open, pressed, at rest
+                push.value[:] = -depth * up
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+                forces[-1].append(solution.normal_force)
+    assert forces[1][1] > 0.03 and np.abs(forces)[:, [0, 2]].max() < 1e-9
+    assert np.abs(np.subtract(forces[0], forces[1:])).max(axis=1).min() < 1e-8
 
 
 @pytest.mark.parametrize("slope", [0.06, 0.09, 0.5])
