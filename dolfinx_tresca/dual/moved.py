@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.owner import destroyed_on_error
+from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
 from dolfinx_tresca.pairing.moved import straightened
@@ -66,8 +67,13 @@ def moved_jump(
         for k, (one, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
                 if straight is not values:
+<<<<<<< HEAD
                     moves.x.array[:] = _bent_primary(V, straight, values, pair).ravel()
                     closings = jump.closings(moves)
+=======
+                    moves.x.array[:] = _bent_primary(V, straight, values, pair, one).ravel()
+                    closed = jump.of_displacement(moves) * jump.length_scale
+>>>>>>> se
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
                 distance = one.distance + one.secondary_sagitta - raised + closings[k]
                 operators[k] = dataclasses.replace(one, distance=distance, secondary_sagitta=raised)
@@ -75,10 +81,13 @@ def moved_jump(
     return jump
 
 
-def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array:
+def _bent_primary(
+    V: Any, straight: Array, u: Array, pair: ContactPair, operators: PairOperators
+) -> Array:
     """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
-    N of the result enters the gap. If the pair gives the true surfaces (`geometry`), primary edges
+    N of the result enters the gap. On a surface that touches itself the primary nodes are those
+    opposite to secondary nodes. If the pair gives the true surfaces (`geometry`), primary edges
     are straight, too: the height of these surfaces over the facets is kept.
 
     Args:
@@ -86,11 +95,17 @@ def _bent_primary(V: Any, straight: Array, u: Array, pair: ContactPair) -> Array
         straight: (nodes, dim of space) `straightened` u.
         u: (nodes, dim of space) displacement [length].
         pair: the pair whose primary edges are bent.
+        operators: its N and T in the displaced configuration.
     """
     if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
         return straight
-    facets = pair.facet_tags.find(pair.primary)
-    nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
+    if pair.touches_itself:  # the tags do not tell primary from secondary nodes
+        numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))
+        nodes = V.dofmap.index_map.global_to_local(numbers)
+        nodes = nodes[nodes >= 0]
+    else:
+        facets = pair.facet_tags.find(pair.primary)
+        nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
     result = straight.copy()
     result[nodes] = u[nodes]
     return result

@@ -17,7 +17,8 @@ def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegr
     `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
     facet to facet, two opposite nodes may each be secondary on one facet and primary on the next.
     Both nodes would have the same jump: only the node that comes first in the mesh file has a
-    multiplier, and the second node is returned.
+    multiplier, and the second node is returned. A node that is opposite to itself, such as the tip
+    of a crack, has no jump, and is returned.
 
     Returns:
         (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
@@ -43,7 +44,8 @@ def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegr
     both = np.column_stack([integrals.secondary, integrals.primary])
     together = np.concatenate([rows(both), rows(integrals.opposite)])
     found, times = np.unique(together, axis=0, return_counts=True)
-    second = found[(times > 1) & (found[:, 1] > found[:, 2]), 0]
+    own, theirs = found[:, 1], found[:, 2]
+    second = found[(own == theirs) | (times > 1) & (own > theirs), 0]
     result = np.zeros(len(nodes.numbers), dtype=np.bool_)
     result[second] = True
     return result

@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.numbering import label_bodies
-from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
+from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
 #: 1, slight differences in size would decide, and between equal bricks rounding.
@@ -91,24 +91,34 @@ class SelfContact:
         result: Mask = self.body[first] == self.body[second]
         return result
 
+    def _facing_before(self, first: Indices, second: Indices) -> Mask:
+        """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
+        cosine = np.einsum("ni,ni->n", self.normal[first], self.normal[second])
+        return np.asarray(cosine < -FACING_COSINE)
+
     def may_meet(self, first: Indices, second: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
-        Facets of one body may not meet if they share a corner, or if they are the two faces of a
-        wall. Two facets are the faces of a wall if each is behind the other, deeper than facets of
-        curved surfaces penetrate each other (`SHALLOW_DEPTH`). This must be so both in the
-        undeformed mesh and in the present configuration, and the present depth must exceed
-        `WALL_PART` of the undeformed depth.
+        Facets of one body may not meet if they are neighbours, or if they are the two faces of a
+        wall. Neighbours share a corner and do not face each other in the undeformed mesh; the two
+        lips of a crack also share corners at its tip, but face each other. Two facets are the faces
+        of a wall if each is behind the other, deeper than facets of curved surfaces penetrate each
+        other (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than
+        touching lips (`TOUCHING_DISTANCE`). This must be so both in the undeformed mesh and in the
+        present configuration, and the present depth must exceed `WALL_PART` of the undeformed
+        depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
         f, g = first[some], second[some]
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
-        shallow = SHALLOW_DEPTH * (self.radius[f] + self.radius[g])
+        neighbours = common & ~self._facing_before(f, g)
+        shallow = np.where(common, TOUCHING_DISTANCE, SHALLOW_DEPTH)
+        shallow = shallow * (self.radius[f] + self.radius[g])
         was = _least_depth(self.centre, self.normal, f, g)
         now = _least_depth(self.place, self.present_normal, f, g)
         wall = (was > shallow) & (now > np.maximum(shallow, WALL_PART * was))
-        result[some] = ~(common | wall)
+        result[some] = ~(neighbours | wall)
         return result
 
     def is_secondary(self, first: Indices, second: Indices) -> Mask:
@@ -125,9 +135,10 @@ class SelfContact:
             self.size[f], self.size[g]
         )
         of_bodies = np.where(similar, self.body[f] < self.body[g], self.size[f] < self.size[g])
-        opposed = np.einsum("ni,ni->n", self.normal[f], self.normal[g]) < -FACING_COSINE
         towards = np.where(
-            opposed[:, None], self.normal[f] - self.normal[g], self.centre[g] - self.centre[f]
+            self._facing_before(f, g)[:, None],
+            self.normal[f] - self.normal[g],
+            self.centre[g] - self.centre[f],
         )
         in_body = np.einsum("ni,ni->n", towards, self.direction[f]) > 0.0
         return np.where(self.in_one_body(f, g), in_body, of_bodies)

@@ -58,7 +58,7 @@ class Visibility:
 
     On a surface that touches itself, both sides consist of all facets. A facet in the way of a
     segment then counts as secondary if it is on the body of x, and as primary otherwise. If x and y
-    are on one body, a segment in an overlap leaves this body at y.
+    are on one body, a segment enters or leaves this body at y, which does not hide y.
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
@@ -120,8 +120,9 @@ class Visibility:
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         in_one_body = np.zeros(len(piece), dtype=np.bool_)
-        if self._body is not None:
-            in_one_body = self._body[piece] == self._body[other]
+        end_piece = np.full(len(piece), -1)  # the piece of the primary point, if it may be on `own`
+        if self._body is not None and other is not None:
+            in_one_body, end_piece = self._body[piece] == self._body[other], other
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
@@ -136,6 +137,9 @@ class Visibility:
                 # all pairs of a point and a possible occluder
                 owner, occluder = expanded_ranges(begin[some], numbers[some])
                 place = apart[some[owner]]
+                if own:  # the end of a segment is on its piece, or near it if the facet is curved
+                    passed = occluders.piece[occluder] != end_piece[place]
+                    occluder, place = occluder[passed], place[passed]
                 place, height, outward = occluders.crossings(occluder, place, places[place])
                 gap = end[place] > start[place]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
@@ -145,8 +149,6 @@ class Visibility:
                 at = np.where(leaves, distance - touch, distance + touch)
                 length = np.abs(end - start)[place]
                 between = (at > 0.0) & (at <= length)
-                if own:  # an overlap within one body ends where the segment leaves the body
-                    between &= gap | ~in_one_body[place] | (distance + touch <= length)
                 result[place[matters & between]] = True
         apart = apart[~in_one_body[apart]]
         result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
@@ -215,6 +217,7 @@ class Visibility:
             target, occluder, piece = target[keep], occluder[keep], piece[keep]
         return _Occluders.overlapping(
             target,
+            occluder,
             pieces.local_coordinates(self._frames, piece, side.points[occluder]),
             np.einsum("ni,ndi->nd", side.normals[occluder], self._frames[piece]),
             pieces.local_coordinates(self._frames, piece, pieces.points[piece]),
@@ -227,6 +230,7 @@ class _Occluders:
 
     Attributes:
         target: (n,) index of the piece in `targets` of `Visibility._occluders`, ascending.
+        piece: (n,) index of the facet among the pieces of its side.
         corners: (n, corners, d) corners of the facet in the plane of the piece [length].
         height: (n,) height of the facet's centre over this plane [length].
         slope: (n, d) gradient of the height of the facet over this plane.
@@ -234,6 +238,7 @@ class _Occluders:
     """
 
     target: Indices
+    piece: Indices
     corners: Array
     height: Array
     slope: Array
@@ -241,12 +246,18 @@ class _Occluders:
 
     @classmethod
     def overlapping(
-        cls, target: Indices, corners: Array, normals: Array, piece_corners: Array
+        cls,
+        target: Indices,
+        occluder: Indices,
+        corners: Array,
+        normals: Array,
+        piece_corners: Array,
     ) -> _Occluders:
         """Return the facets whose bounding box in the plane of the piece overlaps the piece's box.
 
         Args:
             target: (n,) see the attribute `target`.
+            occluder: (n,) see the attribute `piece`.
             corners: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
             normals: (n, d + 1) outward unit normal of the facet in the frame of the piece.
             piece_corners: (n, corners, d + 1) corners of the piece in its own frame [length].
@@ -256,7 +267,7 @@ class _Occluders:
         keep = (high - low > POSITION_ROUNDING * np.ptp(piece, axis=1)).all(axis=1)
         height, normals = corners[keep, :, -1].mean(axis=1), normals[keep]
         slope = -normals[:, :-1] / normals[:, -1:]
-        return cls(target[keep], flat[keep], height, slope, normals[:, -1] > 0.0)
+        return cls(target[keep], occluder[keep], flat[keep], height, slope, normals[:, -1] > 0.0)
 
     def crossings(
         self, occluder: Indices, point: Indices, positions: Array
