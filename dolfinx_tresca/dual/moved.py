@@ -67,13 +67,8 @@ def moved_jump(
         for k, (one, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
                 if straight is not values:
-<<<<<<< HEAD
-                    moves.x.array[:] = _bent_primary(V, straight, values, pair).ravel()
-                    closings = jump.closings(moves)
-=======
                     moves.x.array[:] = _bent_primary(V, straight, values, pair, one).ravel()
-                    closed = jump.of_displacement(moves) * jump.length_scale
->>>>>>> se
+                    closings = jump.closings(moves)
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
                 distance = one.distance + one.secondary_sagitta - raised + closings[k]
                 operators[k] = dataclasses.replace(one, distance=distance, secondary_sagitta=raised)
