@@ -27,7 +27,7 @@ MOST_STEPS, MOST_HALVINGS = 200, 6
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that fails to reduce the residual, and divided
 #: by it after each other step. With 1e-10 in place of 1e-4, a wall of 1,104 bricks is not solved.
-PROXIMAL, SOFTER = 1e-3, 3.0
+PROXIMAL, SOFTER = 1e-4, 3.0
 
 #: Newton's method has solved the model if the residual is at most this part of the residual at the
 #: start. (It goes on while steps succeed, until the residual is rounding. With 0.1 and no further
