@@ -309,7 +309,7 @@ PARTS: dict[str, Patches] = {
     "A known whole": [(NEWTON, "complete_products", lambda self: False)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "convex problems as starts": [(semismooth_newton, "CONVEX_STARTS", 0)],
+    "convex problems as starts": [(semismooth_newton, "CONVEX_STARTS", ())],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -347,7 +347,7 @@ CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
     "optimise.newton.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS PROXIMAL "
-    "SOFTER SOLVED CONVEX_STARTS",
+    "SOFTER SOLVED",
     "optimise.models.whole_model": "SHIFT",
     "_base.arrays": "ROUNDING",
     "optimise.newton.near_model": "MOST",
