@@ -309,7 +309,7 @@ PARTS: dict[str, Patches] = {
     "A known whole": [(NEWTON, "complete_products", lambda self: False)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "convex problems as starts": [(semismooth_newton, "CONVEX_STARTS", ())],
+    "other initial guesses": [(semismooth_newton, "OTHER_GUESSES", ())],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
