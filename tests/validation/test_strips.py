@@ -56,7 +56,7 @@ def test_strips_that_stick(comm, cells, degree):
     for law in (Coulomb(FRICTION), Bonded()):
         problem, _ = pressed_strips(comm, cells, degree, law)
         with problem:
-            solution = problem.solve(rtol=1e-7)
+            solution = problem.solve(rtol=1e-9)
         solution.raise_if_failed()
         found.append((solution.normal_force, solution.pressure.x.array.copy()))
         far = solution.surface.points[:, 0] > 0.5 * LENGTH
