@@ -34,12 +34,19 @@ def _digits(error: float) -> int:
     return int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
 
 
+def _may_be_zero(found: Evaluation) -> bool:
+    """Return whether no node is pressed or bonded and the error is as large as the solution."""
+    return found.counts.contact + found.counts.bonded == 0 and found.energy_error_bound >= 1.0
+
+
 def error_rows(found: Evaluation) -> list[Row]:
     """Return the errors of the iteration and of the mesh."""
     kind = "at most" if found.bound_is_rigorous else "about"
     bound = f"{kind} {found.energy_error_bound:.1e} of the solution's norm"
     if found.energy_error_bound == 0.0:
         bound = "zero to rounding"
+    elif _may_be_zero(found):
+        return [("energy error", "as large as the solution, which may be zero")]
     elif np.isinf(found.energy_error_bound):
         bound = "not bounded, since constraints are dependent: more than nodes have free directions"
     rows = [("energy error", bound)]
@@ -54,6 +61,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     """Return the rows of the contact, with the digits that the error of nodal values justifies."""
     counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
     dim = 3 if found.axisymmetric else dim  # forces on whole rings
+    scale = 0.0 if _may_be_zero(found) else 1.0  # relative errors leave rounding all its digits
     has_friction = any(surface.traction is not None for surface in found.surfaces)
     open_nodes = counts.nodes - counts.contact - counts.bonded
     open_stick = counts.stick - counts.contact_stick
@@ -68,10 +76,10 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         return with_unit(significant(value, error), units, quantity, dim)
 
     def force(one: Resultant) -> str:
-        return with_unit(vector(one.force, found.local_error), units, "force", dim)
+        return with_unit(vector(scale * one.force, found.local_error), units, "force", dim)
 
     forces = [force(one) for one in found.pair_resultants]
-    normal = f"{number(found.normal_force, 'force')} normal"
+    normal = f"{number(scale * found.normal_force, 'force')} normal"
     if len(forces) == 1:
         force_rows = [("force", f"{normal}, {forces[0]} on the secondary side")]
     else:
@@ -110,7 +118,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
             if counts.undecided
             else []
         ),
-        ("peak pressure", number(found.peak_pressure, "stress")),
+        ("peak pressure", number(scale * found.peak_pressure, "stress")),
         *([("greatest slip", slip)] if has_friction else []),
         *([("dissipation", f"{work[0]} in this step, {work[1]} so far")] if history else []),
         *force_rows,
