@@ -281,14 +281,20 @@ def wording(node: ast.expr) -> str:
 
 def messages() -> list[tuple[str, str]]:
     """Return the name of the class and the message of each error, and those of warnings."""
-    calls = [
+    nodes = [
         node
         for file in (CHECKOUT / "dolfinx_tresca").rglob("*.py")
         for node in ast.walk(ast.parse(file.read_text()))
-        if isinstance(node, ast.Call)
     ]
     found = []
-    for call in calls:
+    for node in nodes:
+        if isinstance(node, ast.FunctionDef) and node.name == "failure":  # raised by its caller
+            for returned in ast.walk(node):
+                if isinstance(returned, ast.Return) and isinstance(returned.value, ast.JoinedStr):
+                    message = wording(returned.value)
+                    theory = "OutsideTheoryError" if "theory" in message else "ConvergenceError"
+                    found.append((theory, message))
+    for call in (node for node in nodes if isinstance(node, ast.Call)):
         match call.func, call.args:
             case ast.Name("log"), [_, message, *_] if "WARNING" in ast.dump(call):
                 found.append(("warning", wording(message)))
@@ -296,7 +302,7 @@ def messages() -> list[tuple[str, str]]:
                 found.append(("warning", wording(message)))
             case ast.Name(name), [message, *_] if name.endswith("Error"):
                 found.append((name, wording(message)))
-    return [(name, message) for name, message in found if message != "..."]
+    return [(name, message) for name, message in found if message not in ("...", "%s")]
 
 
 def explained(section: str) -> dict[str, list[re.Pattern[str]]]:

@@ -90,7 +90,7 @@ def _bent_primary(
         straight: (nodes, dim of space) `straightened` u.
         u: (nodes, dim of space) displacement [length].
         pair: the pair whose primary edges are bent.
-        operators: its N and T in the displaced configuration.
+        operators: N and T of the pair in the displaced configuration.
     """
     if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
         return straight

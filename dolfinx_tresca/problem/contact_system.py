@@ -280,7 +280,7 @@ class ContactSystem(PetscOwner):
                 status = ContactStatus.OUTSIDE_THEORY
                 surfaces.steps.set_last_status(status)
                 solution = replace(solution, status=status, sliding=reason)
-        if solution.failure:
+        elif solution.failure:
             log(self.comm, "%s", solution.failure, level=logging.WARNING)
         return solution
 

@@ -396,8 +396,10 @@ def check(comm, drawn: Drawn) -> ContactSolution:
         solution = solve(scene, options={"axisymmetric": ring}, rtol=RTOL)
     else:
         solution, scene = solve_nonlinear(scene, drawn)
-    # a soft part of a body may leave no further progress, which is said; the laws hold all the same
-    assert solution.status in (ContactStatus.CONVERGED, ContactStatus.STAGNATED)
+    # a soft part of a body may leave no further progress, and soft bodies may turn far, which is
+    # said; the laws hold all the same
+    wanted = (ContactStatus.CONVERGED, ContactStatus.STAGNATED, ContactStatus.OUTSIDE_THEORY)
+    assert solution.status in wanted
     found = defects(scene, solution, axisymmetric=ring)
     assert found.pop("balance") <= (ROUNDING if drawn.material == "elastic" else ITERATED)
     assert max(found.values()) <= LAWS, found
