@@ -202,10 +202,10 @@ class ContactCompliance(PetscOwner):
     def _uses_near_field(self) -> bool:
         """Whether the near field saves more than it costs (`NEAR_SHARE`). Collective.
 
-        It is not used if u is a part of a mixed space: the clamped nodes round an incompressible
-        near field would fix its volume.
+        It is not used if no node has a multiplier, or if u is a part of a mixed space: the clamped
+        nodes round an incompressible near field would fix its volume.
         """
-        if self.jump.system.component is not None:
+        if self.jump.system.component is not None or self.jump.matrix.getSize()[0] == 0:
             return False
         return self.operator.exact or self.near_field.share <= NEAR_SHARE
 
