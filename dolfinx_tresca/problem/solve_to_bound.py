@@ -76,7 +76,11 @@ def solve_to_bound(
         if found.status is not ContactStatus.CONVERGED or not excess > 1.0:
             break
         start = found.multipliers
-        asked = options.with_changes(accuracy=0.5 * wanted / excess**attempt)
+        accuracy = 0.5 * wanted * (1.0 / excess) ** attempt
+        if accuracy == 0.0:  # the fields are rounding: no accuracy of the iteration helps
+            found = dataclasses.replace(found, status=ContactStatus.STAGNATED)
+            break
+        asked = options.with_changes(accuracy=accuracy)
     else:
         found = dataclasses.replace(found, status=ContactStatus.STAGNATED)
     bound_decides = attempt > 0 or not (options.rtol or options.balanced)

@@ -33,7 +33,7 @@ from scenes.two_bricks import ENDS, bricks_problem, two_bricks
 
 #: The bound is no larger than this times the error. With multigrid what solves with K may have left
 #: is part of it, in proportion to what was asked for, though the error may by luck be less.
-SHARP, SHARP_INEXACT = 5.0, 10.0
+SHARP, SHARP_INEXACT = 6.0, 10.0
 
 #: Of the reference, and what its error and rounding may take from a bound.
 TIGHT, REFERENCE = 1e-11, 1e-6
