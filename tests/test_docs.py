@@ -292,8 +292,8 @@ def messages() -> list[tuple[str, str]]:
             for returned in ast.walk(node):
                 if isinstance(returned, ast.Return) and isinstance(returned.value, ast.JoinedStr):
                     message = wording(returned.value)
-                    theory = "OutsideTheoryError" if "theory" in message else "ConvergenceError"
-                    found.append((theory, message))
+                    kind = "OutsideTheoryError" if "theory" in message else "ConvergenceError"
+                    found.append((kind, message))
     for call in (node for node in nodes if isinstance(node, ast.Call)):
         match call.func, call.args:
             case ast.Name("log"), [_, message, *_] if "WARNING" in ast.dump(call):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -88,6 +89,8 @@ class JumpOperator(PetscOwner):
             owned.destroy()
         if self._of_V is not self.matrix:
             self._of_V.destroy()
+        if "_without_multiplier" in vars(self):
+            self._without_multiplier.destroy()
 
     def _gaps(self) -> Array:
         """Return the gaps of the pairs in normal rows (size,), divided by `length_scale`."""
@@ -216,18 +219,23 @@ class JumpOperator(PetscOwner):
         The jumps [length] of nodes without a row of N, such as nodes that are prescribed along the
         normal, are included.
         """
-        jump, dofmap = self.of_displacement(u) * self.length_scale, u.function_space.dofmap
-        rows = [pair.rows_without_multiplier for pair in self.pairs]
-        matrix = as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
+        jump, matrix = self.of_displacement(u) * self.length_scale, self._without_multiplier
         product = matrix.createVecLeft()
         matrix.mult(u.x.petsc_vec, product)
-        values = np.split(product.array.copy(), np.cumsum([one.shape[0] for one in rows])[:-1])
-        matrix.destroy()
+        ends = np.cumsum([len(pair.without_normal) for pair in self.pairs])
+        values = np.split(product.array.copy(), ends[:-1])
         product.destroy()
         for k, pair in enumerate(self.pairs):
             order = np.argsort(np.append(pair.normal_node, pair.without_normal))
             values[k] = np.append(jump[self.slices[k][0]], values[k])[order]
         return values
+
+    @cached_property
+    def _without_multiplier(self) -> PETSc.Mat:
+        """Rows of the jumps along the normals at nodes without a row of N. Collective."""
+        dofmap = self.system.V.dofmap
+        rows = [pair.rows_without_multiplier for pair in self.pairs]
+        return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def of_values(self, u: Array) -> Array:
         """Return B u for the values of u on this rank. Collective."""

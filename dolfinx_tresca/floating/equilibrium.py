@@ -226,7 +226,8 @@ def equilibrium_constraints(
             "give the contact friction.",
             motions[0][:, np.square(motions[0]).sum(axis=0).argmax()],
         )
-    # modes without jumps are scaled by the stiffness of the springs that hold them
+    # modes without jumps are scaled by the stiffness of the springs that hold them, which together
+    # with an unstable K may be negative
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
     by_factor = diags_array(factors, format="csr")
     constraints = EqualityConstraints(

@@ -36,6 +36,16 @@ def found(monkeypatch) -> list:
     return result
 
 
+def check_products(comm, operator, matrix) -> None:
+    """Compare a matrix with single products, for random vectors."""
+    inner = operator.jump.reductions.inner
+    for seed in range(3):
+        x = np.random.default_rng([seed, comm.rank]).standard_normal(len(matrix.diagonal))
+        expected = operator.product(x)[0]
+        error = matrix.product(x) - expected
+        assert inner(error, error) <= SOLVE**2 * inner(expected, expected)
+
+
 @pytest.mark.parallel
 def test_the_matrix_is_A(comm, found):
     """Against single products with random vectors; 28 solves with K find 200 columns."""
@@ -43,12 +53,7 @@ def test_the_matrix_is_A(comm, found):
     with scene.problem() as problem:
         assert problem.solve(rtol=1e-6).products <= 32
         operator, matrix = found[0]
-        for seed in range(3):
-            x = np.random.default_rng([seed, comm.rank]).standard_normal(len(matrix.diagonal))
-            inner = operator.jump.reductions.inner
-            expected = operator.product(x)[0]
-            error = matrix.product(x) - expected
-            assert inner(error, error) <= SOLVE**2 * inner(expected, expected)
+        check_products(comm, operator, matrix)
 
 
 def pushed(comm, parts: list[float]) -> tuple[np.ndarray, int]:
@@ -103,12 +108,7 @@ def test_a_dense_matrix_is_A(comm, monkeypatch):
         operator, local_compliance = calls[0]
         matrix = body_products.dense_model(operator, local_compliance)
         assert operator.products - before == matrix.number
-        for seed in range(3):
-            x = np.random.default_rng([seed, comm.rank]).standard_normal(len(matrix.diagonal))
-            inner = operator.jump.reductions.inner
-            expected = operator.product(x)[0]
-            error = matrix.product(x) - expected
-            assert inner(error, error) <= SOLVE**2 * inner(expected, expected)
+        check_products(comm, operator, matrix)
 
 
 @pytest.mark.parallel

@@ -61,6 +61,8 @@ class _FixedPointNewton(ProjectedNewton):
     #: Number of consecutive iterations in which friction on the model was too weak for the
     #: constraints.
     failures = 0
+    #: Number of iterates when the rest of A was computed; 0 before.
+    completed_at = 0
     #: Deficit of friction in the last iteration; None if friction was strong enough.
     deficit: FrictionDeficit | None = None
 
@@ -78,6 +80,7 @@ class _FixedPointNewton(ProjectedNewton):
         completed = super().complete_products()
         if completed:
             self.failures, self.has_stalled = 0, False
+            self.completed_at = len(self.history.residuals)
         return completed
 
     def run(self, start: Array) -> DualSolution:

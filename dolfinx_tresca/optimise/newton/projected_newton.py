@@ -81,7 +81,6 @@ class ProjectedNewton:
         history: residuals and energies of the iterates, and the criterion of convergence.
         at: the present point.
         missed: the last point of Newton's method with the model, if it did not converge.
-        completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
     store: KnownProducts
@@ -89,7 +88,6 @@ class ProjectedNewton:
     history: History
     at: Iterate
     missed: NewtonPoint | None = None
-    completed_at = 0
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
         """Keep the arguments; `run` solves. Not collective."""
@@ -129,7 +127,6 @@ class ProjectedNewton:
         if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
             return False
         self.store = self.at.store = self.problem.known_products()
-        self.completed_at = len(self.history.residuals)
         return True
 
     def compute_first_products(self) -> None:

@@ -11,7 +11,7 @@ from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.optimise.models.model import Model, NodalMaps
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.record.slips import cones_at
+from dolfinx_tresca.optimise.record.slips import multipliers_of_constraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
@@ -135,7 +135,7 @@ class SemismoothNewton:
             section.circle_stiffness(r, face),
             -r - admissible.slip_along(face),
             constraints.columns,
-            constraints.softened(softness, c).softness,
+            constraints.softness_with(softness),
             constraints.residual(settled, c),
             admissible.with_bound_change(settled, face, self.model.diagonal),
         )
@@ -234,7 +234,7 @@ class ConvexNewton(SemismoothNewton):
             maps,
             self.model.apply(residual) - residual / self.rho,
             constraints.columns,
-            constraints.softened(softness, point.c).softness,
+            constraints.softness_with(softness),
             constraints.residual(settled, point.c),
         )
         return change - residual, change_c
@@ -259,7 +259,7 @@ def solve_model(
         the last point of Newton's method if it has not solved the equations.
     """
     newton, constraints = SemismoothNewton(problem, model), problem.constraints
-    _, c = cones_at(problem, multipliers, gradient, rho)
+    c = multipliers_of_constraints(problem, multipliers, gradient, rho)
     start = newton.point(multipliers, c, gradient - constraints.columns @ c)
     tolerance = max(SOLVED * start.residual, newton.rounding)
     point = newton.solve(start, tolerance)
@@ -291,13 +291,14 @@ def solve_from_other_guesses(
     x, c, slip = np.zeros_like(start.x), np.zeros_like(start.c), np.zeros_like(start.r)
     r = start.r - model.apply(start.x) + newton.problem.constraints.columns @ start.c
     pressed = start.x
-    for softer in OTHER_GUESSES:
+    for number, softer in enumerate(OTHER_GUESSES):
+        if number > 0:
+            convex = ConvexNewton(newton.problem, model, pressed, slip)
+            solution = convex.solve(convex.point(x, c, r), tolerance)
+            x, c, r = solution.x, solution.c, solution.r
+            pressed, slip = x, r
         point = newton.solve(newton.point(x, c, r), tolerance, softer)
         best = min(best, point, key=lambda candidate: candidate.residual)
         if best.residual <= tolerance:
             break
-        convex = ConvexNewton(newton.problem, model, pressed, slip)
-        solution = convex.solve(convex.point(x, c, r), tolerance)
-        x, c, r = solution.x, solution.c, solution.r
-        pressed, slip = x, r
     return best

@@ -11,7 +11,7 @@ from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.record.energy import energy_error, energy_norm
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.record.slips import cones_at
+from dolfinx_tresca.optimise.record.slips import multipliers_of_constraints
 from dolfinx_tresca.options import SolverOptions
 
 #: `LEAST_ACCURACY` is the least relative energy error that is requested if the mesh's error
@@ -140,6 +140,6 @@ class Stopping:
         Here c are the multipliers of the equality constraints at the iterate.
         """
         rho, constraints = self._residual.rho, self._problem.constraints
-        _, c = cones_at(self._problem, x, r, rho)
+        c = multipliers_of_constraints(self._problem, x, r, rho)
         at = self._problem.at(x, r - constraints.columns @ c, rho)
         return at.section(x), c

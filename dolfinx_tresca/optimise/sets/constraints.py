@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -75,19 +74,10 @@ class EqualityConstraints:
     def __len__(self) -> int:
         return len(self.values)
 
-    def softened(self, softness: float, c: Array) -> EqualityConstraints:
-        """Return the equations with S + s I in place of S, and e + s c in place of e.
-
-        Solutions with the multipliers c remain solutions. Not collective.
-
-        Args:
-            softness: s >= 0.
-            c: (k,) multipliers of the constraints.
-        """
+    def softness_with(self, added: float) -> Matrix:
+        """Return S + s I, (k, k), for a number s >= 0 that is added. Not collective."""
         unit = eye_array(len(self), format="csr")
-        added = unit if issparse(self.softness) else unit.toarray()
-        softer, values = self.softness + softness * added, self.values + softness * c
-        return dataclasses.replace(self, softness=softer, values=values)
+        return self.softness + added * (unit if issparse(self.softness) else unit.toarray())
 
     @property
     def are_soft(self) -> bool:
