@@ -97,7 +97,8 @@ def central_differences(
     Raises:
         InputError: the values change, and the control is a Function.
     """
-    given, result = values_of(control).copy(), None
+    given = values_of(control).copy()
+    result: Array | None = None
     own_size = float(reduce_array(comm, np.abs(given).max(initial=0.0), MPI.MAX))
     for size in (own_size, *SIZES):
         ends = []
@@ -110,7 +111,7 @@ def central_differences(
         change, *largest = reduce_array(comm, sizes, MPI.MAX)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
-            result = (high - low) / (2.0 * DIFFERENCE * size)
+            result = np.asarray((high - low) / (2.0 * DIFFERENCE * size))
             if is_useful:
                 break
     if result is not None and isinstance(control, fem.Function):

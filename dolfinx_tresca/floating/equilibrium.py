@@ -261,7 +261,7 @@ def _unresisted(gram: csr_array, bodies: Indices) -> Array:
     pattern = (entries.row[same], entries.col[same])
     own = csr_array((entries.data[same], pattern), shape=gram.shape)  # all other bodies at rest
     together = max(UNRESISTED_SQUARE / number**4, ROUNDING_SQUARE)
-    motions = np.zeros((k, 0))
+    motions: Array = np.zeros((k, 0))
     for matrix, least in ((own, UNRESISTED_SQUARE), (gram, together)):
         if is_positive_definite(matrix - least * eye_array(k)):
             continue

@@ -405,7 +405,7 @@ class ContactSurfaces(PetscOwner):
 
         Collective.
         """
-        multipliers = self.compliance.stress_rounding / self.jump.stress_scale
+        multipliers = np.asarray(self.compliance.stress_rounding / self.jump.stress_scale)
         return np.array(self.jump.contact_force(multipliers).array)
 
     def update_stiffness(self) -> None:

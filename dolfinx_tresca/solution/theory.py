@@ -129,7 +129,7 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     nodes = np.ones(len(label)), (label, np.arange(len(label)))
     incidence = csr_array(nodes, shape=(bodies.number, len(label)))
 
-    def sums(*columns: Array) -> Array:
+    def sums(*columns: Any) -> Any:
         return np.asarray(reduce_array(comm, incidence @ np.hstack(columns)))
 
     means = sums(bodies.arm, moved) / bodies.nodes[:, None]
@@ -141,9 +141,8 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     moved -= np.cross(turn[label], arm)
     strain = np.zeros(bodies.number)
     np.maximum.at(strain, label, np.linalg.norm(moved, axis=1))
-    strain = reduce_array(comm, strain, MPI.MAX)
     angle = np.linalg.norm(turn, axis=1)
-    angle[angle <= TURNS * strain] = 0.0
+    angle[angle <= TURNS * reduce_array(comm, strain, MPI.MAX)] = 0.0
     for values, limit in ((angle, ROTATION), (strain, DEFORMATION)):
         body = int(values.argmax())
         value, name = float(values[body]), bodies.describe(body)

@@ -120,7 +120,8 @@ class Visibility:
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         in_one_body = np.zeros(len(piece), dtype=np.bool_)
-        end_piece = np.full(len(piece), -1)  # the piece of the primary point, if it may be on `own`
+        # the piece of the primary point, if it may be on `own`
+        end_piece: Indices = np.full(len(piece), -1)
         if self._body is not None and other is not None:
             in_one_body, end_piece = self._body[piece] == self._body[other], other
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])

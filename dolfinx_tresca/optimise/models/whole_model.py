@@ -98,7 +98,7 @@ class WholeModel(Model):
         """The largest eigenvalue of A. The first call is collective."""
         matrix = self._stacked(self._rows)
         if matrix.shape[0] <= 2:
-            values = np.linalg.eigvalsh(dense(matrix))[-1:]
+            values = np.linalg.eigvalsh(dense(matrix))[-1:].astype(np.float64)
         else:
             start = np.ones(matrix.shape[0])
             values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)

@@ -93,11 +93,11 @@ class SemismoothNewton:
         """
         self.problem, self.model = problem, model
         self.size = problem.feasible_set.mean_over_discs(model.size)
-        self.rho: Array = RHO_DIAGONAL / self.size
+        self.rho = np.asarray(RHO_DIAGONAL / self.size)
         ones, G = np.ones_like(self.size), problem.constraints.columns
         sums = [float(problem.inner(ones, values)) for values in (self.size, ones)]
         self.softness = PROXIMAL * sums[1] / sums[0] if sums[0] > 0.0 else 0.0
-        squares = np.asarray((G * G).sum(axis=1)).ravel()
+        squares = np.asarray((G * G) @ np.ones(G.shape[1]))
         self.constraint_weight = float(problem.inner(squares, 1.0 / self.size)) or 1.0
         self.rounding = ROUNDING * self.energy(self.rho * problem.b, problem.constraints.values)
 

@@ -73,12 +73,13 @@ class Contact:
         if all nodes beside it touch, provided that each of its facets has a node that carries one.
         Nodes farther beyond the primary side are open.
         """
-        facets, count = self.grid.cells[:, 1:], len(self.grid.points)
-        carries, beside = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
-        carries[self.nodes] = True
-        at_facets = (carries[facets] & ~self.touching[facets]).any(axis=1)
-        closes = carries[facets].any(axis=1) & ~at_facets
-        np.logical_and.at(beside, facets, closes[:, None])
+        facets: npt.NDArray[np.int64] = self.grid.cells[:, 1:]
+        count = len(self.grid.points)
+        carries: Mask = np.isin(np.arange(count), self.nodes)
+        beside = np.ones(count, dtype=bool)
+        opens = np.any(carries[facets] & ~self.touching[facets], axis=1)
+        closes = np.any(carries[facets], axis=1) & ~opens
+        beside[facets[~closes]] = False
         mask: Mask = np.where(carries, self.touching, beside)
         return mask
 

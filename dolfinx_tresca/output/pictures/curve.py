@@ -36,9 +36,9 @@ def chains(grid: Grid) -> list[npt.NDArray[np.int64]]:
     node. Pieces are sorted by the lower left corners of their bounding boxes.
     """
     points, neighbours = grid.points, dict[int, list[int]]()
-    for begin, end in grid.cells[:, 1:].tolist():
-        neighbours.setdefault(begin, []).append(end)
-        neighbours.setdefault(end, []).append(begin)
+    for begin, end in grid.cells[:, 1:]:
+        neighbours.setdefault(int(begin), []).append(int(end))
+        neighbours.setdefault(int(end), []).append(int(begin))
     pieces, seen = [], set[int]()
     # ends of open pieces come before all nodes of closed ones
     for start in sorted(
