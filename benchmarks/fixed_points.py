@@ -24,7 +24,7 @@ from harness import Benchmark, Column, Comm, Row, Table
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.newton import semismooth_newton
-from dolfinx_tresca.optimise.newton.projected_newton import ProjectedNewton
+from dolfinx_tresca.optimise.newton.iteration import ModelNewton
 from scenes.dense import random_dry_problem, run
 
 #: Coefficients of friction.
@@ -54,7 +54,7 @@ def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
     if "damped" not in ways:
         change(semismooth_newton, MOST_HALVINGS=0)
     if "whole" not in ways:
-        change(ProjectedNewton, complete_products=lambda self: False)
+        change(ModelNewton, complete_products=lambda self: False)
     if "convex" not in ways:
         change(semismooth_newton, OTHER_GUESSES=())
     return stack

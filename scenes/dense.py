@@ -228,7 +228,7 @@ class DenseProblem(OneRank):
         """Rounding error of energies, taken as zero."""
         return 0.0
 
-    def discretisation_error(self, x: np.ndarray, rho: float) -> float:
+    def discretisation_error(self, x: np.ndarray, c: np.ndarray) -> float:
         """Return a fixed number in place of the estimated error of a mesh."""
         return 0.05
 

@@ -35,7 +35,8 @@ def clarabel_minimum(
     """
     if constraints is None:
         constraints = EqualityConstraints.none(lam.size, OneRank())
-    size = np.linalg.norm(b)  # the solver's absolute tolerances are for numbers of size 1
+    # the solver's absolute tolerances are for numbers of size 1
+    size = np.linalg.norm(np.append(b, constraints.values))
     rows, right, cones = [], [], []
     G, S, k = constraints.columns, constraints.softness, len(constraints)
     A = np.block([[A, np.zeros_like(G)], [np.zeros_like(G.T), S]])

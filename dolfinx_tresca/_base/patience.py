@@ -7,12 +7,6 @@ from __future__ import annotations
 #: benchmarks/ablation.py change by two at most.
 PROGRESS = 0.9
 
-#: Number of consecutive iterations that change the energy by rounding only and reduce no residual,
-#: after which an iteration stagnates. If it is doubled, numbers of products of
-#: benchmarks/ablation.py change by one at most. With the value 2, a strip of 150 nodes that is
-#: pulled to and fro ends with STAGNATED.
-IDLE_STEPS = 8
-
 #: Number of iterations without progress after which a contact problem counts as stalled, and after
 #: which a search for a fixed point, or Newton's method with a model of A, ends. If it is doubled,
 #: solves without a fixed point take more products, and warnings come later. Of the solves in

@@ -245,7 +245,7 @@ class DualProgram:
             return r, 0.0
         return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
 
-    def discretisation_error(self, x: Array, rho: float) -> float:
+    def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
         A direct solver needs one solve with K, an iterative solver needs no solve, since its
@@ -254,16 +254,12 @@ class DualProgram:
 
         Args:
             x: (size,) multipliers.
-            rho: step length of the projection that gives the slip bounds at x and the multipliers
-                of the constraints.
+            c: (k,) multipliers of the constraints.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf
         u = fem.Function(self.jump.system.V)
         self.response.known(x, u.x.petsc_vec)
-        r = self.response.gradient_of(u.x.petsc_vec)
-        lam = self.admissible.at(x, r, rho).section(x)
-        c = self.constraints.multipliers(lam, x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)

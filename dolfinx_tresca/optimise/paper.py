@@ -12,11 +12,14 @@ import numpy as np
 from scipy.linalg import eigh_tridiagonal
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.record.history import History, Observe, gradient
+from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, Point
+from dolfinx_tresca.optimise.record.history import History, Observe
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.status import ContactStatus
 
 #: Inner residual of "exact" solves, divided by the outer residual at the start.
 INNER_RESIDUAL = 1e-12
@@ -32,27 +35,21 @@ def ssn(
 
     Collective.
     """
-    feasible_set = problem.feasible_set
-    history, multipliers, r = begin(problem, start, options, observe)
-    precision = adaptive_precision(history, options)
-    while True:
-        status, projected, r_projected = history.check_convergence_of_projection(multipliers, r)
-        if status is not None:
-            return history.solution(projected, r_projected, status)
-        y = multipliers - history.residual.rho * r
-        derivative = feasible_set.projection_derivative(y)
+    run = _Run(problem, start, options, observe)
 
-        def image(v: Array, derivative: Callable[[Array], Array] = derivative) -> Array:
-            return v - derivative(v - history.residual.rho * problem.operator.apply(v))
-
-        step = _bicgstab(
+    def step(tolerance: float) -> tuple[Array, Array]:
+        rho, y = run.history.residual.rho, run.target
+        derivative = problem.feasible_set.projection_derivative(y)
+        change = _bicgstab(
             problem,
-            image,
-            feasible_set.project(y) - multipliers,
-            history.residual.rho * precision(),
+            lambda v: v - derivative(v - rho * problem.operator.apply(v)),
+            problem.feasible_set.project(y) - run.x,
+            rho * tolerance,
         )
-        multipliers = multipliers + step
-        r = gradient(problem, multipliers)
+        x = run.x + change
+        return x, gradient(problem, x)
+
+    return run.iterate(step, adaptive_precision(run.history, options))
 
 
 def mssn(
@@ -64,13 +61,8 @@ def mssn(
     if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
     there is one, is the solution. Collective.
     """
-    return _iterate(
-        problem,
-        start,
-        options,
-        observe,
-        lambda history: lambda: INNER_RESIDUAL * history.first_error,
-    )
+    run = _Run(problem, start, options, observe)
+    return run.iterate(run.symmetrized_step, lambda: INNER_RESIDUAL * run.history.errors[0])
 
 
 def imssn(
@@ -80,36 +72,8 @@ def imssn(
 
     The method is fast if it converges, but may cycle if many nodes stick. Collective.
     """
-    return _iterate(
-        problem, start, options, observe, lambda history: adaptive_precision(history, options)
-    )
-
-
-def _iterate(
-    problem: DualProblem,
-    start: Array,
-    options: SolverOptions,
-    observe: Observe,
-    precision: Callable[[History], Callable[[], float]],
-) -> DualSolution:
-    """Run Steps 1 to 4 of the paper's algorithm. Collective.
-
-    `precision(history)` is a function that returns the tolerance of the next inner iteration each
-    time it is called.
-    """
-    feasible_set = problem.feasible_set
-    history, multipliers, r = begin(problem, start, options, observe)
-    tolerance = precision(history)
-    while True:
-        status, projected, r_projected = history.check_convergence_of_projection(multipliers, r)
-        if status is not None:
-            return history.solution(projected, r_projected, status)
-        target = multipliers - history.residual.rho * r
-        face = feasible_set.face(target)
-        fixed = np.where(face.active, multipliers, feasible_set.project(target))
-        r = r + problem.operator.apply(fixed - multipliers)
-        step, product = conjugate_gradients(problem, face.active, r, tolerance())
-        multipliers, r = fixed + step, r + product
+    run = _Run(problem, start, options, observe)
+    return run.iterate(run.symmetrized_step, adaptive_precision(run.history, options))
 
 
 def gimssn(
@@ -123,24 +87,22 @@ def gimssn(
 
     Collective.
     """
-    feasible_set = problem.feasible_set
-    history, multipliers, r = begin(problem, start, options, observe)
-    precision = adaptive_precision(history, options)
-    while (status := history.check_convergence(multipliers, r)) is None:
-        target = multipliers - history.residual.rho * r
-        projected = feasible_set.project(target)
-        move = projected - multipliers
-        product = problem.operator.apply(move)
-        curvature = float(problem.inner(product, move) / problem.inner(move, move))
-        # the Lanczos iteration missed an eigenvalue whose eigenvector is almost orthogonal to b
-        if curvature * history.residual.rho >= 2.0:
-            history.residual.set_rho(options.step_factor / curvature)
-            continue
-        active = feasible_set.face(target).active
-        r = r + product
+    run, feasible_set = _Run(problem, start, options, observe), problem.feasible_set
 
-        def feasible(step: Array, base: Array = projected) -> bool:
-            moved = base + step
+    def step(tolerance: float) -> tuple[Array, Array]:
+        residual = run.history.residual
+        while True:
+            move = feasible_set.project(run.target) - run.x
+            product = problem.operator.apply(move)
+            curvature = float(problem.inner(product, move) / problem.inner(move, move))
+            if curvature * residual.rho < 2.0:
+                break
+            # the Lanczos iteration missed an eigenvalue whose vector is almost orthogonal to b
+            residual.set_rho(options.step_factor / curvature)
+        projected = run.x + move
+
+        def feasible(change: Array) -> bool:
+            moved = projected + change
             outside = moved - feasible_set.project(moved)
             # rounding alone may move the traction of a slipping node off its circle
             return bool(
@@ -148,31 +110,100 @@ def gimssn(
                 <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
             )
 
-        step, product = conjugate_gradients(problem, active, r, precision(), feasible=feasible)
-        multipliers, r = feasible_set.project(projected + step), r + product
-    return history.solution(multipliers, r, status)
+        active, r = feasible_set.face(run.target).active, run.r + product
+        change, image = conjugate_gradients(problem, active, r, tolerance, feasible=feasible)
+        return feasible_set.project(projected + change), r + image
+
+    return run.iterate(step, adaptive_precision(run.history, options))
 
 
-def begin(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> tuple[History, Array, Array]:
-    """Begin a solve by an algorithm of the paper. Collective.
+class _Run:
+    """The state of a solve by an algorithm of the paper.
 
-    Returns:
-        the history, with rho from an estimate of sigma_max; the first multipliers (size,); and the
-        gradient at them. The first multipliers are the projected start, or zero if the residual at
-        zero is smaller, for example after the load was removed.
+    Attributes:
+        problem: the dual problem (38.4), without constraints.
+        history: the record, with rho from an estimate of sigma_max.
+        x: (size,) multipliers, maybe outside of Lambda.
+        r: (size,) gradient at x.
     """
-    problem.response.refine_b()  # every gradient contains b
-    rho = options.step_factor / largest_eigenvalue(problem)
-    zero, at_zero = np.zeros_like(start), -problem.b
-    residual = NaturalResidual(problem, rho, zero, at_zero)
-    history = History(problem, options, observe, residual)
-    x = problem.feasible_set.project(start)
-    r = gradient(problem, x)
-    if residual.at(x, r) > residual.scale:
-        x, r = zero, at_zero
-    return history, x, r
+
+    def __init__(
+        self, problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+    ) -> None:
+        """Begin at the projected start, or at zero if the residual is smaller there. Collective."""
+        problem.response.refine_b()  # every gradient contains b
+        residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
+        self.problem, self.history = problem, History(problem, options, observe, residual)
+        self.x = problem.feasible_set.project(start)
+        self.r = gradient(problem, self.x)
+        if residual.at(self.point) > residual.scale:
+            self.x, self.r = np.zeros_like(start), -problem.b
+
+    @property
+    def point(self) -> Point:
+        """The present multipliers with their gradient."""
+        return Point(self.x, np.empty(0), self.r)
+
+    @property
+    def target(self) -> Array:
+        """The end of a gradient step, x - rho r, (size,)."""
+        return self.x - self.history.residual.rho * self.r
+
+    def iterate(
+        self,
+        step: Callable[[float], tuple[Array, Array]],
+        precision: Callable[[], float],
+    ) -> DualSolution:
+        """Take steps until a status ends the iteration, and return the solution. Collective.
+
+        The convergence of the projection of x onto Lambda is checked, which costs a product if x is
+        outside of Lambda.
+
+        Args:
+            step: function that returns the next multipliers (size,) and their gradient (size,),
+                given the tolerance of its inner iteration.
+            precision: function that returns the tolerance of the next inner iteration.
+        """
+        problem, history = self.problem, self.history
+        while True:
+            projected, r = problem.feasible_set.project(self.x), self.r
+            # a slipping node that is outside its circle by rounding counts as inside
+            if norm(problem, self.x - projected) > PRODUCT_ROUNDING * norm(problem, self.x):
+                r = gradient(problem, projected)
+            point = Point(projected, np.empty(0), r)
+            status = history.check_convergence(point, error_of_product(problem, projected, r))
+            if status is None and history.is_idle(PATIENCE, PROGRESS):
+                status = ContactStatus.STAGNATED
+            if status is not None:
+                return history.solution(point, status, None)
+            self.x, self.r = step(precision())
+
+    def symmetrized_step(self, tolerance: float) -> tuple[Array, Array]:
+        """Return the result of Steps 2 and 3 of the paper's algorithm."""
+        problem, target = self.problem, self.target
+        face = problem.feasible_set.face(target)
+        fixed = np.where(face.active, self.x, problem.feasible_set.project(target))
+        r = self.r + problem.operator.apply(fixed - self.x)
+        change, product = conjugate_gradients(problem, face.active, r, tolerance)
+        return fixed + change, r + product
+
+
+def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
+    """Return an estimate of the error of r = A x - b if `apply` has computed A x. Collective.
+
+    The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
+    """
+    energy = float(problem.inner(x, r + problem.b))
+    return (
+        problem.operator.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
+    )
+
+
+def gradient(problem: DualProblem, x: Array) -> Array:
+    """Return r = A x - b, without a product if x is zero. Collective."""
+    if float(problem.inner(x, x)) == 0.0:
+        return -problem.b
+    return problem.operator.apply(x) - problem.b
 
 
 def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
@@ -227,9 +258,9 @@ def adaptive_precision(history: History, options: SolverOptions) -> Callable[[],
 
     def following() -> float:
         nonlocal tolerance
-        relative = history.error / history.first_error
+        relative = history.error / history.errors[0]
         tolerance = min(options.r_tol * relative, options.c_fact * tolerance)
-        return tolerance * history.first_error
+        return tolerance * history.errors[0]
 
     return following
 

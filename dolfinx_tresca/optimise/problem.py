@@ -191,15 +191,29 @@ class DualProblem(InnerProduct, Protocol):
         """
         ...
 
-    def discretisation_error(self, x: Array, rho: float) -> float:
+    def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
         Args:
             x: (size,) multipliers; an approximate solution is sufficient.
-            rho: step length of the projection with which slip bounds and the multipliers of the
-                constraints at x are found.
+            c: (k,) multipliers of the equality constraints.
         """
         ...
+
+
+@dataclass(frozen=True)
+class Point:
+    """Multipliers with their gradient.
+
+    Attributes:
+        x: (size,) multipliers.
+        c: (k,) multipliers of the equality constraints.
+        r: (size,) gradient A x - b - G c, or an approximation of it.
+    """
+
+    x: Array
+    c: Array
+    r: Array
 
 
 @dataclass(frozen=True)
@@ -229,8 +243,7 @@ class DualSolution:
         status: reason for the end of the iteration.
         iterations: number of outer iterations.
         residuals: relative natural residual at the start and after each iteration.
-        q: q(lambda) at the start and after each iteration, minus its value at the nearest point to
-            zero that satisfies the equality constraints.
+        q: q(lambda) at the start and after each iteration, with the energy of soft constraints.
         rho: the step length at the end.
         wanted: requested relative error in the energy norm; inf if residuals were the criterion.
         accuracy: tolerable error of the displacement in the energy norm; None: determined by the

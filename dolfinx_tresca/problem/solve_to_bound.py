@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import SLACK
 from dolfinx_tresca._base.timing import timed
@@ -15,7 +13,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
-from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.problem import DualSolution, Point
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.record.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
@@ -96,9 +94,8 @@ def _meets(
     requested: SolverOptions, dual: DualProgram, found: DualSolution, evaluation: Evaluation
 ) -> bool:
     """Return whether a solution meets the criteria of convergence of options. Collective."""
-    x, r = found.multipliers, found.gradient + dual.constraints.columns @ found.c
-    at_zero = NaturalResidual(dual, found.rho, np.zeros_like(x), -dual.b)
-    stopping = Stopping(dual, requested, at_zero)
-    measures = stopping.measures(x, r, found.accuracy or 0.0, found.residuals[-1])
+    point = Point(found.multipliers, found.c, found.gradient)
+    stopping = Stopping(dual, requested, NaturalResidual(dual, found.rho))
+    measures = stopping.measures(point, found.accuracy or 0.0, found.residuals[-1])
     met = all(reached <= wanted for reached, wanted in measures)
     return met and evaluation.energy_error_bound <= SLACK * stopping.accuracy

@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.problem import DualSolution, Point
 from dolfinx_tresca.optimise.record.energy import energy_norm, relative_error
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
@@ -125,12 +125,6 @@ def evaluate(
     error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
     c = found.c
-    if dual.constraints.are_soft and not dual.operator.exact:
-        # the multipliers found.c of the constraints belong to the gradient of the model of A;
-        # together with the gradient that follows from u, they would give larger gaps and
-        # penetrations than the stopping criterion has measured
-        r = response.gradient_of(w.x.petsc_vec)
-        c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
     w.x.scatter_forward()
     u = B.system.displacement(w, "displacement")
@@ -198,8 +192,7 @@ def evaluate(
     bound = dual.energy_bound(found.multipliers, r, error + missing)
     # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
     # rounding
-    free = r + dual.constraints.columns @ c
-    norm = energy_norm(dual, found.multipliers, free, c, error + missing)
+    norm = energy_norm(dual, Point(found.multipliers, c, r), error + missing)
     if norm <= dual.response.energy_resolution():
         norm = 0.0
         log(

@@ -14,7 +14,7 @@ from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement, Impr
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.response import DirectResponse, ElasticResponse, IterativeResponse
 from dolfinx_tresca.optimise.newton.iterate import ExactIterate, InexactIterate
-from dolfinx_tresca.optimise.newton.projected_newton import ProjectedNewton
+from dolfinx_tresca.optimise.newton.iteration import ModelNewton
 from scenes.assembled import dual_program
 from scenes.two_bricks import two_bricks
 
@@ -35,7 +35,7 @@ def test_each_solve_is_in_a_step_of_its_own(stiffness):
         response = ElasticResponse.of(compliance, guess, origin)
         force = dual.jump.contact_force(np.ones_like(origin)).copy()
         followed = FollowedDisplacement.of(compliance, force, z.x.petsc_vec)
-        newton = ProjectedNewton(dual, SolverOptions(), lambda iteration: False)
+        newton = ModelNewton(dual, SolverOptions(), lambda iteration: False)
         assert solver.solves == before
 
         response.solve_load()

@@ -14,7 +14,7 @@ from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
-from dolfinx_tresca.optimise.newton import fixed_point
+from dolfinx_tresca.optimise.newton import iteration
 from dolfinx_tresca.optimise.record.residual import EXHAUSTED
 from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
@@ -155,7 +155,7 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     assert found.status is ContactStatus.NO_FIXED_POINT
     assert problem.products <= 40
     # a step that leads nowhere and tells nothing of A ends it; rounding may let one more be tried
-    assert found.iterations <= 4 < fixed_point.PATIENCE
+    assert found.iterations <= 4 < iteration.PATIENCE
 
 
 def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
@@ -163,7 +163,7 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
 
     Whether there is a fixed point is beyond double precision then; with a smaller gap it is not.
     """
-    monkeypatch.setattr(fixed_point, "PATIENCE", 1)  # no more would find it
+    monkeypatch.setattr(iteration, "PATIENCE", 1)  # no more would find it
     statuses = []
     for gap in (1.0, 1e9):
         problem = wedge(0.5)
@@ -278,6 +278,6 @@ def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
         cones, jump, csr_array([[0.0]]), zero + unit, zero + unit, zero.astype(int), OneRank(), str
     )
     problem = DenseProblem(np.eye(2), np.ones(2), discs, constraints=constraints, cones=cones)
-    found = fixed_point.friction_deficit(problem, np.array([1.0, 0.0]))
+    found = iteration.friction_deficit(problem, np.array([1.0, 0.0]))
     assert np.linalg.norm(found.motion) == pytest.approx(1.0, rel=4 * EPS)
     assert found.load == pytest.approx(10.0 * found.friction, rel=4 * EPS)

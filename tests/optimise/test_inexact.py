@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.models.products import LASTING_ERROR, ProductStore
 from dolfinx_tresca.optimise.newton.iterate import Iterate
-from dolfinx_tresca.optimise.record.history import error_of_product
+from dolfinx_tresca.optimise.paper import error_of_product
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
 

@@ -12,6 +12,7 @@ from scipy.sparse.linalg import eigsh
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix, dense
 from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps, solve_or_fit
 from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.optimise.sets.nodal_matrix import NodalPattern
 
 #: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose
 #: neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million times
@@ -65,11 +66,7 @@ class WholeModel(Model):
         self._mine = slice(first, first + size)
         self.diagonal: Array = rows[:, self._mine].diagonal()
         self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
-        self._same_node, place = _groups(nodes)
-        self.units = np.zeros((size, int(place.max(initial=0)) + 1))
-        self.units[np.arange(size), place] = 1.0
-        row = np.repeat(np.arange(size), np.diff(self._same_node.indptr))
-        self._values_at = row, place[self._same_node.indices]
+        self._pattern = NodalPattern(nodes)
         shift = csr_array(diags_array(SHIFT * local_compliance))
         self._shifted = rows + self._in_own_columns(shift)
 
@@ -114,7 +111,8 @@ class WholeModel(Model):
         """
         unit, k = self.unit, len(missing)
         test, trial, stiffness, projector = (
-            self._matrix(nodal) for nodal in (maps.test, maps.trial, maps.stiffness, maps.projector)
+            self._pattern.matrix(nodal)
+            for nodal in (maps.test, maps.trial, maps.stiffness, maps.projector)
         )
         trial, G = self._in_own_columns(trial), csr_array(G)
         fixed = csr_array(eye_array(len(right))) - projector
@@ -156,28 +154,3 @@ class WholeModel(Model):
         """Return a matrix (size, size) in the columns of this rank's multipliers, (size, n)."""
         indices = matrix.indices + self._mine.start
         return csr_array((matrix.data, indices, matrix.indptr), shape=self._rows.shape)
-
-    def _matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
-        """Return the matrix (size, size) of a map that couples only multipliers of one node."""
-        pattern, values = self._same_node, nodal(self.units)[self._values_at]
-        return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
-
-
-def _groups(nodes: Indices) -> tuple[csr_array, Indices]:
-    """Return which multipliers belong to the same node, and each multiplier's number in its node.
-
-    Returns:
-        a matrix (size, size) with an entry in row i and column j if the multipliers i and j belong
-        to the same node; and for each multiplier (size,) its number 0, 1, ... among the multipliers
-        of its node.
-    """
-    size = len(nodes)
-    _, index = np.unique(nodes, return_inverse=True)
-    member = csr_array((np.ones(size), (np.arange(size), index)), shape=(size, size))
-    order = np.argsort(index, kind="stable")
-    numbers = np.bincount(index)
-    place = np.empty(size, dtype=np.intp)
-    place[order] = np.arange(size) - (np.cumsum(numbers) - numbers)[index[order]]
-    same_node = csr_array(member @ member.T)
-    same_node.sort_indices()  # as operations with a matrix that shares its indices may do later
-    return same_node, place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, SLACK
 from dolfinx_tresca.optimise.models.known_products import KnownProducts
-from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.problem import DualProblem, Point
 
 
 @dataclass(frozen=True)
@@ -21,11 +22,13 @@ class Step:
         direction: (size,) change of the multipliers.
         product: (size,) A times the direction, which is the change of the gradient.
         error: error of the gradient at the end of the step, in the norm sqrt(e'A^-1 e).
+        c: (k,) multipliers of the constraints at the end of the step.
     """
 
     direction: Array
     product: Array
     error: float
+    c: Array
 
 
 class Iterate(ABC):
@@ -35,13 +38,14 @@ class Iterate(ABC):
     `ExactIterate` and `InexactIterate`.
 
     Attributes:
-        multipliers: (size,) the point.
-        r: (size,) gradient at the point.
+        x: (size,) multipliers of the point.
+        c: (k,) multipliers of the constraints.
+        r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient. This limit is lowered if errors are as
             large as the change of the gradient by a step.
         resolved: whether the new part of the last product was larger than the product's error.
-        learned: whether the last step may have changed the model of A.
+        learned: whether the last step has changed the model of A, or the accuracy of gradients.
         store: known products with A, to which new products are added.
     """
 
@@ -57,6 +61,7 @@ class Iterate(ABC):
         self.finest = 0.0
         self._least = 0.0
         self._part = FORCING
+        self.c: Array = np.zeros(len(problem.constraints))
         self.move_to(np.zeros_like(problem.b), -problem.b, problem.response.b_error)
         self.resolved = self.learned = True
 
@@ -68,8 +73,18 @@ class Iterate(ABC):
         """
         return (ExactIterate if problem.operator.exact else InexactIterate)(problem, store)
 
+    @property
+    def point(self) -> Point:
+        """The point with its gradient, which includes the terms of the constraints."""
+        return Point(self.x, self.c, self.r - self._problem.constraints.columns @ self.c)
+
+    def point_after(self, step: Step) -> Point:
+        """Return the end of a step."""
+        r = self.r + step.product - self._problem.constraints.columns @ step.c
+        return Point(self.x + step.direction, step.c, r)
+
     @abstractmethod
-    def step(self, direction: Array) -> Step:
+    def step(self, direction: Array, c: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
         Known products give A times a part of the direction. The rest of the direction is new, and
@@ -77,6 +92,7 @@ class Iterate(ABC):
 
         Args:
             direction: (size,) change of the multipliers; zero needs no product.
+            c: (k,) multipliers of the constraints at the end of the step.
         """
 
     @abstractmethod
@@ -106,11 +122,11 @@ class Iterate(ABC):
 
     def move_to(self, multipliers: Array, r: Array, error: float) -> None:
         """Set the point, with a known gradient and its error. Not collective."""
-        self.multipliers, self.r, self.error = multipliers, r, error
+        self.x, self.r, self.error = multipliers, r, error
 
     def zero_step(self) -> Step:
         """Return a step of length zero. Not collective."""
-        return Step(np.zeros_like(self.r), np.zeros_like(self.r), self.error)
+        return Step(np.zeros_like(self.r), np.zeros_like(self.r), self.error, self.c)
 
     def refine_for_step(self, direction: Array) -> bool:
         """Compute the gradient again if its error exceeds the length of the step. Collective.
@@ -147,11 +163,12 @@ class Iterate(ABC):
         computed again.
         """
         if self.error > max(accuracy, SLACK * self._least):
-            self.r, self.error = self._gradient(self.multipliers, accuracy)
+            self.r, self.error = self._gradient(self.x, accuracy)
 
     def move(self, step: Step) -> None:
         """Set the point to the end of a step. Not collective."""
-        self.move_to(self.multipliers + step.direction, self.r + step.product, step.error)
+        self.move_to(self.x + step.direction, self.r + step.product, step.error)
+        self.c = step.c
 
     def _known_gradient(self, multipliers: Array, part: float) -> tuple[Array, float, float]:
         """Return the gradient from b and known products, its error, and the error that suffices."""
@@ -166,7 +183,7 @@ class Iterate(ABC):
 class ExactIterate(Iterate):
     """The point and its gradient with a direct solver for K: products are exact to rounding."""
 
-    def step(self, direction: Array) -> Step:
+    def step(self, direction: Array, c: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
         Known products give A times a part of the direction; only the rest is multiplied by A.
@@ -174,16 +191,16 @@ class ExactIterate(Iterate):
         problem, known_pairs = self._problem, len(self.store)
         self.learned = False
         if float(problem.inner(direction, direction)) == 0.0:
-            return self.zero_step()
+            return dataclasses.replace(self.zero_step(), c=c)
         # only the new part is multiplied by A: subtracting the known part from a product of the
         # whole direction would leave rounding errors that grow from pair to pair
         new, known = self.store.split(direction)
         if float(problem.inner(new, new)) == 0.0:
-            return Step(direction, known, self.error)
+            return Step(direction, known, self.error, c)
         product = problem.operator.apply(new)
         self.store.add(new, product)
         self.learned = len(self.store) != known_pairs
-        return Step(direction, known + product, self.error)
+        return Step(direction, known + product, self.error, c)
 
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
         """Return the gradient at an initial point, exact to rounding. Collective."""
@@ -212,22 +229,22 @@ class InexactIterate(Iterate):
         """Return the requested error of the next gradient."""
         return max(self._part * self._length, self.finest)
 
-    def step(self, direction: Array) -> Step:
+    def step(self, direction: Array, c: Array) -> Step:
         """Return the step along a direction and its product with A. Collective.
 
         Known products give A times a part of the direction. The rest of the direction is new, and
         is added to the store with its product.
         """
         if float(self._problem.inner(direction, direction)) == 0.0:
-            return self.zero_step()
+            return dataclasses.replace(self.zero_step(), c=c)
         self._length = self._expected_length(direction)
-        r, error = self._gradient(self.multipliers + direction, self._wanted(), self.multipliers)
+        r, error = self._gradient(self.x + direction, self._wanted(), self.x)
         # the difference of gradients: errors of gradients do not accumulate over the steps
         product = r - self.r
-        self.resolved = self.store.add(direction, product, error + self.error)
+        self.resolved = self.learned = self.store.add(direction, product, error + self.error)
         if self.resolved:
             self._part = FORCING
-        return Step(direction, product, error)
+        return Step(direction, product, error, c)
 
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective."""
@@ -247,11 +264,12 @@ class InexactIterate(Iterate):
             return False
         self._part *= FORCING
         self.finest *= FORCING
+        self.learned = True
         self.refine(self._wanted())
         return True
 
     def refine_fully(self) -> bool:
         """Compute b and the gradient as accurately as possible. Collective."""
         self._problem.response.refine_b()
-        self.move_to(self.multipliers, *self.initial_gradient(self.multipliers, 0.0))
+        self.move_to(self.x, *self.initial_gradient(self.x, 0.0))
         return True

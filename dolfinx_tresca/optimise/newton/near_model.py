@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.optimise.models.products import ProductStore
-from dolfinx_tresca.optimise.newton.semismooth_newton import NewtonPoint, solve_model
-from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution, solve_model
+from dolfinx_tresca.optimise.problem import DualProblem, Point
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 
 #: Limit on products with the near field in one iteration.
@@ -14,15 +16,9 @@ MOST = 8
 
 
 def solve(
-    problem: DualProblem,
-    multipliers: Array,
-    gradient: Array,
-    residual: NaturalResidual,
-    tolerance: float,
-) -> tuple[Array, NewtonPoint | None]:
+    problem: DualProblem, start: Point, residual: NaturalResidual, tolerance: float
+) -> ModelSolution:
     """Return an approximate solution of the dual problem with the model M in place of A.
-
-    The result is that of `solve_model`.
 
     With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
     the basic model has a diagonal. The error of M is then smaller by an order of magnitude, but
@@ -33,16 +29,15 @@ def solve(
     kept until the products with A are dropped. Collective.
 
     Args:
-        problem: Lambda, D, and the known products with D and A.
-        multipliers: (size,) point of Lambda.
-        gradient: (size,) gradient at this point.
+        problem: the cones, D, and the known products with D and A.
+        start: point in the cones.
         residual: the natural residual, with its step length.
         tolerance: requested natural residual, with the model in place of A.
     """
     store, near = problem.known_products(), problem.near_products()
     store.fit_far(None if near is None else near.updated_model())
     if near is None or not isinstance(store, ProductStore):
-        return solve_model(problem, store.model(), multipliers, gradient, residual.rho)
+        return solve_model(problem, store.model(), start)
 
     def apply_near(new: Array) -> Array:
         product = problem.near_field(new)
@@ -51,22 +46,23 @@ def solve(
 
     # a smaller tolerance costs no product with A, and saves some, since the model is accurate
     tolerance *= FORCING
-    x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
-    best, least = None, float("inf")
+    G, point, best = problem.constraints.columns, start, None
+    left, least = residual.at(start), float("inf")
     for _ in range(MOST):
         model = store.updated_model(near.updated_model())
-        target, missed = solve_model(problem, model, x, r, residual.rho)
-        step = target - x
+        target = solve_model(problem, model, point)
+        step = target.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
-        at_target = r + store.apply(step, apply_near)
-        rest = residual.at(target, at_target)
+        r = point.r + store.apply(step, apply_near) - G @ (target.c - point.c)
+        target = replace(target, r=r)
+        rest = residual.at(target)
         if rest < least:
-            best, least = (target, missed), rest
+            best, least = target, rest
         if rest < left:
-            x, r, left = target, at_target, rest
+            point, left = target, rest
         if left <= tolerance:
             break
     if best is None:  # solve with the diagonal as base; a product with A then checks the step
-        return solve_model(problem, store.model(), x, r, residual.rho)
+        return solve_model(problem, store.model(), point)
     return best

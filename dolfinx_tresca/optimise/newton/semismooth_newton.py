@@ -10,8 +10,7 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.optimise.models.model import Model, NodalMaps
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
-from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.record.slips import multipliers_of_constraints
+from dolfinx_tresca.optimise.problem import DualProblem, Point
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
@@ -43,13 +42,25 @@ OTHER_GUESSES = (1.0, 1.0, 10.0, 1.0, 10.0, 1.0, 10.0, 1.0, 10.0)
 
 
 @dataclass(frozen=True)
-class NewtonPoint:
-    """Multipliers x (size,) and c (k,), the gradient r = M x - b - G c, and the residual."""
+class NewtonPoint(Point):
+    """A point with the residual of the equations.
 
-    x: Array
-    c: Array
-    r: Array
+    Attributes:
+        residual: residual as an energy.
+    """
+
     residual: float
+
+
+@dataclass(frozen=True)
+class ModelSolution(Point):
+    """Multipliers in the cones that solve the problem with a model of A, at least approximately.
+
+    Attributes:
+        is_solved: whether Newton's method has solved the equations.
+    """
+
+    is_solved: bool
 
 
 class SemismoothNewton:
@@ -240,34 +251,25 @@ class ConvexNewton(SemismoothNewton):
         return change - residual, change_c
 
 
-def solve_model(
-    problem: DualProblem, model: Model, multipliers: Array, gradient: Array, rho: float
-) -> tuple[Array, NewtonPoint | None]:
-    """Return multipliers that approximately solve the contact problem with a model of A.
+def solve_model(problem: DualProblem, model: Model, start: Point) -> ModelSolution:
+    """Return an approximate solution of the contact problem with a model of A. Collective.
 
-    Collective. Needs no product with A.
+    Needs no product with A.
 
     Args:
         problem: the dual problem, with friction cones and constraints.
         model: model M of A.
-        multipliers: (size,) point in the cones.
-        gradient: (size,) gradient A x - b at this point.
-        rho: step length of projections.
-
-    Returns:
-        the multipliers (size,), which lie in the cones and satisfy the constraints; and None, or
-        the last point of Newton's method if it has not solved the equations.
+        start: point in the cones, with the gradient for A.
     """
-    newton, constraints = SemismoothNewton(problem, model), problem.constraints
-    c = multipliers_of_constraints(problem, multipliers, gradient, rho)
-    start = newton.point(multipliers, c, gradient - constraints.columns @ c)
-    tolerance = max(SOLVED * start.residual, newton.rounding)
-    point = newton.solve(start, tolerance)
+    newton = SemismoothNewton(problem, model)
+    first = newton.point(start.x, start.c, start.r)
+    tolerance = max(SOLVED * first.residual, newton.rounding)
+    point = newton.solve(first, tolerance)
     if point.residual > tolerance and isinstance(model, WholeModel):
-        point = solve_from_other_guesses(newton, model, start, point, tolerance)
-    cones = problem.admissible.at(point.x, point.r, rho)
-    x = constraints.project(cones, point.x, point.c, rho)[0]
-    return x, point if point.residual > tolerance else None
+        point = solve_from_other_guesses(newton, model, first, point, tolerance)
+    x = problem.admissible.at(point.x, point.r, newton.rho).project(point.x)
+    r = point.r + model.apply(x - point.x)
+    return ModelSolution(x, point.c, r, point.residual <= tolerance)
 
 
 def solve_from_other_guesses(

@@ -4,74 +4,41 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.problem import DualProblem, Point
 
 
-def change_of_q(
-    problem: DualProblem, x: Array, r: Array, origin: Array, origin_gradient: Array
-) -> float:
-    """Return q(x) - q(origin) [energy], soft constraints included. Collective.
-
-    Args:
-        problem: the dual problem (38.4).
-        x: (size,) multipliers.
-        r: (size,) gradient at x.
-        origin: (size,) multipliers with which x is compared.
-        origin_gradient: (size,) gradient at the origin.
-    """
-    step, constraints = x - origin, problem.constraints
-    change = 0.5 * float(problem.inner(step, r + origin_gradient))
-    return change + constraints.slope(origin, step) + 0.5 * constraints.curvature(step)
+def dual_energy(problem: DualProblem, point: Point) -> float:
+    """Return q = x'A x / 2 - b'x, plus the energy c'S c / 2 of soft constraints. Collective."""
+    constraints, c = problem.constraints, point.c
+    image = point.r + constraints.columns @ c - problem.b
+    return 0.5 * (float(problem.inner(point.x, image)) + float(c @ constraints.softness @ c))
 
 
-def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, product: Array) -> float:
-    """Return the part t of a step, in [0, 1], at whose end q is least. Collective.
-
-    Here q includes soft constraints.
-
-    Args:
-        problem: the dual problem (38.4).
-        x: (size,) multipliers at the start of the step.
-        r: (size,) gradient at x.
-        direction: (size,) the step.
-        product: (size,) A times the direction.
-    """
-    soft = problem.constraints
-    slope = float(problem.inner(direction, r)) + soft.slope(x, direction)
-    curvature = float(problem.inner(direction, product)) + soft.curvature(direction)
-    return min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
-
-
-def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
+def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float:
     """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective.
 
     Args:
         problem: the dual problem (38.4).
-        x: (size,) multipliers.
-        r: (size,) gradient at x.
-        c: (k,) multipliers of the equality constraints.
-        error: error of r in the norm sqrt(e'A^-1 e).
+        point: multipliers with their gradient.
+        error: error of the gradient in the norm sqrt(e'A^-1 e).
     """
-    soft = float(c @ problem.constraints.softness @ c)
-    return float(np.hypot(problem.response.energy_norm(x, r, error), np.sqrt(max(soft, 0.0))))
+    constraints, c = problem.constraints, point.c
+    soft = float(c @ constraints.softness @ c)
+    elastic = problem.response.energy_norm(point.x, point.r + constraints.columns @ c, error)
+    return float(np.hypot(elastic, np.sqrt(max(soft, 0.0))))
 
 
-def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
+def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> float:
     """Return a bound of the displacement's relative error in the energy norm. Collective.
 
     Args:
         problem: the dual problem (38.4).
-        x: (size,) multipliers in Lambda.
-        r: (size,) gradient at x.
-        c: (k,) multipliers of the equality constraints.
-        error: error of r in the norm sqrt(e'A^-1 e).
+        point: multipliers in Lambda, with their gradient.
+        error: error of the gradient in the norm sqrt(e'A^-1 e).
     """
-    constraints = problem.constraints
-    bound = problem.energy_bound(
-        x, r - constraints.columns @ c, error + constraints.violation(x, c)
-    )
-    return relative_error(problem, bound, energy_norm(problem, x, r, c, error))
+    missing = problem.constraints.violation(point.x, point.c)
+    bound = problem.energy_bound(point.x, point.r, error + missing)
+    return relative_error(problem, bound, energy_norm(problem, point, error))
 
 
 def relative_error(problem: DualProblem, bound: float, norm: float) -> float:

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
-from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca._base.patience import IDLE_STEPS
 from dolfinx_tresca.monitor import Iteration
-from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING
-from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.record.energy import change_of_q
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, Point
+from dolfinx_tresca.optimise.record.energy import dual_energy
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.record.stopping import Stopping
-from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -31,7 +25,8 @@ class History:
         residual: natural residual and its scale.
         stopping: criterion of convergence.
         residuals: relative natural residual of each iterate.
-        q: q(lambda) of each iterate, minus its value at the origin of `NaturalResidual`.
+        q: q(lambda) of each iterate, with the energy of soft constraints.
+        errors: natural residual of each iterate, not divided by its scale.
     """
 
     def __init__(
@@ -47,37 +42,27 @@ class History:
         self.stopping = Stopping(problem, options, residual)
         self.residuals: list[float] = []
         self.q: list[float] = []
-        self._errors: list[float] = []
+        self.errors: list[float] = []
 
     @property
     def error(self) -> float:
         """The natural residual of the newest iterate, not divided by its scale."""
-        return self._errors[-1]
+        return self.errors[-1]
 
-    @property
-    def first_error(self) -> float:
-        """The natural residual at the start, not divided by its scale."""
-        return self._errors[0]
-
-    def check_convergence(
-        self, x: Array, r: Array, error: float | None = None
-    ) -> ContactStatus | None:
+    def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
         """Record an iterate; return the status if the iteration ends here, else None. Collective.
 
         Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: see `error_of_product`.
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
         """
         problem, residual = self._problem, self.residual
-        if error is None:
-            error = error_of_product(problem, x, r)
-        value = residual.at(x, r)
-        self._errors.append(value)
+        value = residual.at(point)
+        self.errors.append(value)
         self.residuals.append(residual.relative(value))
-        self.q.append(change_of_q(problem, x, r, residual.origin, residual.origin_gradient))
-        reached, wanted, done = self.stopping.reached(x, r, error)
-        if residual.origin_is_solution and value <= residual.rounding:
+        self.q.append(dual_energy(problem, point))
+        reached, wanted, done = self.stopping.reached(point, error)
+        if residual.zero_is_solution and value <= residual.rounding:
             reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(
@@ -89,82 +74,44 @@ class History:
             return ContactStatus.CONVERGED
         if stop:
             return ContactStatus.STOPPED
-        if self._stagnates():
-            return ContactStatus.STAGNATED
         if number >= self._options.max_iterations:
             return ContactStatus.MAX_ITERATIONS
         return None
 
-    def _stagnates(self) -> bool:
-        """Whether the last iterations changed q by rounding only and reduced no residual."""
-        if len(self.q) <= IDLE_STEPS:
-            return False
-        recent = self.q[-IDLE_STEPS - 1 :]
-        flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])
-        return bool(flat) and min(self.residuals[-IDLE_STEPS:]) >= min(self.residuals[:-IDLE_STEPS])
+    def is_idle(self, number: int, progress: float, since: int = 0) -> bool:
+        """Return whether residuals have not decreased in the last iterations. Not collective.
 
-    def check_convergence_of_projection(
-        self, x: Array, r: Array
-    ) -> tuple[ContactStatus | None, Array, Array]:
-        """Check the convergence of the projection P(x) of an iterate onto Lambda. Collective.
-
-        Returns:
-            the status, or None if the iteration goes on; P(x); and the gradient at P(x), which
-            costs a product if P(x) differs from x.
+        Args:
+            number: number of iterations.
+            progress: ratio of two residuals that counts as a decrease.
+            since: number of the first iterate that counts.
         """
-        problem = self._problem
-        projected = problem.feasible_set.project(x)
-        # a slipping node that is outside its circle by rounding counts as inside
-        rounding = PRODUCT_ROUNDING * norm(problem, x)
-        if norm(problem, x - projected) > rounding:
-            r = gradient(problem, projected)
-        return self.check_convergence(projected, r), projected, r
+        residuals = self.residuals[since:]
+        return len(residuals) > number and (
+            min(residuals[-number:]) > progress * min(residuals[:-number])
+        )
 
-    def solution(
-        self, x: Array, r: Array, status: ContactStatus, error: float | None = None
-    ) -> DualSolution:
+    def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:
         """Return the result with the last iterate as the solution. Collective.
 
         Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
+            point: multipliers in Lambda, with their gradient.
             status: reason for the end of the iteration.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: see `error_of_product`.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: unknown.
         """
-        problem, rho = self._problem, self.residual.rho
-        lam = problem.admissible.at(x, r, rho).section(x)
-        c = problem.constraints.multipliers(lam, x, r, rho)
         return DualSolution(
-            multipliers=x,
-            c=c,
-            gradient=r - problem.constraints.columns @ c,
+            multipliers=point.x,
+            c=point.c,
+            gradient=point.r,
             status=status,
             iterations=len(self.residuals) - 1,
             residuals=tuple(self.residuals),
             q=tuple(self.q),
-            rho=rho,
+            rho=self.residual.rho,
             wanted=self.stopping.accuracy,
             # the displacement is computed after the last check of convergence: with an error as
             # large as the tolerable error, its error bound could exceed the bound that was checked
             accuracy=None
             if error is None
-            else max(error, FORCING * self.stopping.tolerable_error(x, r)),
+            else max(error, FORCING * self.stopping.tolerable_error(point)),
         )
-
-
-def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
-    """Return an estimate of the error of r = A x - b if `apply` has computed A x. Collective.
-
-    The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
-    """
-    energy = float(problem.inner(x, r + problem.b))
-    return (
-        problem.operator.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
-    )
-
-
-def gradient(problem: DualProblem, x: Array) -> Array:
-    """Return r = A x - b, without a product if x is zero. Collective."""
-    if float(problem.inner(x, x)) == 0.0:
-        return -problem.b
-    return problem.operator.apply(x) - problem.b

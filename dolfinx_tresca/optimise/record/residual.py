@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.problem import DualProblem, Point
 from dolfinx_tresca.optimise.reductions import norm
 
 #: Rounding may be the cause of a stagnation if the residual, divided by its scale or by |b|, is at
@@ -16,93 +16,77 @@ EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 class NaturalResidual:
     """The residual |lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
 
+    With equality constraints, |e - G'lambda - S c| / rho is the other component of the residual.
     The relative residual is this residual divided by its scale. The scale is the residual at
     lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
-    on the initial guess. If zero does not satisfy the equality constraints, the origin, which is
-    the nearest point to zero that satisfies them, takes the place of zero. The scale is then at
-    least |A lambda| at the origin. In a load step whose initial multipliers have a larger residual
-    than the origin, the scale is also at least |A lambda| at these multipliers. An example is a
-    wedge that friction keeps in place after its load is removed: the residual at zero is zero.
+    on the initial guess. In a load step whose initial multipliers x have a larger residual than
+    zero, the scale is at least |A x|. An example is a wedge that friction keeps in place after its
+    load is removed: the residual at zero is zero.
 
     Attributes:
         rho: step length.
         scale: the divisor of relative residuals, see above.
-        origin_is_solution: whether the residual at the origin is rounding.
+        zero_is_solution: whether the residual at lambda = 0 is rounding.
         rounding: largest residual that counts as rounding.
-        origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
-        origin_gradient: (size,) gradient at the origin.
+        zero: lambda = 0.
     """
 
-    def __init__(
-        self,
-        problem: DualProblem,
-        rho: float,
-        origin: Array,
-        origin_gradient: Array,
-        origin_error: float = 0.0,
-    ) -> None:
+    def __init__(self, problem: DualProblem, rho: float, error: float = 0.0) -> None:
         """Measure the scale. Collective.
 
         Args:
             problem: the dual problem (38.4).
             rho: step length.
-            origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
-            origin_gradient: (size,) gradient at the origin.
-            origin_error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e), if the
-                solver cannot reduce this error further; residuals below the error count as zero.
+            error: error of the gradient at zero, in the norm sqrt(e'A^-1 e), if the solver cannot
+                reduce this error further; residuals below the error count as zero.
         """
-        self._problem, self._error, self._counted = problem, origin_error, 0.0
-        self.origin, self.origin_gradient = origin, origin_gradient
-        self.set_rho(rho)
+        self._problem, self._error, self._counted, self.rho = problem, error, 0.0, rho
+        self.set_constraint_multipliers(np.zeros(len(problem.constraints)))
+
+    def set_constraint_multipliers(self, c: Array) -> None:
+        """Measure the scale with multipliers c (k,) of constraints: b is known up to G c."""
+        b = self._problem.b
+        self.zero = Point(np.zeros_like(b), c, -b - self._problem.constraints.columns @ c)
+        self.set_rho(self.rho)
 
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured. Collective."""
         self.rho = rho
-        self.scale = max(
-            self.at(self.origin, self.origin_gradient),
-            # A x of the origin x, which equality constraints may move away from zero
-            norm(self._problem, self.origin_gradient + self._problem.b),
-        )
+        self.scale = self.at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
-        constraints = self._problem.constraints
-        lam = self._problem.admissible.section(self.origin)
-        c = constraints.multipliers(lam, self.origin, self.origin_gradient, rho)
-        moved = constraints.matrix.absolute @ np.abs(c)
+        moved = self._problem.constraints.matrix.absolute @ np.abs(self.zero.c)
         size = norm(self._problem, self._problem.b) + norm(self._problem, moved)
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
-        self.origin_is_solution = self.scale <= self.rounding
-        self.scale = max(0.0 if self.origin_is_solution else self.scale, self._counted)
+        self.zero_is_solution = self.scale <= self.rounding
+        self.scale = max(0.0 if self.zero_is_solution else self.scale, self._counted)
 
     def count(self, product: Array) -> None:
         """Increase the scale to the norm of a product A x (size,), if it is larger. Collective."""
         self._counted = norm(self._problem, product)
         self.scale = max(self.scale, self._counted)
 
-    def origin_is_undecided(self, error: float) -> bool:
-        """Return whether the gradient is too inaccurate to decide if the origin is the solution.
+    def zero_is_undecided(self, error: float) -> bool:
+        """Return whether the gradient is too inaccurate to decide if zero is the solution.
 
         Collective.
 
         Args:
-            error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e).
+            error: error of the gradient at zero, in the norm sqrt(e'A^-1 e).
         """
         # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
-        largest = error / float(np.sqrt(self.rho))
-        return self.scale <= largest and self.at(self.origin, self.origin_gradient - largest) > 0.0
+        largest, zero = error / float(np.sqrt(self.rho)), self.zero
+        return self.scale <= largest and self.at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
 
-    def projection(self, x: Array, r: Array) -> Array:
-        """Return the gradient projection P(x - rho r) (size,) with the bounds at x. Collective."""
-        cones = self._problem.admissible.at(x, r, self.rho)
-        return self._problem.constraints.gradient_step(cones.section(x), x, r, self.rho)[0]
+    def projection(self, point: Point) -> Array:
+        """Return the gradient projection P(x - rho r) (size,) with the bounds at a point."""
+        cones = self._problem.admissible.at(point.x, point.r, self.rho)
+        return cones.section(point.x).project(point.x - self.rho * point.r)
 
-    def at(self, x: Array, r: Array) -> float:
-        """Return the natural residual, not divided by its scale. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x.
-        """
-        return norm(self._problem, x - self.projection(x, r)) / self.rho
+    def at(self, point: Point) -> float:
+        """Return the natural residual, not divided by its scale. Collective."""
+        change = norm(self._problem, point.x - self.projection(point))
+        unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
+        return float(np.hypot(change, unbalanced)) / self.rho
 
     def is_limited_by_rounding(self, residual: float) -> bool:
         """Return whether rounding may keep a residual from decreasing. Not collective.

@@ -6,18 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.problem import DualProblem, Point
 from dolfinx_tresca.optimise.record.energy import energy_error, energy_norm
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.record.slips import multipliers_of_constraints
 from dolfinx_tresca.options import SolverOptions
 
 #: `LEAST_ACCURACY` is the least relative energy error that is requested if the mesh's error
 #: determines the request. With `rtol`, the mesh's error is not estimated if the relative energy
 #: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
+
+#: Largest accepted residual of the equality constraints, relative to their terms: forces are in
+#: equilibrium.
+BALANCED = 1e-10
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
 UNPROVEN = 1e-6
@@ -50,7 +52,7 @@ class Stopping:
         self.accuracy = np.inf if self._requested is None else float(self._requested)
         self._mesh_unknown = self._requested is None
 
-    def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
+    def reached(self, point: Point, error: float) -> tuple[float, float, bool]:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
         The two numbers belong to the first criterion that is not met; if all criteria are met, they
@@ -58,34 +60,33 @@ class Stopping:
         bound sets `accuracy` from the error of the mesh. Collective.
 
         Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm sqrt(e'A^-1 e).
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
         """
-        residual = self._residual.at(x, r)
+        residual = self._residual.at(point)
         reached, wanted = np.inf, 1.0
-        for reached, wanted in self.measures(x, r, error, self._residual.relative(residual)):
+        for reached, wanted in self.measures(point, error, self._residual.relative(residual)):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0
         return reached, wanted, True
 
     def measures(
-        self, x: Array, r: Array, error: float, residual: float
+        self, point: Point, error: float, residual: float
     ) -> Iterator[tuple[float, float]]:
         """Yield the reached and the requested value of each criterion in turn. Collective.
 
         A criterion is computed only if the caller asks for it, after the earlier criteria are met.
 
         Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm sqrt(e'A^-1 e).
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
             residual: natural residual, divided by its scale.
         """
-        problem, c = self._tresca(x, r)
+        problem, x, r = self._tresca(point), point.x, point.r
+        yield problem.constraints.imbalance(x, point.c), BALANCED
         if self._rtol is not None:
             yield residual, self._rtol
-        bound = energy_error(problem, x, r, c, error)
+        bound = energy_error(problem, point, error)
         if self._requested is not None:
             yield bound, self.accuracy
             return
@@ -94,30 +95,29 @@ class Stopping:
             if self._mesh_unknown:
                 yield bound, FORCING
                 if self._rtol is None or bound > BELOW_ANY_MESH:
-                    mesh = problem.discretisation_error(x, self._residual.rho)
+                    mesh = problem.discretisation_error(x, point.c)
                     self.accuracy = min(max(self._mesh_part * mesh, LEAST_ACCURACY), FORCING)
                     self._mesh_unknown = False
             if not self._mesh_unknown:
                 yield bound, self.accuracy
         elif self._rtol is None:
             yield residual, UNPROVEN
-        yield problem.local_error(x, r - problem.constraints.columns @ c), self._local
+        yield problem.local_error(x, r), self._local
 
-    def tolerable_error(self, x: Array, r: Array) -> float:
+    def tolerable_error(self, point: Point) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
 
         The tolerable error is small compared with the error of the multipliers, since the local
         errors of the nodes are computed from the gradient.
 
         Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
+            point: multipliers in Lambda, with their gradient.
         """
-        problem, c = self._tresca(x, r)
-        norm = energy_norm(problem, x, r, c)
+        problem = self._tresca(point)
+        norm = energy_norm(problem, point)
         if norm == 0.0:  # no relative error
             return 0.0
-        reached = energy_error(problem, x, r, c)
+        reached = energy_error(problem, point)
         error = max(min(self.accuracy, reached), LEAST_ACCURACY) * norm
         if self._rtol is not None or not np.isfinite(error):
             error = min(error, self.residual_error)
@@ -134,12 +134,6 @@ class Stopping:
         rho = self._residual.rho
         return rtol * self._residual.scale * float(np.sqrt(rho / self._step_factor))
 
-    def _tresca(self, x: Array, r: Array) -> tuple[DualProblem, Array]:
-        """Return Tresca's problem with the slip bounds of an iterate, and c (k,). Collective.
-
-        Here c are the multipliers of the equality constraints at the iterate.
-        """
-        rho, constraints = self._residual.rho, self._problem.constraints
-        c = multipliers_of_constraints(self._problem, x, r, rho)
-        at = self._problem.at(x, r - constraints.columns @ c, rho)
-        return at.section(x), c
+    def _tresca(self, point: Point) -> DualProblem:
+        """Return Tresca's problem with the slip bounds of an iterate. Collective."""
+        return self._problem.at(point.x, point.r, self._residual.rho).section(point.x)

@@ -1,0 +1,342 @@
+"""The default method: Newton's method on a model of A that every product improves."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING, ROUGH
+from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca.optimise.models.known_products import KnownProducts
+from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
+from dolfinx_tresca.optimise.newton import near_model
+from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
+from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, FrictionDeficit
+from dolfinx_tresca.optimise.record.history import History, Observe
+from dolfinx_tresca.optimise.record.residual import NaturalResidual
+from dolfinx_tresca.optimise.reductions import norm
+from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.status import ContactStatus
+
+#: Number of products of the near field D with b, D b, ... before the iteration. With two products,
+#: the largest Ritz value is near sigma_max, the largest eigenvalue of A.
+NEAR_POWERS = 2
+
+#: Limit on reductions of rho in one iteration, each of which takes a product with A.
+MOST_REDUCTIONS = 20
+
+#: If the residual is not halved in this number of iterations, the rest of A is computed, unless A
+#: is too large (`ContactCompliance.complete_products`).
+SLOW = 8
+
+#: A step is taken if the residual after the step is at most this multiple of the residual before.
+WORSE = 2.0
+
+#: The solve ends after this number of consecutive iterations in which friction, computed with the
+#: model in place of A, is too weak to hold a body. (For a bolted joint beyond its limit, friction
+#: is too weak from the first product on.)
+FAILURES = 2
+
+#: Factor that makes slip bounds practically infinite.
+LARGE = 1e100
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Find multipliers x that minimise q over the friction cones' section at their own pressures.
+
+    For Tresca's law, this section is Lambda. For Coulomb's law, x is a fixed point: the solution of
+    Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983, Approximation of
+    the Signorini problem with friction, obeying the Coulomb law).
+
+    The model M (`near_model`) equals A on all vectors with known products. Newton's method
+    (`semismooth_newton`) solves the problem with M in place of A by small dense algebra; changes of
+    active sets, of directions of slip and of slip bounds need no products. Let d be the step to
+    this solution. The product A d is computed, the iteration takes the step, and M is updated with
+    the pair (d, A d). While the face does not change, the method is the conjugate gradient method
+    with M as the preconditioner.
+
+    For Tresca's law and bodies held by supports, the iteration goes to the minimiser of q along d.
+    The step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which is an upper
+    bound of q after the gradient projection step p = P_Lambda(x - rho r) - x; otherwise the
+    gradient projection step is taken first. This is sufficient for the proof of Theorem 38.1; part
+    (i) of the theorem holds with eta = 1 - rho sigma_min, where rho is the step length at the end.
+    Otherwise no quantity is guaranteed to decrease: the whole step is taken unless it more than
+    doubles the residual.
+
+    Collective.
+
+    Args:
+        problem: A, b, cones and constraints; the products of this solve are added to its store.
+        start: (size,) first multipliers; projected onto the cones.
+        options: tolerances.
+        observe: function that is called with each iterate, the first one included.
+    """
+    return ModelNewton(problem, options, observe).run(start)
+
+
+class ModelNewton:
+    """The state of one solve: a point with its gradient, and the history.
+
+    Attributes:
+        problem: A, b, cones and constraints.
+        options: tolerances.
+        observe: function that is called with each iterate, the first one included.
+        has_given_bounds: whether slip bounds do not depend on pressures (Tresca's law).
+        largest: lower bound of sigma_max, kept when known products are dropped.
+        store: known products with A.
+        residual: natural residual and its scale.
+        history: residuals and energies of the iterates, and the criterion of convergence.
+        at: the present point.
+        failures: number of consecutive iterations in which friction on the model was too weak for
+            the constraints.
+        deficit: deficit of friction in the last iteration; None if friction was strong enough.
+        completed_at: number of iterates when the rest of A was computed; 0 before.
+    """
+
+    store: KnownProducts
+    residual: NaturalResidual
+    history: History
+    at: Iterate
+    deficit: FrictionDeficit | None = None
+
+    def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
+        """Keep the arguments; `run` solves. Not collective."""
+        self.problem, self.options, self.observe = problem, options, observe
+        self.has_given_bounds = isinstance(problem.admissible, FeasibleSet)
+        self.largest, self.failures, self.completed_at = 0.0, 0, 0
+
+    def run(self, start: Array) -> DualSolution:
+        """Iterate until a status ends the iteration. Collective."""
+        self.compute_first_products()
+        self.begin_at(start)
+        at = self.at
+        while (status := self.status()) is None:
+            target = self.target()
+            if at.refine_for_step(target.x - at.x):
+                target = self.target()
+            at.move(self.accepted(target))
+            enough = PROGRESS * self.history.error
+            if not at.resolved and self.residual.at(at.point) > enough:
+                at.increase_accuracy()
+        solution = self.history.solution(at.point, status, at.error)
+        if status is ContactStatus.NO_FIXED_POINT:
+            solution = dataclasses.replace(solution, deficit=self.deficit)
+        return solution
+
+    def compute_first_products(self) -> None:
+        """Compute first products to bound sigma_max, unless some are known. Collective.
+
+        For a new A, `known_products` computes a product with random signs, or all columns of A if A
+        is sparse. If no product is known after this call, b is multiplied by the near field if
+        there is one, and otherwise by A.
+        """
+        self.store = store = self.problem.known_products()
+        store.drop_inaccurate_pairs()
+        if store.largest_ritz_value() != 0.0:
+            return
+        problem, near, x = self.problem, self.problem.near_products(), self.problem.b
+        if near is None:
+            product = problem.operator.apply(x)
+            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
+            store.add(x, product, problem.operator.product_error * length)
+            return
+        for _ in range(NEAR_POWERS):
+            product = problem.near_field(x)
+            near.add(x, product)
+            x = product
+
+    def begin_at(self, start: Array) -> None:
+        """Begin at the start, or at zero if the residual is larger at the start. Collective.
+
+        A load step with bounds that depend on the pressure always begins at the start. There may be
+        several fixed points, and a process continues with the nearest one. For example, friction
+        keeps a wedge in place after the force that pushed it in is removed, although zero tractions
+        satisfy the law of friction as well.
+        """
+        problem, constraints = self.problem, self.problem.constraints
+        self.at = at = Iterate.of(problem, self.store)
+        self.residual = residual = NaturalResidual(problem, self.proposed_rho())
+        if residual.zero_is_undecided(at.error) and at.refine_fully():
+            self.residual = residual = NaturalResidual(problem, residual.rho, at.error)
+        self.history = History(problem, self.options, self.observe, residual)
+        zero, start = at.x, problem.admissible.project(start)
+        if norm(problem, start) > 0.0:
+            at.move_to(start, *at.initial_gradient(start, ROUGH))
+        if len(constraints) > 0:  # b is known up to G c
+            at.c = self.target().c
+            residual.set_constraint_multipliers(at.c)
+        if self.options.rtol:
+            at.finest = FORCING * self.history.stopping.residual_error
+        if residual.at(at.point) > residual.scale:
+            if problem.is_load_step and not self.has_given_bounds:
+                residual.count(at.r + problem.b)
+            else:
+                at.move_to(zero, -problem.b, problem.response.b_error)
+
+    def proposed_rho(self) -> float:
+        """Return the step length rho from the bound of sigma_max; any number without loads."""
+        stores = [self.store, self.problem.near_products()]
+        known = [store.largest_ritz_value() for store in stores if store is not None]
+        self.largest = max(self.largest, *known)
+        return self.options.step_factor / (self.largest or 1.0)
+
+    def status(self) -> ContactStatus | None:
+        """Return the status with which the iteration ends at the present point, or None.
+
+        Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
+        Collective.
+        """
+        at, history, residual = self.at, self.history, self.residual
+        if at.error > 0.0 and history.stopping.reached(at.point, 0.0)[2]:
+            at.refine(history.stopping.tolerable_error(at.point))
+        if (status := history.check_convergence(at.point, at.error)) is not None:
+            return status
+        lost = self.failures >= FAILURES
+        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error
+        stalls = (is_same and not at.learned) or history.is_idle(
+            PATIENCE, PROGRESS, self.completed_at
+        )
+        is_limited = residual.is_limited_by_rounding(history.error)
+        is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
+        if (lost or stalls or is_slow) and self.complete_products():
+            return None
+        if not (lost or stalls):
+            return None
+        if self.has_given_bounds or is_limited:
+            return ContactStatus.STAGNATED
+        return ContactStatus.NO_FIXED_POINT
+
+    def complete_products(self) -> bool:
+        """Compute the rest of A, unless it is known or too large; return whether it was computed.
+
+        Collective.
+        """
+        if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
+            return False
+        self.store = self.at.store = self.problem.known_products()
+        self.failures, self.completed_at = 0, len(self.history.residuals)
+        self.at.learned = True
+        return True
+
+    def target(self) -> ModelSolution:
+        """Return a solution with the model in place of A; record how much friction is missing."""
+        tolerance = self.options.r_tol * self.residual.at(self.at.point)
+        target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
+        if not (target.is_solved or self.has_given_bounds):
+            problem = self.problem.at(target.x, target.r, self.residual.rho)
+            self.deficit = friction_deficit(problem, target.x)
+            self.failures = 0 if self.deficit is None else self.failures + 1
+        return target
+
+    def accepted(self, target: ModelSolution) -> Step:
+        """Return the step to take from the present point, given the solution of the model."""
+        at = self.at
+        step = at.step(target.x - at.x, target.c)
+        if (rho := self.proposed_rho()) < self.residual.rho:
+            self.residual.set_rho(rho)  # no step achieves the decrease that a large rho predicts
+        if self.has_given_bounds and len(target.c) == 0:
+            return self.descending(step)
+        if self.residual.at(at.point_after(step)) <= WORSE * self.history.error:
+            return step
+        at.increase_accuracy()
+        return at.zero_step()
+
+    def descending(self, whole: Step) -> Step:
+        """Return a step that decreases q as Theorem 38.1 requires, given the whole Newton step.
+
+        Slip bounds must be given, and there must be no constraints. Collective.
+        """
+        at, nothing = self.at, self.at.zero_step()
+        move = self.projected_move()
+        promised = self.slope(move) + 0.5 / self.residual.rho * float(
+            self.problem.inner(move, move)
+        )
+        size = norm(self.problem, at.x) * norm(self.problem, at.r)
+        if -promised <= PRODUCT_ROUNDING * size:
+            # changes of q are rounding, changes of the gradient are not: the residual decides
+            if self.residual.at(at.point_after(whole)) < self.history.error:
+                return whole
+            return at.zero_step() if at.increase_accuracy() else nothing
+        step = self.minimiser_between(nothing, whole)
+        decrease = self.slope(step.direction) + 0.5 * self.curvature(step)
+        if decrease <= promised:
+            return step
+        before = at.r
+        if at.increase_accuracy():
+            product = whole.product + before - at.r
+            whole = dataclasses.replace(whole, product=product)
+        return self.safeguard(whole)
+
+    def slope(self, direction: Array) -> float:
+        """Return the derivative of q along a direction from the present point."""
+        return float(self.problem.inner(direction, self.at.r))
+
+    def curvature(self, step: Step) -> float:
+        """Return the second derivative of q along a step."""
+        return float(self.problem.inner(step.direction, step.product))
+
+    def minimiser_between(self, first: Step, last: Step) -> Step:
+        """Return the step to the minimiser of q between the ends of two steps."""
+        direction, product = last.direction - first.direction, last.product - first.product
+        curvature = float(self.problem.inner(direction, product))
+        slope = float(self.problem.inner(direction, self.at.r + first.product))
+        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        return Step(
+            first.direction + part * direction,
+            first.product + part * product,
+            (1.0 - part) * first.error + part * last.error,
+            first.c,
+        )
+
+    def projected_move(self) -> Array:
+        """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
+        return self.residual.projection(self.at.point) - self.at.x
+
+    def safeguard(self, newton: Step) -> Step:
+        """Return a step at least as good as the gradient projection step.
+
+        The step ends at the minimiser of q between the ends of the gradient projection step and of
+        the Newton step. If the curvature of q exceeds 1 / rho, rho is reduced first, for all later
+        iterations.
+        """
+        for _ in range(MOST_REDUCTIONS):
+            move = self.at.step(self.projected_move(), newton.c)
+            curvature = self.curvature(move)
+            length = float(self.problem.inner(move.direction, move.direction))
+            # the error of an inexact product does not count as curvature
+            noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
+            if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
+                break
+            self.residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
+        return self.minimiser_between(move, newton)
+
+
+def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
+    """Return the motion along which friction is too weak for the constraints. Collective.
+
+    Args:
+        problem: the dual problem, with friction cones and constraints.
+        x: (size,) multipliers whose pressures determine the slip bounds.
+
+    Returns:
+        the motion, with the work of the loads and of friction along it; None if some multipliers
+        with the slip bounds of x satisfy the constraints.
+    """
+    constraints, section = problem.constraints, problem.admissible.section(x)
+    if len(constraints) == 0:  # no body floats
+        return None
+    balance = constraints.balance(section)
+    if balance.satisfied:
+        return None
+    motion = balance.shift / np.linalg.norm(balance.shift)
+    slip = constraints.columns @ motion
+    friction = section.project(LARGE * slip)
+    friction[section.normal] = 0.0
+    available = float(problem.inner(friction, slip))
+    return FrictionDeficit(motion, float(constraints.values @ motion), available)
