@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,9 @@ from scipy.sparse.linalg import spsolve
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise import methods
-from dolfinx_tresca.optimise.models.known_products import KnownProducts, WholeProducts
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
-from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.problem import DualSolution, KnownProducts
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
@@ -97,30 +96,9 @@ class DenseProblem(OneRank):
         """The cones, if bounds depend on the pressure."""
         return self.feasible_set if self.cones is None else self.cones
 
-    def at(self, x: np.ndarray, r: np.ndarray, rho: float) -> DenseProblem:
-        """The problem with coefficients of friction at the pressures and slips of a point."""
-        if self.cones is None:
-            return self
-        cones = self.cones.at(x, r, rho)
-        return self if cones is self.cones else self._with(cones=cones)
-
-    def section(self, x: np.ndarray) -> DenseProblem:
-        """The problem with the slip bounds at x; this problem counts and keeps the products."""
-        if self.cones is None:
-            return self
-        return self._with(feasible_set=self.cones.section(x), cones=None)
-
-    def _with(self, **changes: Any) -> DenseProblem:
-        """The problem with other restrictions; this problem counts and keeps the products."""
-        changed = DenseProblem(
-            **{
-                one.name: changes.get(one.name, getattr(self, one.name))
-                for one in fields(DenseProblem)
-                if one.init
-            }
-        )
-        changed.store, changed.near_store = self.store, self.near_store
-        return changed
+    def bounds(self, x: np.ndarray, r: np.ndarray) -> FeasibleSet:
+        """Return Lambda with the slip bounds at a point."""
+        return self.admissible.at(x, r, 1.0 / self.diagonal).section(x)
 
     def known_products(self) -> KnownProducts:
         """Return the store of known products."""
@@ -128,10 +106,10 @@ class DenseProblem(OneRank):
 
     def complete_products(self) -> bool:
         """Keep A as the store of known products; each column counts as a product."""
-        if not self.is_too_large and not isinstance(self.store, WholeProducts):
+        if not self.is_too_large and not isinstance(self.store, WholeModel):
             rows = np.column_stack([self.apply(unit) for unit in np.eye(len(self.b))])
             nodes, local = self.admissible.nodes(), 1.0 / np.diag(np.linalg.inv(self.A))
-            self.store = WholeProducts(WholeModel(self, rows, 0, nodes, local, spsolve))
+            self.store = WholeModel(self, rows, 0, nodes, local, spsolve)
         return not self.is_too_large
 
     def near_products(self) -> ProductStore | None:
@@ -194,13 +172,13 @@ class DenseProblem(OneRank):
     def local_error(self, x: np.ndarray, r: np.ndarray) -> float:
         """Largest change of a multiplier by its own projected step, over the largest multiplier."""
         local = 1.0 / self.diagonal
-        change = np.abs(x - brute_projection(self.feasible_set, x - local * r)).max(initial=0.0)
+        change = np.abs(x - brute_projection(self.bounds(x, r), x - local * r)).max(initial=0.0)
         largest = np.abs(x).max(initial=0.0)
         return float(change / largest if largest > 0.0 else change > 0.0)
 
     def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
         """Bound by a displacement with the best gap and slip of each node, the others fixed."""
-        lam = self.feasible_set
+        lam = self.bounds(x, r)
         inverse = np.linalg.inv(self.A)
         stiffness = np.diag(inverse)
         rest = np.zeros_like(r)

@@ -167,7 +167,7 @@ class LinearisedContact:
         return NodalMaps(
             test=test,
             trial=trial,
-            stiffness=lambda v: np.asarray((self.curvature * v.T).T),
+            stiffness=self.curvature,
             projector=project,
             inverse=inverse,
         )
@@ -187,8 +187,7 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     Returns:
         normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.
     """
-    dual = dual.section(x)
-    lam, scale = dual.feasible_set, dual.jump.stress_scale
+    lam, scale = dual.bounds(x, r), dual.jump.stress_scale
     change, traction = dual.local_change(x, r)
     limit = max(change, EDGE * traction)
     target = dual.decoupled_minimiser(x, r)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -26,8 +24,8 @@ from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.dual.response import ElasticResponse
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.floating.equilibrium import Equilibrium
-from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.problem import KnownProducts
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
@@ -88,26 +86,14 @@ class DualProgram:
         response = ElasticResponse.of(compliance, guess, history.origin)
         return cls(compliance, response, admissible, equilibrium, constraints, history)
 
-    @cached_property
-    def feasible_set(self) -> FeasibleSet:
-        """Lambda; if bounds depend on the pressure, Lambda at zero pressure."""
-        return self.admissible.section(np.zeros(self.admissible.size))
-
-    def at(self, x: Array, r: Array, rho: float) -> DualProgram:
-        """Return the program with the coefficients of friction at the pressures and slips of x.
+    def bounds(self, x: Array, r: Array) -> FeasibleSet:
+        """Return Lambda with the slip bounds at the pressures and slips of a point.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
-            rho: step length with which slips are determined; see `FrictionCones.at`.
         """
-        cones = self.admissible.at(x, r, rho)
-        return self if cones is self.admissible else dataclasses.replace(self, admissible=cones)
-
-    def section(self, x: Array) -> DualProgram:
-        """Return the program with the slip bounds that belong to the pressures of x (size,)."""
-        lam = self.admissible.section(x)
-        return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
+        return self.admissible.at(x, r, self.compliance.nodal_stiffness).section(x)
 
     @property
     def is_load_step(self) -> bool:
@@ -170,7 +156,7 @@ class DualProgram:
             r: (size,) the gradient, computed from u.
             error: error of r in the norm of `ElasticResponse.gradient`.
         """
-        return self.compliance.certificate.at(self.feasible_set, x, r, error)
+        return self.compliance.certificate.at(self.bounds(x, r), x, r, error)
 
     def decoupled_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
@@ -215,7 +201,7 @@ class DualProgram:
         Returns:
             the change and the largest traction [stress].
         """
-        change = x - self.feasible_set.project(self.decoupled_minimiser(x, r))
+        change = x - self.bounds(x, r).project(self.decoupled_minimiser(x, r))
         sizes = [self._largest_stress(one) for one in (change, x)]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest), float(traction)
@@ -289,7 +275,7 @@ class DualProgram:
         force.destroy()
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.response.gradient_of(u)
-        friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(r))
+        friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual

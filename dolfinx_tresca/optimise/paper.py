@@ -39,11 +39,11 @@ def ssn(
 
     def step(tolerance: float) -> tuple[Array, Array]:
         rho, y = run.history.residual.rho, run.target
-        derivative = problem.feasible_set.projection_derivative(y)
+        derivative = run.feasible_set.projection_derivative(y)
         change = _bicgstab(
             problem,
             lambda v: v - derivative(v - rho * problem.operator.apply(v)),
-            problem.feasible_set.project(y) - run.x,
+            run.feasible_set.project(y) - run.x,
             rho * tolerance,
         )
         x = run.x + change
@@ -87,7 +87,8 @@ def gimssn(
 
     Collective.
     """
-    run, feasible_set = _Run(problem, start, options, observe), problem.feasible_set
+    run = _Run(problem, start, options, observe)
+    feasible_set = run.feasible_set
 
     def step(tolerance: float) -> tuple[Array, Array]:
         residual = run.history.residual
@@ -122,6 +123,7 @@ class _Run:
 
     Attributes:
         problem: the dual problem (38.4), without constraints.
+        feasible_set: Lambda.
         history: the record, with rho from an estimate of sigma_max.
         x: (size,) multipliers, maybe outside of Lambda.
         r: (size,) gradient at x.
@@ -134,7 +136,8 @@ class _Run:
         problem.response.refine_b()  # every gradient contains b
         residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
         self.problem, self.history = problem, History(problem, options, observe, residual)
-        self.x = problem.feasible_set.project(start)
+        self.feasible_set = problem.bounds(start, -problem.b)
+        self.x = self.feasible_set.project(start)
         self.r = gradient(problem, self.x)
         if residual.at(self.point) > residual.scale:
             self.x, self.r = np.zeros_like(start), -problem.b
@@ -166,7 +169,7 @@ class _Run:
         """
         problem, history = self.problem, self.history
         while True:
-            projected, r = problem.feasible_set.project(self.x), self.r
+            projected, r = self.feasible_set.project(self.x), self.r
             # a slipping node that is outside its circle by rounding counts as inside
             if norm(problem, self.x - projected) > PRODUCT_ROUNDING * norm(problem, self.x):
                 r = gradient(problem, projected)
@@ -181,8 +184,8 @@ class _Run:
     def symmetrized_step(self, tolerance: float) -> tuple[Array, Array]:
         """Return the result of Steps 2 and 3 of the paper's algorithm."""
         problem, target = self.problem, self.target
-        face = problem.feasible_set.face(target)
-        fixed = np.where(face.active, self.x, problem.feasible_set.project(target))
+        face = self.feasible_set.face(target)
+        fixed = np.where(face.active, self.x, self.feasible_set.project(target))
         r = self.r + problem.operator.apply(fixed - self.x)
         change, product = conjugate_gradients(problem, face.active, r, tolerance)
         return fixed + change, r + product

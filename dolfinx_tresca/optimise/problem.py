@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.optimise.reductions import InnerProduct, Reductions
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.status import ContactStatus
+
+#: Products with A that are known: single products, or A as a matrix. Both give a model of A.
+KnownProducts: TypeAlias = ProductStore | WholeModel
 
 
 class Operator(Protocol):
@@ -83,8 +86,8 @@ class Response(Protocol):
 class DualProblem(InnerProduct, Protocol):
     """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
 
-    If slip bounds depend on the pressure, each x has such a program, its `section`; a solution is
-    an x that minimises q over its own section.
+    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
+    that minimises q over its own Lambda.
     """
 
     @property
@@ -112,25 +115,12 @@ class DualProblem(InnerProduct, Protocol):
         """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
         ...
 
-    @property
-    def feasible_set(self) -> FeasibleSet:
-        """Lambda; if bounds depend on the pressure, Lambda at zero pressure."""
-        ...
-
-    def at(self, x: Array, r: Array, rho: float) -> DualProblem:
-        """Return the program with the coefficients of friction at the pressures and slips of x.
+    def bounds(self, x: Array, r: Array) -> FeasibleSet:
+        """Return Lambda with the slip bounds at the pressures and slips of a point.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
-            rho: step length with which slips are determined; see `FrictionCones.at`.
-        """
-        ...
-
-    def section(self, x: Array) -> DualProblem:
-        """Return the program with the slip bounds at the pressures of x (size,).
-
-        If bounds do not depend on pressures, the program itself is returned.
         """
         ...
 

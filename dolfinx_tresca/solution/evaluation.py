@@ -117,9 +117,7 @@ def evaluate(
     Returns:
         the evaluation, and the slip history after this solution if it becomes a load step.
     """
-    admissible = dual.admissible
-    dual = dual.at(found.multipliers, found.gradient, found.rho).section(found.multipliers)
-    B, response, lam = dual.jump, dual.response, dual.feasible_set
+    B, response, lam = dual.jump, dual.response, dual.bounds(found.multipliers, found.gradient)
     comm = B.comm
     w = fem.Function(B.system.space, name="w")
     error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
@@ -131,7 +129,8 @@ def evaluate(
     jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
     target = dual.decoupled_minimiser(found.multipliers, r)
-    moved = admissible.at(found.multipliers, r, dual.compliance.nodal_stiffness).section(target)
+    cones = dual.admissible.at(found.multipliers, r, dual.compliance.nodal_stiffness)
+    moved = cones.section(target)
     stick = moved.face(target).stick
     change, _ = dual.local_change(found.multipliers, r)
     undecided = discs_at_edge(moved, target, B.stress_scale, change)

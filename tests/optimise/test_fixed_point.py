@@ -15,6 +15,7 @@ from test_inexact import NoisyProblem
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.newton import iteration
+from dolfinx_tresca.optimise.problem import Point
 from dolfinx_tresca.optimise.record.residual import EXHAUSTED
 from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
@@ -278,6 +279,8 @@ def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
         cones, jump, csr_array([[0.0]]), zero + unit, zero + unit, zero.astype(int), OneRank(), str
     )
     problem = DenseProblem(np.eye(2), np.ones(2), discs, constraints=constraints, cones=cones)
-    found = iteration.friction_deficit(problem, np.array([1.0, 0.0]))
+    found = iteration.friction_deficit(
+        problem, Point(np.array([1.0, 0.0]), np.zeros(1), np.zeros(2))
+    )
     assert np.linalg.norm(found.motion) == pytest.approx(1.0, rel=4 * EPS)
     assert found.load == pytest.approx(10.0 * found.friction, rel=4 * EPS)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.models.model import NodalMaps
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.paper import (
     adaptive_precision,
@@ -19,7 +20,7 @@ from dolfinx_tresca.optimise.paper import (
 from dolfinx_tresca.optimise.problem import Point
 from dolfinx_tresca.optimise.record.history import History
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.sets.feasible_set import Face, FeasibleSet
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 
@@ -118,6 +119,11 @@ def test_recycled_pairs_are_orthonormal_and_the_model_is_exact_on_them(problem, 
     assert np.allclose(dense @ W, Y, atol=rounding * size * np.abs(W).max(initial=0.0))
 
 
+def bonded_face(x: np.ndarray) -> Face:
+    """Return a face without restrictions."""
+    return FeasibleSet(len(x), *(np.empty(0, dtype=np.intp),) * 3, np.empty(0)).face(x)
+
+
 def unchanged(step, vector):
     """Return a step whose slip bounds do not change."""
     return step
@@ -126,7 +132,7 @@ def unchanged(step, vector):
 @BOUNDED
 @given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(0, 12))
 def test_the_model_is_inverted_on_any_face(problem, seed, number):
-    """solve_on against a dense solve of (P M P + C) s = P right on the range of P."""
+    """A step on a face against a dense solve of (P M P + C) s = P right on the range of P."""
     rng = np.random.default_rng(seed)
     lam = problem.feasible_set
     store = filled(problem, rng, number)
@@ -141,7 +147,8 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
     system = basis.T @ (M + np.diag(C)) @ basis
     expected = basis @ np.linalg.solve(system, basis.T @ right)
     none = np.empty((len(right), 0))
-    found, _ = model.solve_on(face, C, right, none, np.empty((0, 0)), np.empty(0), unchanged)
+    maps = NodalMaps.on_face(face, model.diagonal, C, unchanged)
+    found, _ = model.solve_between(maps, right, none, np.empty((0, 0)), np.empty(0))
     condition = np.linalg.cond(system) if len(system) else 1.0
     tolerance = 1e5 * EPS * max(condition, 1e3) * max(np.linalg.norm(expected), 1e-300)
     assert np.linalg.norm(found - expected) <= tolerance
@@ -253,9 +260,9 @@ def test_the_model_of_a_successor_is_inverted():
     model, right = store.model(), rng.standard_normal(len(problem.b))
     M = model.apply(np.eye(len(right)))
     none = np.empty((len(right), 0))
-    found, _ = model.solve(
-        lambda v: (v.T / model.diagonal).T, right, none, np.empty((0, 0)), np.empty(0)
-    )
+    face = bonded_face(right)
+    maps = NodalMaps.on_face(face, model.diagonal, 0.0 * right, unchanged)
+    found, _ = model.solve_between(maps, right, none, np.empty((0, 0)), np.empty(0))
     assert np.allclose(M @ found, right, atol=1e6 * EPS * np.linalg.cond(M))
     assert np.allclose(model.apply(store.W), store.Y, atol=1e6 * EPS * np.abs(M).max())
 
@@ -384,9 +391,8 @@ def test_a_model_on_another_one():
     x, y = (stores[1].split(v)[0] for v in rng.standard_normal((2, len(problem.b))))
     assert y @ updated.apply(x) == pytest.approx(y @ base.apply(x), rel=1e-8)
     none = np.empty((len(x), 0))
-    face = FeasibleSet(len(x), *(np.empty(0, dtype=np.intp),) * 3, np.empty(0)).face(x)
-    no_constraints = none, np.empty((0, 0)), np.empty(0)
-    solved, _ = updated.solve_on(face, 0.0 * x, x, *no_constraints, unchanged)
+    maps = NodalMaps.on_face(bonded_face(x), updated.diagonal, 0.0 * x, unchanged)
+    solved, _ = updated.solve_between(maps, x, none, np.empty((0, 0)), np.empty(0))
     np.testing.assert_allclose(updated.apply(solved), x, atol=1e-8 * np.abs(x).max())
 
 

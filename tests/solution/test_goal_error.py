@@ -275,7 +275,7 @@ def test_a_body_that_nothing_holds_has_no_adjoint(comm):
     with floating(comm, "upper", 2).problem() as problem:
         problem.solve()
         dual = problem._contact.solved.dual
-        lam = replace(dual.feasible_set, radius=np.zeros_like(dual.feasible_set.radius))
+        lam = replace(dual.admissible, radius=np.zeros_like(dual.admissible.radius))
         nothing = -np.ones(lam.size)
         state = LinearisedContact(lam.face(nothing), np.zeros(lam.size), *2 * [lambda v: v])
         with pytest.raises(ConvergenceError, match="no adjoint"):

@@ -36,7 +36,7 @@ def test_clarabel_confirms_the_minimum(kind, degree):
     with dual_program(scene) as dual:
         A, b, scale = dense_matrix(dual), dual.b, dual.jump.stress_scale
         # an interval is a cone of two numbers: the same constraint as two inequalities
-        x = clarabel_minimum(A, b, dual.feasible_set, tolerance=1e-12)
+        x = clarabel_minimum(A, b, dual.admissible, tolerance=1e-12)
     q = 0.5 * x @ A @ x - x @ b
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-11)

@@ -55,7 +55,7 @@ def test_clarabel_confirms_the_minimum(comm, end):
     scene = two_bricks(MPI.COMM_SELF, 4, end=end)
     with dual_program(scene) as dual:
         A = dense_matrix(dual)
-        x = clarabel_minimum(A, dual.b, dual.feasible_set)
+        x = clarabel_minimum(A, dual.b, dual.admissible)
         q = 0.5 * x @ A @ x - x @ dual.b
         stress = x * dual.jump.stress_scale
     with bricks_problem(MPI.COMM_SELF, 4, end=end) as problem:
@@ -111,7 +111,7 @@ def test_every_method_converges_or_says_that_it_does_not(method, end):
     assert best.status is ContactStatus.CONVERGED
     scene = two_bricks(comm, N, end=end)
     with dual_program(scene) as dual:
-        lam = dual.feasible_set
+        lam = dual.admissible
         x = found.multipliers / dual.jump.stress_scale
         r = dual.operator.apply(x) - dual.b
         feasible = lam.project(x)

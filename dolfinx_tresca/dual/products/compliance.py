@@ -24,8 +24,9 @@ from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.models.far_field import FarField
-from dolfinx_tresca.optimise.models.known_products import KnownProducts, WholeProducts
 from dolfinx_tresca.optimise.models.products import ProductStore
+from dolfinx_tresca.optimise.models.whole_model import WholeModel
+from dolfinx_tresca.optimise.problem import KnownProducts
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Largest number of products with the near field that are kept. Each product slows down all algebra
@@ -178,8 +179,7 @@ class ContactCompliance(PetscOwner):
         if self._store is None:
             self._store = self._far_field()
         if self._store is None:
-            matrix = sparse_model(self.operator, self.nodal_compliance)
-            self._store = None if matrix is None else WholeProducts(matrix)
+            self._store = sparse_model(self.operator, self.nodal_compliance)
         if self._store is None:
             near = (
                 None if self.operator.exact or not self._uses_near_field else self.near_field.apply
@@ -194,9 +194,9 @@ class ContactCompliance(PetscOwner):
         """
         largest = LARGEST_DENSE if self.operator.exact else LARGEST_DENSE_ITERATIVE
         affordable = self.jump.matrix.getSize()[0] <= largest
-        if affordable and not isinstance(self._store, WholeProducts):
-            self._store = WholeProducts(dense_model(self.operator, self.nodal_compliance))
-        return isinstance(self._store, WholeProducts)
+        if affordable and not isinstance(self._store, WholeModel):
+            self._store = dense_model(self.operator, self.nodal_compliance)
+        return isinstance(self._store, WholeModel)
 
     @cached_property
     def _uses_near_field(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -85,36 +84,19 @@ class BlockBFGSModel(Model):
         result: Array = (self.diagonal * x.T).T + self._U @ (self._C @ self._inner(self._U, x))
         return result
 
-    def solve(
-        self,
-        inverse: Callable[[Array], Array],
-        right: Array,
-        G: Matrix,
-        softness: Matrix,
-        missing: Array,
+    def solve_between(
+        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
-        """Return s and c with (M + C) s - G c = right and G's + S c = missing.
-
-        Here s is a step of the multipliers, and c is the step of the multipliers of equality
-        constraints with the matrices G and S (`EqualityConstraints`). C is the stiffness in
-        `NodalMaps`.
+        """Return V s and c, the solution of the equations in `Model.solve_between`. Collective.
 
         Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
-        so that the system has a solution even if the second equation has none. Collective.
-
-        Args:
-            inverse: function that applies (D + C)^-1, or its part along a face, to arrays of shape
-                (size,) or (size, columns); C couples only multipliers of the same node.
-            right: (size,) right-hand side of the first equation.
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
-            missing: (k,) right-hand side of the second equation.
+        so that the system has a solution even if the second equation has none.
         """
         unit = self._unit
         G, softness = dense(G), dense(softness)
         columns = np.column_stack([self._U, unit * G])
-        scaled = inverse(columns)
-        first = inverse(right)
+        scaled = maps.inverse(columns)
+        first = maps.inverse(right)
         capacitance = self._inner(columns, scaled)
         k = len(missing)
         rank = len(capacitance) - k
@@ -123,9 +105,3 @@ class BlockBFGSModel(Model):
         wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
         found = self._agreed(solve_or_fit(capacitance, wanted))
         return first - scaled @ found, -unit * found[rank:]
-
-    def solve_between(
-        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
-    ) -> tuple[Array, Array]:
-        """Return the result of `solve` with the function `maps.inverse`. Collective."""
-        return self.solve(maps.inverse, right, G, softness, missing)

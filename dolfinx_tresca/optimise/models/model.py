@@ -23,19 +23,20 @@ class NodalMaps:
 
     Here M is the model of A, and G c the contribution of equality constraints. Such equations
     determine Newton steps on a face, and steps towards an adjoint solution. Each map couples only
-    multipliers of the same node, and is applied to arrays (size,) or (size, columns).
+    multipliers of the same node. T, V and P are applied to arrays (size,) or (size, columns).
 
     Attributes:
         test: T, applied to both sides of the equation; P T = T.
         trial: V, from s to the change of the multipliers; V P = V.
-        stiffness: C, such as the curvature of the circles of slipping nodes.
+        stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc, such as the
+            curvature of the circles of slipping nodes.
         projector: P, such as the projector onto a face.
         inverse: V (T (D + C) V)^-1 T on the range of P, with the diagonal D of the model.
     """
 
     test: Callable[[Array], Array]
     trial: Callable[[Array], Array]
-    stiffness: Callable[[Array], Array]
+    stiffness: Array
     projector: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
 
@@ -62,7 +63,7 @@ class NodalMaps:
         return cls(
             test=face.project,
             trial=lambda v: with_bound_change(face.project(v), np.zeros_like(v)),
-            stiffness=lambda v: np.asarray((stiffness * v.T).T),
+            stiffness=stiffness,
             projector=face.project,
             inverse=lambda v: with_bound_change(np.asarray((weight * face.project(v).T).T), v),
         )
@@ -101,37 +102,6 @@ class Model(ABC):
             softness: (k, k) S, sparse or dense.
             missing: (k,) right-hand side of the second equation.
         """
-
-    def solve_on(
-        self,
-        face: Face,
-        stiffness: Array,
-        right: Array,
-        G: Matrix,
-        softness: Matrix,
-        missing: Array,
-        with_bound_change: Callable[[Array, Array], Array],
-    ) -> tuple[Array, Array]:
-        """Return a Newton step s on a face, and the step c of the constraints' multipliers.
-
-        Both steps satisfy P (M + C) s - P G c = P right, G's + S c = missing and s = (I + Q) P s,
-        where Q is the change of slip bounds with the pressure. For fixed bounds, Q = 0 and the
-        system is symmetric. Along the radius of a disc whose bound depends on the slip, the step
-        solves s = Q s + h (right - M s + G c), with the slope h of the bound.
-
-        Args:
-            face: face with the projector P.
-            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a friction
-                disc.
-            right: (size,) right-hand side of the first equation.
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
-            missing: (k,) right-hand side of the second equation.
-            with_bound_change: function (P s, v) -> (I + Q) P s, plus a term in v if bounds depend
-                on the slip; see `FrictionCones.with_bound_change`.
-        """
-        maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
-        return self.solve_between(maps, right, G, softness, missing)
 
 
 def solve_or_fit(matrix: Array, right: Array) -> Array:

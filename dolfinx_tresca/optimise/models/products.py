@@ -11,7 +11,6 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.models.far_field import FarField
-from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
@@ -51,7 +50,7 @@ KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
-class ProductStore(KnownProducts):
+class ProductStore:
     """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
 
     Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
@@ -122,6 +121,7 @@ class ProductStore(KnownProducts):
         return result
 
     def __len__(self) -> int:
+        """Return the number of pairs."""
         return int(self.W.shape[1])
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:

@@ -70,9 +70,8 @@ class WholeModel(Model):
         shift = csr_array(diags_array(SHIFT * local_compliance))
         self._shifted = rows + self._in_own_columns(shift)
 
-    @property
-    def number(self) -> int:
-        """The number of multipliers of all ranks."""
+    def __len__(self) -> int:
+        """Return the number of multipliers of all ranks, whose products are known."""
         return int(self._rows.shape[1])
 
     @property
@@ -80,19 +79,33 @@ class WholeModel(Model):
         """diag(A), (size,): diag(M) without the small shift."""
         return self.diagonal
 
-    def product(self, x: Array) -> Array:
-        """Return A x for x of shape (size,) or (size, columns). Collective."""
-        result: Array = self._rows @ self._gathered(x)
-        return result
+    def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
+        """Return False, since the product of x is already known."""
+        return False
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Return zeros and A x, (size,) each, like `ProductStore.split`. Collective."""
+        return np.zeros_like(x), self.product(x)[0]
+
+    def product(self, x: Array) -> tuple[Array, float]:
+        """Return A x (size,), and its error, which is zero. Collective."""
+        return self._rows @ self._gathered(x), 0.0
+
+    def model(self) -> WholeModel:
+        """Return the model itself, like `ProductStore.model`."""
+        return self
 
     def apply(self, x: Array) -> Array:
         """Return M x for x of shape (size,) or (size, columns). Collective."""
         result: Array = self._shifted @ self._gathered(x)
         return result
 
+    def largest_ritz_value(self) -> float:
+        """Return the largest eigenvalue of A. Collective."""
+        return self._largest_eigenvalue
+
     @cached_property
-    def largest_eigenvalue(self) -> float:
-        """The largest eigenvalue of A. The first call is collective."""
+    def _largest_eigenvalue(self) -> float:
         matrix = self._stacked(self._rows)
         if matrix.shape[0] <= 2:
             values = np.linalg.eigvalsh(dense(matrix))[-1:].astype(np.float64)
@@ -110,13 +123,11 @@ class WholeModel(Model):
         equations have a solution even if the constraints have none.
         """
         unit, k = self.unit, len(missing)
-        test, trial, stiffness, projector = (
-            self._pattern.matrix(nodal)
-            for nodal in (maps.test, maps.trial, maps.stiffness, maps.projector)
-        )
+        test, trial, projector = map(self._pattern.matrix, (maps.test, maps.trial, maps.projector))
         trial, G = self._in_own_columns(trial), csr_array(G)
         fixed = csr_array(eye_array(len(right))) - projector
-        A = (1.0 / unit) * (self._shifted + self._in_own_columns(stiffness))
+        stiffness = self._in_own_columns(csr_array(diags_array(maps.stiffness)))
+        A = (1.0 / unit) * (self._shifted + stiffness)
         rows = test @ (A @ self._reductions.stacked(trial)) + self._in_own_columns(fixed)
         matrix = self._stacked(rows)
         if k:

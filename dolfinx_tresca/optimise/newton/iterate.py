@@ -10,8 +10,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, SLACK
-from dolfinx_tresca.optimise.models.known_products import KnownProducts
-from dolfinx_tresca.optimise.problem import DualProblem, Point
+from dolfinx_tresca.optimise.problem import DualProblem, KnownProducts, Point
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,17 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING, ROUGH
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
-from dolfinx_tresca.optimise.models.known_products import KnownProducts
 from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.newton import near_model
 from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
 from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution
-from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, FrictionDeficit
+from dolfinx_tresca.optimise.problem import (
+    DualProblem,
+    DualSolution,
+    FrictionDeficit,
+    KnownProducts,
+    Point,
+)
 from dolfinx_tresca.optimise.record.history import History, Observe
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.reductions import norm
@@ -95,6 +100,7 @@ class ModelNewton:
         at: the present point.
         failures: number of consecutive iterations in which friction on the model was too weak for
             the constraints.
+        first_target: the solution of the model at the start; None after it was used.
         deficit: deficit of friction in the last iteration; None if friction was strong enough.
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
@@ -103,6 +109,7 @@ class ModelNewton:
     residual: NaturalResidual
     history: History
     at: Iterate
+    first_target: ModelSolution | None = None
     deficit: FrictionDeficit | None = None
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
@@ -117,7 +124,7 @@ class ModelNewton:
         self.begin_at(start)
         at = self.at
         while (status := self.status()) is None:
-            target = self.target()
+            target, self.first_target = self.first_target or self.target(), None
             if at.refine_for_step(target.x - at.x):
                 target = self.target()
             at.move(self.accepted(target))
@@ -137,7 +144,8 @@ class ModelNewton:
         there is one, and otherwise by A.
         """
         self.store = store = self.problem.known_products()
-        store.drop_inaccurate_pairs()
+        if isinstance(store, ProductStore):
+            store.drop_inaccurate_pairs()
         if store.largest_ritz_value() != 0.0:
             return
         problem, near, x = self.problem, self.problem.near_products(), self.problem.b
@@ -169,7 +177,8 @@ class ModelNewton:
         if norm(problem, start) > 0.0:
             at.move_to(start, *at.initial_gradient(start, ROUGH))
         if len(constraints) > 0:  # b is known up to G c
-            at.c = self.target().c
+            self.first_target = self.target()
+            at.c = self.first_target.c
             residual.set_constraint_multipliers(at.c)
         if self.options.rtol:
             at.finest = FORCING * self.history.stopping.residual_error
@@ -178,6 +187,7 @@ class ModelNewton:
                 residual.count(at.r + problem.b)
             else:
                 at.move_to(zero, -problem.b, problem.response.b_error)
+                self.first_target = None
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
@@ -219,7 +229,8 @@ class ModelNewton:
         """
         if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
             return False
-        self.store = self.at.store = self.problem.known_products()
+        self.store, self.first_target = self.problem.known_products(), None
+        self.at.store = self.store
         self.failures, self.completed_at = 0, len(self.history.residuals)
         self.at.learned = True
         return True
@@ -229,8 +240,7 @@ class ModelNewton:
         tolerance = self.options.r_tol * self.residual.at(self.at.point)
         target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
         if not (target.is_solved or self.has_given_bounds):
-            problem = self.problem.at(target.x, target.r, self.residual.rho)
-            self.deficit = friction_deficit(problem, target.x)
+            self.deficit = friction_deficit(self.problem, target)
             self.failures = 0 if self.deficit is None else self.failures + 1
         return target
 
@@ -317,18 +327,18 @@ class ModelNewton:
         return self.minimiser_between(move, newton)
 
 
-def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
+def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
     """Return the motion along which friction is too weak for the constraints. Collective.
 
     Args:
         problem: the dual problem, with friction cones and constraints.
-        x: (size,) multipliers whose pressures determine the slip bounds.
+        point: multipliers whose pressures determine the slip bounds.
 
     Returns:
         the motion, with the work of the loads and of friction along it; None if some multipliers
-        with the slip bounds of x satisfy the constraints.
+        with the slip bounds of the point satisfy the constraints.
     """
-    constraints, section = problem.constraints, problem.admissible.section(x)
+    constraints, section = problem.constraints, problem.bounds(point.x, point.r)
     if len(constraints) == 0:  # no body floats
         return None
     balance = constraints.balance(section)

@@ -103,7 +103,8 @@ class SemismoothNewton:
             model: model M of A.
         """
         self.problem, self.model = problem, model
-        self.size = problem.feasible_set.mean_over_discs(model.size)
+        lam = problem.admissible.section(np.zeros_like(problem.b))
+        self.size = lam.mean_over_discs(model.size)
         self.rho = np.asarray(RHO_DIAGONAL / self.size)
         ones, G = np.ones_like(self.size), problem.constraints.columns
         sums = [float(problem.inner(ones, values)) for values in (self.size, ones)]
@@ -141,14 +142,14 @@ class SemismoothNewton:
         face = section.face(x - self.rho * r)
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
-        change, change_c = self.model.solve_on(
-            face,
-            section.circle_stiffness(r, face),
+        diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
+        follow = admissible.with_bound_change(settled, face, diagonal)
+        change, change_c = self.model.solve_between(
+            NodalMaps.on_face(face, diagonal, stiffness, follow),
             -r - admissible.slip_along(face),
             constraints.columns,
             constraints.softness_with(softness),
             constraints.residual(settled, c),
-            admissible.with_bound_change(settled, face, self.model.diagonal),
         )
         return settled + change - x, change_c
 
@@ -237,7 +238,7 @@ class ConvexNewton(SemismoothNewton):
         maps = NodalMaps(
             test=derivative,
             trial=lambda v: v,
-            stiffness=np.zeros_like,
+            stiffness=np.zeros_like(z),
             projector=lambda v: v - (scale * (v - derivative(v)).T).T,
             inverse=lambda v: v,
         )

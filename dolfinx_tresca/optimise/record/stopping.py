@@ -82,7 +82,7 @@ class Stopping:
             error: error of the gradient in the norm sqrt(e'A^-1 e).
             residual: natural residual, divided by its scale.
         """
-        problem, x, r = self._tresca(point), point.x, point.r
+        problem, x, r = self._problem, point.x, point.r
         yield problem.constraints.imbalance(x, point.c), BALANCED
         if self._rtol is not None:
             yield residual, self._rtol
@@ -113,7 +113,7 @@ class Stopping:
         Args:
             point: multipliers in Lambda, with their gradient.
         """
-        problem = self._tresca(point)
+        problem = self._problem
         norm = energy_norm(problem, point)
         if norm == 0.0:  # no relative error
             return 0.0
@@ -133,7 +133,3 @@ class Stopping:
         # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
         rho = self._residual.rho
         return rtol * self._residual.scale * float(np.sqrt(rho / self._step_factor))
-
-    def _tresca(self, point: Point) -> DualProblem:
-        """Return Tresca's problem with the slip bounds of an iterate. Collective."""
-        return self._problem.at(point.x, point.r, self._residual.rho).section(point.x)
