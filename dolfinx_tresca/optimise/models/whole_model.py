@@ -61,18 +61,19 @@ class WholeModel(Model):
             solve: function that solves a system of equations with a sparse matrix that is not
                 symmetric; every rank calls it. Not used if `rows` is dense.
         """
-        self._reductions, self._rows, self._solve = reductions, rows, solve
+        self._reductions, self._solve = reductions, solve
         size, n = rows.shape
-        self._mine = slice(first, first + size)
+        self._mine, self._count = slice(first, first + size), n
         self.diagonal: Array = rows[:, self._mine].diagonal()
         self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
         self._pattern = NodalPattern(nodes)
-        shift = csr_array(diags_array(SHIFT * local_compliance))
-        self._shifted = rows + self._in_own_columns(shift)
+        self._matrix = reductions.stacked(rows) if issparse(rows) else self._gathered(rows)
+        shift = diags_array(self._gathered(SHIFT * local_compliance), format="csr")
+        self._shifted = self._matrix + shift
 
     def __len__(self) -> int:
         """Return the number of multipliers of all ranks, whose products are known."""
-        return int(self._rows.shape[1])
+        return self._count
 
     @property
     def size(self) -> Array:
@@ -89,7 +90,7 @@ class WholeModel(Model):
 
     def product(self, x: Array) -> tuple[Array, float]:
         """Return A x (size,), and its error, which is zero. Collective."""
-        return self._rows @ self._gathered(x), 0.0
+        return self._matrix[self._mine] @ self._gathered(x), 0.0
 
     def model(self) -> WholeModel:
         """Return the model itself, like `ProductStore.model`."""
@@ -97,7 +98,7 @@ class WholeModel(Model):
 
     def apply(self, x: Array) -> Array:
         """Return M x for x of shape (size,) or (size, columns). Collective."""
-        result: Array = self._shifted @ self._gathered(x)
+        result: Array = self._matrix[self._mine] @ self._gathered(x)
         return result
 
     def largest_ritz_value(self) -> float:
@@ -106,7 +107,7 @@ class WholeModel(Model):
 
     @cached_property
     def _largest_eigenvalue(self) -> float:
-        matrix = self._stacked(self._rows)
+        matrix = self._matrix
         if matrix.shape[0] <= 2:
             values = np.linalg.eigvalsh(dense(matrix))[-1:].astype(np.float64)
         else:
@@ -123,45 +124,38 @@ class WholeModel(Model):
         equations have a solution even if the constraints have none.
         """
         unit, k = self.unit, len(missing)
-        test, trial, projector = map(self._pattern.matrix, (maps.test, maps.trial, maps.projector))
-        trial, G = self._in_own_columns(trial), csr_array(G)
-        fixed = csr_array(eye_array(len(right))) - projector
-        stiffness = self._in_own_columns(csr_array(diags_array(maps.stiffness)))
-        A = (1.0 / unit) * (self._shifted + stiffness)
-        rows = test @ (A @ self._reductions.stacked(trial)) + self._in_own_columns(fixed)
-        matrix = self._stacked(rows)
+        T, V, P = (self._whole(nodal) for nodal in (maps.test, maps.trial, maps.projector))
+        C = diags_array(self._gathered(maps.stiffness), format="csr")
+        matrix = T @ ((self._shifted + C) / unit) @ V + (eye_array(len(self)) - P)
         if k:
-            equations = self._reductions.sparse_inner(G, trial)
-            columns = self._reductions.stacked(test @ G)
+            G = self._reductions.stacked(csr_array(G))
             soft = csr_array(unit * softness) + LEAST_SOFTNESS * eye_array(k)
-            blocks = [[matrix, -columns], [equations, soft]]
+            blocks = [[matrix, -(T @ G)], [G.T @ V, soft]]
             matrix = (
                 csr_array(block_array(blocks))
                 if issparse(matrix)
                 else np.block([[dense(block) for block in row] for row in blocks])
             )
-        wanted = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
+        right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         if issparse(matrix):
-            solution = self._solve(matrix, wanted)
+            solution = self._solve(csr_array(matrix), right)
         else:
-            free = self._gathered(abs(projector).sum(axis=1)) > 0.0
+            free = abs(P).sum(axis=1) > 0.0
             moving = np.flatnonzero(np.append(free, np.ones(k, dtype=np.bool_)))
-            solution = np.zeros(len(wanted))
-            solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], wanted[moving])
+            solution = np.zeros(len(right))
+            solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], right[moving])
         solution = self._reductions.from_first_rank(solution)
-        return maps.trial(solution[self._mine]), unit * solution[len(solution) - k :]
+        return maps.trial(solution[self._mine]), unit * solution[len(self) :]
 
     def _gathered(self, x: Array) -> Array:
         """Return the values of all ranks, (n,) or (n, columns). Collective."""
-        result = np.zeros((self._rows.shape[1], *x.shape[1:]))
+        result = np.zeros((self._count, *x.shape[1:]))
         result[self._mine] = x
         return self._reductions.total(result)
 
-    def _stacked(self, rows: Matrix) -> Matrix:
-        """Return the rows (size, n) of all ranks, (n, n), sparse or dense. Collective."""
-        return self._reductions.stacked(rows) if issparse(rows) else self._gathered(rows)
-
-    def _in_own_columns(self, matrix: csr_array) -> csr_array:
-        """Return a matrix (size, size) in the columns of this rank's multipliers, (size, n)."""
-        indices = matrix.indices + self._mine.start
-        return csr_array((matrix.data, indices, matrix.indptr), shape=self._rows.shape)
+    def _whole(self, nodal: Callable[[Array], Array]) -> csr_array:
+        """Return the matrix (n, n) of a map that couples multipliers of one node. Collective."""
+        own = self._pattern.matrix(nodal)
+        columns = own.indices + self._mine.start
+        rows = csr_array((own.data, columns, own.indptr), shape=(own.shape[0], len(self)))
+        return self._reductions.stacked(rows)

@@ -12,7 +12,7 @@ from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.newton import near_model
 from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
-from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution
+from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution, SemismoothNewton
 from dolfinx_tresca.optimise.problem import (
     DualProblem,
     DualSolution,
@@ -177,6 +177,7 @@ class ModelNewton:
         if norm(problem, start) > 0.0:
             at.move_to(start, *at.initial_gradient(start, ROUGH))
         if len(constraints) > 0:  # b is known up to G c
+            at.c = SemismoothNewton(problem, self.store.model()).constraint_multipliers(at.x, at.r)
             self.first_target = self.target()
             at.c = self.first_target.c
             residual.set_constraint_multipliers(at.c)
