@@ -185,49 +185,6 @@ def test_update_stiffness(comm):
     assert after.q[-1] == pytest.approx(10 * before.q[-1], rel=10 * RTOL)
 
 
-@pytest.mark.parallel
-@pytest.mark.parametrize(
-    ("stiffness", "N", "rtol", "most"),
-    [("cholesky", 4, 1e-6, 0.7), ("multigrid", 6, None, 0.8)],
-)
-def test_another_stiffness_begins_with_what_is_known_of_the_last_one(
-    comm, stiffness, N, rtol, most
-):
-    """Seven tenths of the products of a cold start, at most, where the modulus varies by 10 %.
-
-    With multigrid 0.8 of them, to the default accuracy: each is right to one digit, and a cold
-    start takes hardly more of them than there are digits. Counts differ by one on other processors.
-    """
-    scene = two_bricks(comm, N)
-    x = ufl.SpatialCoordinate(scene.mesh)
-    change = fem.Constant(scene.mesh, 0.0)
-    young = YOUNG * (1 + change * ufl.sin(6 * x[0]) * ufl.cos(6 * x[2]))
-    with scene.problem(a=elasticity(scene.V, young), stiffness=stiffness) as problem:
-        problem.solve(rtol=rtol)
-        change.value = 0.1
-        problem.update_stiffness()
-        warm = problem.solve(rtol=rtol)
-        problem.forget()
-        cold = problem.solve(rtol=rtol)
-    assert warm.products <= most * cold.products
-    assert warm.normal_force == pytest.approx(cold.normal_force, rel=1e-5 if rtol else 1e-2)
-
-
-def test_a_stiffness_that_is_another_one_costs_hardly_more_than_a_first_one(comm):
-    """A foundation that is stiffer than the bodies themselves, under all of them."""
-    scene = two_bricks(comm, 4)
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    foundation = fem.Constant(scene.mesh, 0.0)
-    with scene.problem(a=scene.a + foundation * ufl.inner(u, v) * ufl.dx) as problem:
-        problem.solve(rtol=1e-6)
-        foundation.value = 3 * YOUNG
-        problem.update_stiffness()
-        warm = problem.solve(rtol=1e-6)
-        problem.forget()
-        cold = problem.solve(rtol=1e-6)
-    assert warm.products <= cold.products + 2
-
-
 # Warm starts
 
 

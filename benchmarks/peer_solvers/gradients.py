@@ -18,7 +18,7 @@ def fista(scene: Any, rtol: float) -> Answer:
     Method: Beck, Teboulle (2009); restart by the gradient scheme of O'Donoghue and Candes (2015).
     """
     with dual_program(scene) as dual:
-        project = dual.feasible_set.project
+        project = dual.admissible.project
         rho, residual = residual_norm(dual)
         x = before = np.zeros_like(dual.b)
         product = product_before = np.zeros_like(dual.b)
@@ -45,7 +45,7 @@ def mpgp(scene: Any, rtol: float) -> Answer:
             dual.operator.apply,
             np.zeros_like(dual.b),
             -dual.b,
-            dual.feasible_set,
+            dual.admissible,
             1.9 * rho,
             lambda x, r: residual(x, r) <= rtol,
         )

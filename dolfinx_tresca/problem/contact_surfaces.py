@@ -415,4 +415,4 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.compliance.destroy()
-        self.compliance = self._stiffness.compliance(self.jump, self.timings, self.compliance)
+        self.compliance = self._stiffness.compliance(self.jump, self.timings, again=True)

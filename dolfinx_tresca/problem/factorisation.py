@@ -74,7 +74,7 @@ class Factorisation:
         return f"{self.bodies.number}{self._modes.summary}"
 
     def compliance(
-        self, jump: JumpOperator, timings: dict[str, float], before: ContactCompliance | None = None
+        self, jump: JumpOperator, timings: dict[str, float], again: bool = False
     ) -> ContactCompliance:
         """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
 
@@ -83,18 +83,18 @@ class Factorisation:
         Args:
             jump: the operator B of A = B K^-1 B'.
             timings: phase -> seconds, to which the phases of this call are added.
-            before: A with the former K, whose far field the new A keeps; None: there is none.
+            again: whether this is a later call, for the same bodies with another K.
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
         linear = self._linear
-        if before is None:
+        if not again:
             self.bodies = Bodies.of(linear.V, self._cell_tags)
             self.method, self.reason = self._chosen()
         with timed("stiffness", timings):
             linear.assemble_stiffness()
-            if before is None or linear.component is None:
+            if not again or linear.component is None:
                 # in later steps, pressures make the block of the displacements indefinite even for
                 # a stable body; then the signs of pivots tell whether bodies are held
                 self._modes = weakly_resisted_modes(linear, self.bodies)
@@ -107,7 +107,7 @@ class Factorisation:
             if springs:
                 K.destroy()  # the solver has a reference of its own
         with timed(self.method, timings):  # for a saddle point, this factors another matrix
-            return ContactCompliance(jump, solver, springs, before)
+            return ContactCompliance(jump, solver, springs)
 
     def _chosen(self) -> tuple[ChosenMethod, str]:
         """Return the solver for K that suits these bodies, and the reason. Not collective."""

@@ -39,7 +39,7 @@ def test_it_is_less_than_A_and_close_to_it_for_rough_tractions(comm):
             left, right = dual.inner(y, dual.near_field(x)), dual.inner(x, dual.near_field(y))
             assert abs(left - right) <= SOLVE * whole
         pressure = np.zeros_like(dual.b)
-        pressure[dual.feasible_set.normal] = 1.0  # smooth
+        pressure[dual.admissible.normal] = 1.0  # smooth
         near = dual.inner(pressure, dual.near_field(pressure))
         assert 0.0 < near < 0.25 * dual.inner(pressure, dual.operator.apply(pressure))
 
@@ -51,7 +51,7 @@ def test_with_multigrid_it_knows_smooth_tractions_too(comm, degree, monkeypatch)
     monkeypatch.setattr(coarse_space, "MOST_UNKNOWNS", 250)  # a level of such a mesh, not K
     with dual_program(two_bricks(comm, 8 // degree, degree=degree), "multigrid") as dual:
         pressure = np.zeros_like(dual.b)
-        pressure[dual.feasible_set.normal] = 1.0
+        pressure[dual.admissible.normal] = 1.0
         for x in (pressure, local_random(comm, len(dual.b), 1)):
             y = local_random(comm, len(dual.b), 2)
             near, whole = dual.inner(x, dual.near_field(x)), dual.inner(x, dual.operator.apply(x))

@@ -75,24 +75,6 @@ def test_errors_cost_few_products():
         assert np.median(inexact.asked) > 10 * inexact.asked[-1]
 
 
-def test_a_better_product_takes_the_place_of_a_worse_one():
-    problem = random_problem(5, 10, 2.0)
-    rng = np.random.default_rng(0)
-    x = rng.standard_normal(len(problem.b))
-    product = problem.A @ x
-    error = 0.1 * np.linalg.norm(product)
-    direction = rng.standard_normal(len(x))
-    store = ProductStore(problem, problem.diagonal)
-    wrong = product + error / np.linalg.norm(direction) * direction
-    assert store.add(x, wrong, error)
-    assert store.errors[0] > 0.0
-    assert not store.add(x, wrong, error)  # nothing new, and no better
-    assert store.add(x, product)
-    assert len(store) == 1
-    assert store.errors[0] <= 10 * EPS * np.linalg.norm(store.Y)
-    assert np.allclose(store.Y @ (store.Y.T @ x), product)
-
-
 def test_rough_pairs_are_no_more_than_there_are_unknowns():
     """What errors leave of a vector along known pairs is not new, however well it is resolved."""
     problem = random_problem(5, 4, 2.0)

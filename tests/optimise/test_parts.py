@@ -191,111 +191,11 @@ def test_capacity_keeps_the_largest_ritz_values():
     assert np.allclose(store.Y, problem.A @ store.W, atol=1e-9)
 
 
-@BOUNDED
-@given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(1, 8))
-def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
-    """What stands in for A is another one, and how large the rest is now a product tells."""
-    rng = np.random.default_rng(seed)
-    size = len(problem.b)
-    root = rng.standard_normal((size, size))
-    near, far = np.diag(rng.uniform(0.5, 2.0, size)), np.eye(size) + root @ root.T / size
-    problem.A = near + far
-    before = filled(problem, rng, number)
-    if len(before) == 0:
-        return
-    store = before.successor(before.diagonal, dense_model(problem, near))
-    W, far_field = before.W, far @ before.W
-    rounding = 1e8 * EPS * np.abs(before.Y).max()
-    assert len(store) == 0
-    assert np.allclose(store.far.apply(W), far_field, atol=rounding)
-    now = dense_model(problem, 3.0 * near[::-1, ::-1])  # any other one
-    x = W @ rng.standard_normal(W.shape[1])
-    store.add(x, now.apply(x) + 0.2 * far @ x)
-    store.fit_far(now)
-    assert np.allclose(
-        store.updated_model(now).apply(W), now.apply(W) + 0.2 * far_field, atol=rounding
-    )
-    assert np.allclose(store.updated_model(now).apply(x), store.apply(x, now.apply), atol=rounding)
-
-
-@BOUNDED
-@given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(1, 8))
-def test_a_far_field_for_other_constraints(problem, seed, number):
-    """Orthogonal maps of the multipliers turn F; F stays semidefinite if multipliers are lost."""
-    rng = np.random.default_rng(seed)
-    size = len(problem.b)
-    before = filled(problem, rng, number)
-    if len(before) == 0:
-        return
-    far = before.successor(before.diagonal).far
-    F = far.apply(np.eye(size))
-    turn = np.linalg.qr(rng.standard_normal((size, size)))[0]
-    turned = far.carried_over(lambda x: turn @ x, lambda r: turn @ r).apply(np.eye(size))
-    rounding = 1e8 * EPS * np.abs(before.Y).max() ** 2
-    assert np.allclose(turned, turn @ F @ turn.T, rtol=0.0, atol=rounding)
-    kept = np.diag(rng.integers(0, 2, size).astype(float))
-    part = far.carried_over(lambda x: kept @ x, lambda r: kept @ r).apply(np.eye(size))
-    assert np.allclose(part, part.T, rtol=0.0, atol=rounding)
-    assert np.linalg.eigvalsh(part).min() >= -rounding
-    assert np.linalg.eigvalsh(kept @ F @ kept - part).min() >= -rounding
-
-
 def dense_model(problem: DenseProblem, A: np.ndarray) -> BlockBFGSModel:
     """Return a model that is A > 0."""
     values, vectors = np.linalg.eigh(A)
     W = vectors / np.sqrt(values)
     return BlockBFGSModel(problem, np.ones(len(A)), W, A @ W)
-
-
-def test_the_model_of_a_successor_is_inverted():
-    """Woodbury's formula with a model in place of the diagonal, against a dense solve."""
-    rng = np.random.default_rng(4)
-    problem = random_problem(5, 8, 2.0)
-    store = filled(problem, rng, 6).successor(problem.diagonal)
-    assert store.far.Z.shape[1] > 0
-    other = random_problem(5, 8, 2.0, 10.0).A
-    for _ in range(2):
-        x = rng.standard_normal(len(problem.b))
-        store.add(x, other @ x)
-    model, right = store.model(), rng.standard_normal(len(problem.b))
-    M = model.apply(np.eye(len(right)))
-    none = np.empty((len(right), 0))
-    face = bonded_face(right)
-    maps = NodalMaps.on_face(face, model.diagonal, 0.0 * right, unchanged)
-    found, _ = model.solve_between(maps, right, none, np.empty((0, 0)), np.empty(0))
-    assert np.allclose(M @ found, right, atol=1e6 * EPS * np.linalg.cond(M))
-    assert np.allclose(model.apply(store.W), store.Y, atol=1e6 * EPS * np.abs(M).max())
-
-
-def test_a_pair_beside_the_far_field_does_not_scale_it():
-    """What it has in common with the far field is rounding, which once told a scale of 1e30."""
-    problem = random_problem(3, 10, 1.0)
-    size = len(problem.b)
-    store = ProductStore(problem, np.ones(size))
-    known, other = np.eye(size)[0], np.ones(size) - np.eye(size)[0]
-    store.add(known, 9.0 * known)
-    store = store.successor(store.diagonal)
-    assert store.far.scale == 1.0
-    x = other + 1e2 * EPS * known
-    store.add(x, 5.0 * x)
-    store.fit_far()
-    assert store.far.scale == 1.0
-
-
-def test_a_far_field_that_the_new_operator_has_not_is_scaled_to_nothing():
-    """Large where that is small."""
-    problem = random_problem(3, 10, 1.0)
-    size = len(problem.b)
-    A = np.diag(np.linspace(2.0, 9.0, size))
-    store = ProductStore(problem, np.ones(size))
-    for e in np.eye(size):
-        store.add(e, A @ e)
-    store = store.successor(store.diagonal)
-    x = np.ones(size)
-    store.add(x, x)
-    store.fit_far()
-    assert store.far.scale <= 1e3 * EPS
-    assert np.allclose(store.model().apply(np.eye(size)), np.eye(size), atol=1e3 * EPS)
 
 
 @BOUNDED

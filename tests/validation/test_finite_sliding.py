@@ -30,7 +30,6 @@ from dolfinx_tresca import (
     RigidSphere,
     SolverOptions,
 )
-from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.problem import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
@@ -572,17 +571,3 @@ def test_gaps_where_nothing_touches(comm):
     error = surface.gap.x.array - (np.linalg.norm(x - centre, axis=1) - RADIUS)
     assert solution.normal_force == 0.0
     assert np.abs(error).max() <= GEOMETRY * START
-
-
-def test_products_are_carried_over_to_the_next_configuration(comm, monkeypatch):
-    """Without them, each Newton step computes products that the last step knew."""
-    products = []
-    for carried in (True, False):
-        if not carried:
-            monkeypatch.setattr(ContactCompliance, "_far_field", lambda compliance: None)
-        scene = rubber_over_a_ball(comm, (16, 8))
-        with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
-            solution = problem.solve()
-            solution.raise_if_failed()
-        products.append([step.products for step in solution.newton.steps])
-    assert sum(products[0][1:]) <= 0.6 * sum(products[1][1:])

@@ -16,14 +16,11 @@ from dolfinx_tresca.dual.bounds.certificate import EnergyBound
 from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
-from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.products.body_products import dense_model, sparse_model
-from dolfinx_tresca.dual.products.first_products import first_products, rescaled_diagonal
 from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.optimise.models.far_field import FarField
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.optimise.problem import KnownProducts
@@ -34,16 +31,14 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: per load step).
 NEAR_CAPACITY = 40
 
-#: With an iterative solver for K, the near field is used if it has at most this share of all
-#: degrees of freedom. (With multigrid, a plate 6 cells thick, whose near field has the share 0.43,
-#: takes 1.3 times the time with the near field; and a near field that is the whole plate takes the
-#: memory that multigrid saves.)
-NEAR_SHARE = 0.4
-
 #: A is computed as a dense matrix if it has at most this number of rows, with a direct and with an
 #: iterative solver for K, which needs a solve for each column. With 3,000 rows, a step of Newton's
 #: method takes some seconds, and A takes 72 MB on each rank.
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
+
+
+#: With a direct solver, A is computed at once if it has at most this number of rows.
+FEW = 400
 
 
 class ContactCompliance(PetscOwner):
@@ -65,7 +60,6 @@ class ContactCompliance(PetscOwner):
         jump: JumpOperator,
         solver: StiffnessSolver,
         springs: FixingSprings | None,
-        before: ContactCompliance | None = None,
     ) -> None:
         """Compute the data that every solve needs. Collective.
 
@@ -73,8 +67,6 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: solver for the system's K plus the springs.
             springs: springs that fix floating and softly held bodies; None if there are none.
-            before: an earlier compliance for a similar K, and for the same B or another B of the
-                same pairs; its products give the first model of A. None: there is none.
 
         Raises:
             StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
@@ -87,10 +79,6 @@ class ContactCompliance(PetscOwner):
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
         self._near_store: ProductStore | None = None
-        # the last compliance with products, from which the first model of A follows
-        self._earlier: ContactCompliance | None = before
-        if before is not None and before._store is None:
-            self._earlier = before._earlier
 
     @property
     def comm(self) -> Any:
@@ -112,35 +100,11 @@ class ContactCompliance(PetscOwner):
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.
 
-        The solver is the same, and the model of A begins with the far field of this compliance.
-        PETSc objects of this compliance are destroyed, except the solver. K need not be factored:
-        surfaces are also paired after a factorisation has failed.
+        The solver is the same. PETSc objects of this compliance are destroyed, except the solver.
+        K need not be factored: surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
-        return ContactCompliance(jump, self.operator.solver, self.springs, self)
-
-    def _far_field(self) -> ProductStore | None:
-        """Return a store with the far field of an earlier compliance; None if unknown. Collective.
-
-        The far field is the contribution to A of the bodies away from the contact, see `FarField`.
-        """
-        before, self._earlier = self._earlier, None
-        if before is None:
-            return None
-        store, near = before._store, before._near_store
-        if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
-            return None
-        jump, other = self.jump, before.jump
-
-        def carry(far: FarField) -> FarField:
-            over = Carry(other, jump)
-            return far.carried_over(over.multipliers, over.residuals)
-
-        diagonal = rescaled_diagonal(
-            jump, self.nodal_compliance, other, store.diagonal, before.nodal_compliance
-        )
-        base = None if near is None else near.updated_model()
-        return store.successor(diagonal, base, None if jump is other else carry)
+        return ContactCompliance(jump, self.operator.solver, self.springs)
 
     @cached_property
     def floating(self) -> FloatingBodies | None:
@@ -173,18 +137,14 @@ class ContactCompliance(PetscOwner):
     def known_products(self) -> KnownProducts:
         """Return the store of all known products with A. Collective.
 
-        The first call computes the first products: all columns of A if A is sparse, and a product
-        with random signs otherwise, unless a far field is known from an earlier K or B.
+        The first call computes A if it is sparse, or if it has few rows (`FEW`).
         """
-        if self._store is None:
-            self._store = self._far_field()
         if self._store is None:
             self._store = sparse_model(self.operator, self.nodal_compliance)
         if self._store is None:
-            near = (
-                None if self.operator.exact or not self._uses_near_field else self.near_field.apply
-            )
-            self._store = first_products(self.operator, self.nodal_compliance, near)
+            self._store = ProductStore(self.jump.reductions, self.nodal_compliance)
+            if self.operator.exact and 0 < self.jump.matrix.getSize()[0] <= FEW:
+                self.complete_products()
         return self._store
 
     def complete_products(self) -> bool:
@@ -198,28 +158,19 @@ class ContactCompliance(PetscOwner):
             self._store = dense_model(self.operator, self.nodal_compliance)
         return isinstance(self._store, WholeModel)
 
-    @cached_property
-    def _uses_near_field(self) -> bool:
-        """Whether the near field saves more than it costs (`NEAR_SHARE`). Collective.
-
-        It is not used if no node has a multiplier, or if u is a part of a mixed space: the clamped
-        nodes round an incompressible near field would fix its volume.
-        """
-        if self.jump.system.component is not None or self.jump.matrix.getSize()[0] == 0:
-            return False
-        return self.operator.exact or self.near_field.share <= NEAR_SHARE
-
     def near_products(self) -> ProductStore | None:
         """Return the store of products with the near field, to which solves add. Collective.
 
         The first call computes the first products with A, if there are none.
 
         Returns:
-            the store, empty at first; None if the near field would cost more than it saves, or if A
-            is known whole.
+            the store, empty at first; None if A is known whole, if there is no multiplier, or if u
+            is a part of a mixed space: the clamped nodes round an incompressible near field would
+            fix its volume.
         """
-        store = self.known_products()
-        if not isinstance(store, ProductStore) or not self._uses_near_field:
+        store, jump = self.known_products(), self.jump
+        is_mixed = jump.system.component is not None
+        if not isinstance(store, ProductStore) or is_mixed or jump.matrix.getSize()[0] == 0:
             return None
         if self._near_store is None:
             self._near_store = store.empty(NEAR_CAPACITY)
@@ -251,4 +202,4 @@ class ContactCompliance(PetscOwner):
 
     def forget(self) -> None:
         """Drop all products. Not collective."""
-        self._store = self._near_store = self._earlier = None
+        self._store = self._near_store = None

@@ -10,7 +10,6 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.schwarz import Schwarz
@@ -36,26 +35,24 @@ class NearField(PetscOwner):
     without the coarse level, and 0.4 A <= D with it.
 
     Owns PETSc objects: call `destroy()`. The caller keeps B and the solver for K.
-
-    Attributes:
-        share: ratio of the unknowns near the contact to all unknowns; 1 if there is no contact.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Find the nodes near the contact; the first product prepares S. Collective.
+        """Find the nodes near the contact, and factor K there. Collective.
 
         Args:
             jump: B.
             solver: solver for K.
+
+        Raises:
+            StiffnessError: the factorisation failed.
         """
-        self._jump, self._solver = jump, solver
+        self._jump = jump
         free = ~jump.system.prescribed
         layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
         near = np.repeat(_near(jump, layers), jump.system.V.dofmap.index_map_bs) & free
         self._dofs = np.flatnonzero(near)
-        counts = reduce_array(jump.comm, np.array([near.sum(), free.sum()], dtype=np.float64))
-        self.share = float(counts[0] / counts[1]) if counts[0] > 0.0 else 1.0
-        self._inverse: Schwarz | None = None
+        self._inverse = Schwarz(solver, self._dofs)
 
     @property
     def comm(self) -> Any:
@@ -64,17 +61,10 @@ class NearField(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        if self._inverse is not None:
-            self._inverse.destroy()
+        self._inverse.destroy()
 
     def apply(self, x: Array) -> Array:
-        """Return D x, (size,). Collective.
-
-        Raises:
-            StiffnessError: the factorisation in the first call failed.
-        """
-        if self._inverse is None:
-            self._inverse = Schwarz(self._solver, self._dofs)
+        """Return D x, (size,). Collective."""
         u = self._inverse.solve(self._jump.contact_force(x))
         return self._jump.of_values(np.where(self._jump.system.prescribed, 0.0, u))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 from scipy.linalg import block_diag
 
@@ -63,15 +61,6 @@ class BlockBFGSModel(Model):
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
-
-    def plus(self, R: Array) -> BlockBFGSModel:
-        """Return M + R R', for example with the far field R R'; R is (size, k). Not collective."""
-        result = copy.copy(self)
-        identity = np.eye(R.shape[1])
-        result._U = np.column_stack([self._U, R])
-        result._C = block_diag(self._C, identity)
-        result._C_inverse = block_diag(self._C_inverse, identity)
-        return result
 
     @property
     def size(self) -> Array:

@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import eigh
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.models.far_field import FarField
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
@@ -26,12 +25,6 @@ NULL_ENERGY = 1e-12
 #: A product is kept if its new part, which known products do not give, has an energy norm above
 #: this multiple of the product's error.
 RESOLVED = 1.5
-
-#: A known pair (w, A w) brings an error into the known part of a new product. The pair is removed
-#: if this error, in the norm sqrt(e'A^-1 e), hides the new part and exceeds this multiple of the
-#: new product's own error. If no pair is removed, one of a thousand random load steps with
-#: multigrid ends with STAGNATED after 107 products (`tests/validation/test_load_steps.py`).
-WORSE_ERROR = 2.0
 
 #: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
 #: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit,
@@ -65,8 +58,6 @@ class ProductStore:
             newest pair, divided by the energy that this part has with diag(A) in place of A. The
             factor decreases, since new parts oscillate more and more, and diag(A) is too large for
             vectors that oscillate.
-        far: `FarField`: the difference between an earlier A and the diagonal or near field of that
-            A; None if there was no earlier A.
         capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
             capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
     """
@@ -86,39 +77,12 @@ class ProductStore:
         self.Y: Array = np.empty((len(diagonal), 0))
         self.errors: Array = np.empty(0)
         self.scale = 1.0
-        self.far: FarField | None = None
         self._largest = 0.0  # largest Rayleigh quotient of new parts so far
 
     @property
     def diagonal(self) -> Array:
         """The estimate of diag(A), with the factor `scale`."""
         return self.scale * self._diagonal
-
-    def successor(
-        self,
-        diagonal: Array,
-        base: BlockBFGSModel | None = None,
-        carry: Callable[[FarField], FarField] | None = None,
-    ) -> ProductStore:
-        """Return a store for another A, without pairs but with the far field of this A.
-
-        Collective.
-
-        Args:
-            diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
-            base: model of the near field of this A, which is subtracted from A in place of the
-                diagonal; None: the diagonal is subtracted.
-            carry: function that maps the far field to another pairing; None: the pairing is the
-                same.
-        """
-        result = ProductStore(self._reductions, diagonal, self.capacity)
-        W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
-        if W.shape[1] > 0:
-            base = self._diagonal_model() if base is None else base
-            rest = self.updated_model(base).apply(W) - base.apply(W)
-            far = FarField(self._reductions, W, rest, self.capacity // 2)
-            result.far = far if carry is None else carry(far)
-        return result
 
     def __len__(self) -> int:
         """Return the number of pairs."""
@@ -127,9 +91,7 @@ class ProductStore:
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Add a pair (x, A x), unless its new part is smaller than errors or rounding. Collective.
 
-        The new part is the part of the pair that does not follow from known pairs. If errors of
-        known pairs hide the new part, and the product is more accurate than these pairs, they are
-        removed.
+        The new part is the part of the pair that does not follow from known pairs.
 
         Args:
             x: (size,) vector.
@@ -143,21 +105,18 @@ class ProductStore:
         inner = self._reductions.inner
         energy = float(inner(x, product))
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
-        while energy > 0.0:
-            parts, new, new_product = self._without_known(x, product)
-            pair_errors = self.errors * np.abs(parts)
-            total_error = float(np.hypot(error, np.linalg.norm(pair_errors)))
-            rest = float(inner(new, new_product))
-            if rest > (RESOLVED * total_error) ** 2:
-                length = float(inner(new, new))
-                self._largest = max(self._largest, rest / length)
-                if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
-                    self._append(new, new_product, total_error, rest)
-                return True
-            if not (pair_errors > WORSE_ERROR * error).any():
-                break
-            self._keep(np.arange(len(self)) != np.argmax(pair_errors))
-        return False
+        if energy <= 0.0:
+            return False
+        parts, new, new_product = self._without_known(x, product)
+        error = float(np.hypot(error, np.linalg.norm(self.errors * parts)))
+        rest = float(inner(new, new_product))
+        if rest <= (RESOLVED * error) ** 2:
+            return False
+        length = float(inner(new, new))
+        self._largest = max(self._largest, rest / length)
+        if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
+            self._append(new, new_product, error, rest)
+        return True
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
@@ -206,8 +165,7 @@ class ProductStore:
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
         inner = self._reductions.inner
-        if self.far is None:
-            self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
+        self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
         length = np.sqrt(energy)
         self.W = np.column_stack([self.W, x / length])
         self.Y = np.column_stack([self.Y, product / length])
@@ -224,16 +182,13 @@ class ProductStore:
 
     def drop_inaccurate_pairs(self) -> None:
         """Drop pairs with errors that are too large for later solves."""
-        self._keep(self.errors <= LASTING_ERROR)
-
-    def _keep(self, kept: Mask) -> None:
+        kept = self.errors <= LASTING_ERROR
         self.W, self.Y, self.errors = self.W[:, kept], self.Y[:, kept], self.errors[kept]
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
-        known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
-            return known
+            return 0.0
         # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
         # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
@@ -241,16 +196,7 @@ class ProductStore:
         # are added
         errors = self.errors @ np.abs(vectors)
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
-        return max(float(least.max()), known)
-
-    def fit_far(self, base: BlockBFGSModel | None = None) -> None:
-        """Scale the far field of an earlier A so that it fits the pairs. Collective.
-
-        Args:
-            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
-        """
-        if self.far is not None and len(self) > 0:
-            self.far.fit(self.W, self._diagonal_model() if base is None else base)
+        return float(least.max())
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
         """Return M x (size,), with M as in `updated_model` and D given as a function. Collective.
@@ -262,8 +208,6 @@ class ProductStore:
         """
         new, known = self.split(x)
         image = apply_base(new)
-        if self.far is not None:
-            image = image + self.far.apply(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
     def model(self) -> BlockBFGSModel:
@@ -271,16 +215,9 @@ class ProductStore:
         return self.updated_model()
 
     def updated_model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
-        """Return the model of A: diagonal and far field, updated with all pairs. Collective.
+        """Return the model of A: the diagonal, updated with all pairs. Collective.
 
         Args:
             base: model of the near field, which replaces the diagonal; None: the diagonal is used.
         """
-        if self.far is not None:
-            base = (self._diagonal_model() if base is None else base).plus(self.far.root)
         return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)
-
-    def _diagonal_model(self) -> BlockBFGSModel:
-        """Return the diagonal as a model."""
-        none = np.empty((len(self._diagonal), 0))
-        return BlockBFGSModel(self._reductions, self.diagonal, none, none)

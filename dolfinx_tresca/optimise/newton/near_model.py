@@ -35,10 +35,7 @@ def solve(
         tolerance: requested natural residual, with the model in place of A.
     """
     store, near = problem.known_products(), problem.near_products()
-    if not isinstance(store, ProductStore):
-        return solve_model(problem, store, start)
-    store.fit_far(None if near is None else near.updated_model())
-    if near is None:
+    if near is None or not isinstance(store, ProductStore):
         return solve_model(problem, store.model(), start)
 
     def apply_near(new: Array) -> Array:
