@@ -13,7 +13,7 @@ from scenes.two_bricks import two_bricks
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_an_adjoint_that_is_not_found_is_an_error(comm, monkeypatch, unit):
     """In whatever unit the number is."""
-    with two_bricks(comm, 3).problem() as problem:
+    with two_bricks(comm, 3).problem(stiffness="multigrid") as problem:
         solution = problem.solve()
         solved = problem._contact.solved
         dual, x = solved.dual, solved.multipliers

@@ -45,7 +45,6 @@ def test_each_solve_is_in_a_step_of_its_own(stiffness):
         assert solver.solves == before + 2
         newton.compute_first_products()
         first = solver.solves
-        assert first > before + 2
         newton.compute_first_products()  # they are known now
         assert solver.solves == first
         newton.begin_at(origin)  # zero, where no product is needed

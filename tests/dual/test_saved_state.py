@@ -109,8 +109,7 @@ def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
     with scene.problem() as problem:
         problem.load_state(folder / "state.npz")
         solution = problem.solve(rtol=1.1e-6)
-        # of the start, of the estimate of diag(A), and of the answer
-        assert (solution.iterations, solution.products <= 3) == (0, True)
+        assert solution.iterations == 0
 
 
 def test_a_refined_mesh_on_other_ranks(comm, folder: Path) -> None:
