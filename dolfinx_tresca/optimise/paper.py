@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import eigh_tridiagonal
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
-from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING
+from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.optimise.record.history import History, Observe
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
@@ -210,42 +209,27 @@ def gradient(problem: DualProblem, x: Array) -> Array:
 
 
 def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
-    """Return an estimate of sigma_max by the Lanczos iteration started at b.
+    """Return an estimate of sigma_max from products with b, A b, A A b, ... Collective.
 
-    The largest Ritz value is a lower bound; the norm of its residual is added. The sum is an upper
-    bound if the Ritz value approximates the largest eigenvalue. This fails if the eigenvector of
-    the largest eigenvalue is almost orthogonal to b; algorithms therefore check the curvature along
-    their steps.
-
-    Collective. The products are counted.
+    The largest Ritz value is a lower bound, and is far too small if the eigenvector of the largest
+    eigenvalue is almost orthogonal to b; algorithms therefore check the curvature along their
+    steps. The products are counted.
 
     Args:
         problem: the dual problem (38.4), for A and b.
-        rtol: residual of the Ritz vector, divided by the Ritz value, at which the iteration ends.
+        rtol: relative increase of the Ritz value at which the iteration ends.
         most: limit on the number of products.
     """
-    v, agreed = problem.b, problem.reductions.from_first_rank
-    beta = norm(problem, v)
-    if beta == 0.0:
-        v = np.ones_like(v)
-        beta = norm(problem, v)
-    if beta == 0.0:
-        return 1.0
-    basis = np.asarray((v / beta)[:, None], dtype=np.float64)
-    alphas: list[float] = []
-    betas: list[float] = []
-    while True:
-        w = problem.operator.apply(basis[:, -1])
-        alphas.append(float(problem.inner(basis[:, -1], w)))
-        for _ in range(2):  # full orthogonalisation, twice: cheap for so few vectors
-            w = w - basis @ problem.inner(basis, w)
-        beta = norm(problem, w)
-        values, vectors = (agreed(one) for one in eigh_tridiagonal(alphas, betas))
-        error = beta * abs(float(vectors[-1, -1]))
-        if error <= rtol * values[-1] or len(alphas) == most:
-            return float(values[-1]) + error
-        betas.append(beta)
-        basis = np.column_stack([basis, w / beta])
+    x: Array = problem.b if norm(problem, problem.b) > 0.0 else np.ones_like(problem.b)
+    store, value = ProductStore(problem.reductions, np.ones_like(x)), 0.0
+    for _ in range(most):
+        product = problem.operator.apply(x)
+        store.add(x, product)
+        before, value = value, store.largest_ritz_value()
+        if value <= (1.0 + rtol) * before:
+            break
+        x = np.asarray(product / norm(problem, product))
+    return value or 1.0
 
 
 def adaptive_precision(history: History, options: SolverOptions) -> Callable[[], float]:
@@ -274,7 +258,7 @@ def conjugate_gradients(
     gradient: Array,
     tolerance: float,
     *,
-    feasible: Callable[[Array], bool] | None = None,
+    feasible: Callable[[Array], bool] = lambda step: True,
     most: int = 1000,
 ) -> tuple[Array, Array]:
     """Minimise q over steps s of the free multipliers, (38.14).
@@ -296,27 +280,21 @@ def conjugate_gradients(
         s (size,), zero where multipliers are not free, and A s (size,) in all rows, from the
         recurrence.
     """
-    step = np.zeros_like(gradient)
-    product = np.zeros_like(gradient)
-    residual = np.where(free, -gradient, 0.0)
-    direction = np.zeros_like(gradient)
-    squared = float(problem.inner(residual, residual))
-    before = np.inf
+    step, product, direction = (np.zeros_like(gradient) for _ in range(3))
+    residual, before = np.where(free, -gradient, 0.0), np.inf
     for _ in range(most):
+        squared = float(problem.inner(residual, residual))
         if np.sqrt(squared) <= tolerance:
             break
-        direction = residual + (squared / before) * direction
+        direction, before = residual + (squared / before) * direction, squared
         image = problem.operator.apply(direction)
         curvature = float(problem.inner(direction, image))
-        if curvature <= 0.0:  # rounding only: A is positive definite
+        # a curvature that is not positive is rounding: A is positive definite
+        if curvature <= 0.0 or not feasible(step + squared / curvature * direction):
             break
-        alpha = squared / curvature
-        if feasible is not None and not feasible(step + alpha * direction):
-            break
-        step += alpha * direction
-        product += alpha * image
-        residual -= alpha * np.where(free, image, 0.0)
-        before, squared = squared, float(problem.inner(residual, residual))
+        step += squared / curvature * direction
+        product += squared / curvature * image
+        residual -= squared / curvature * np.where(free, image, 0.0)
     return step, product
 
 
@@ -328,35 +306,29 @@ def _bicgstab(
     most: int = 500,
 ) -> Array:
     """Return x with |right - image(x)| <= tolerance, or the best x of `most` steps."""
-    x = np.zeros_like(right)
-    residual = right.copy()
-    shadow = right
-    direction = residual
-    shadow_residual = float(problem.inner(shadow, residual))
-    best, best_norm = x, float(np.sqrt(problem.inner(right, right)))
+
+    def inner(x: Array, y: Array) -> float:
+        return float(problem.inner(x, y))
+
+    x: Array = np.zeros_like(right)
+    direction: Array = right
+    residual = shadow = right
+    best, least, before = x, norm(problem, right), inner(shadow, residual)
     for _ in range(most):
-        if best_norm <= tolerance or shadow_residual == 0.0:
-            break
         v = image(direction)
-        denominator = float(problem.inner(shadow, v))
-        if denominator == 0.0:
+        if least <= tolerance or before == 0.0 or inner(shadow, v) == 0.0:
             break
-        alpha = shadow_residual / denominator
+        alpha = before / inner(shadow, v)
         half = residual - alpha * v
         t = image(half)
-        tt = float(problem.inner(t, t))
-        omega = float(problem.inner(t, half)) / tt if tt > 0.0 else 0.0
-        x = x + alpha * direction + omega * half
-        residual = half - omega * t
-        norm = float(np.sqrt(problem.inner(residual, residual)))
-        if not np.isfinite(norm):
+        omega = inner(t, half) / (inner(t, t) or 1.0)
+        x, residual = x + alpha * direction + omega * half, half - omega * t
+        size = norm(problem, residual)
+        if size < least:
+            best, least = x, size
+        if omega == 0.0 or not np.isfinite(size):
             break
-        if norm < best_norm:
-            best, best_norm = x, norm
-        if omega == 0.0:
-            break
-        before, shadow_residual = shadow_residual, float(problem.inner(shadow, residual))
-        direction = residual + (shadow_residual / before) * (alpha / omega) * (
-            direction - omega * v
-        )
+        after = inner(shadow, residual)
+        direction = residual + (after / before) * (alpha / omega) * (direction - omega * v)
+        before = after
     return best

@@ -24,21 +24,17 @@ class Operator(Protocol):
     @property
     def products(self) -> int:
         """Number of products with A."""
-        ...
 
     @property
     def exact(self) -> bool:
         """Whether products are exact to rounding, for any requested accuracy."""
-        ...
 
     @property
     def product_error(self) -> float:
         """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
-        ...
 
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""
-        ...
 
 
 class Response(Protocol):
@@ -47,11 +43,9 @@ class Response(Protocol):
     @property
     def b_error(self) -> float:
         """Error of b, and of the gradient at zero multipliers, in the norm that `gradient` uses."""
-        ...
 
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
-        ...
 
     def gradient(
         self, x: Array, accuracy: float, origin: Array | None = None
@@ -66,7 +60,6 @@ class Response(Protocol):
             origin: (size,) multipliers at the start of a step to x, of which the caller may take a
                 part; None: there is no step.
         """
-        ...
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
@@ -76,11 +69,9 @@ class Response(Protocol):
             r: (size,) gradient at x.
             error: error of r in the norm of `gradient`.
         """
-        ...
 
     def energy_resolution(self) -> float:
         """Return the energy norm below which displacements are rounding errors. Collective."""
-        ...
 
 
 class DualProblem(InnerProduct, Protocol):
@@ -93,27 +84,22 @@ class DualProblem(InnerProduct, Protocol):
     @property
     def operator(self) -> Operator:
         """A."""
-        ...
 
     @property
     def b(self) -> Array:
         """The linear term (size,)."""
-        ...
 
     @property
     def response(self) -> Response:
         """The displacement that belongs to multipliers."""
-        ...
 
     @property
     def reductions(self) -> Reductions:
         """Sums over all ranks, and values on which all ranks agree."""
-        ...
 
     @property
     def admissible(self) -> FeasibleSet | FrictionCones:
         """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
-        ...
 
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point.
@@ -122,32 +108,26 @@ class DualProblem(InnerProduct, Protocol):
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
         """
-        ...
 
     @property
     def is_load_step(self) -> bool:
         """Whether this is a load step, whose solution continues the solution of the last step."""
-        ...
 
     @property
     def constraints(self) -> EqualityConstraints:
         """The equations that multipliers satisfy in addition to Lambda; there may be none."""
-        ...
 
     def known_products(self) -> KnownProducts:
         """Return the store of known products; the first call may compute some. Collective."""
-        ...
 
     def complete_products(self) -> bool:
         """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
-        ...
 
     def near_products(self) -> ProductStore | None:
         """Return known products with the near field; None if the near field is not used.
 
         Collective.
         """
-        ...
 
     def near_field(self, x: Array) -> Array:
         """Return D x for a cheap operator D with 0 < D <= A, at least approximately. Collective.
@@ -155,7 +135,6 @@ class DualProblem(InnerProduct, Protocol):
         The better D approximates A for x that oscillate between nodes, the fewer products with A
         are needed.
         """
-        ...
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
@@ -167,7 +146,6 @@ class DualProblem(InnerProduct, Protocol):
             r: (size,) gradient at x.
             error: error of r in the norm of `Response.gradient`.
         """
-        ...
 
     def local_error(self, x: Array, r: Array) -> float:
         """Return the largest distance of a node's traction from its local minimiser. Collective.
@@ -179,7 +157,6 @@ class DualProblem(InnerProduct, Protocol):
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
         """
-        ...
 
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
@@ -188,7 +165,6 @@ class DualProblem(InnerProduct, Protocol):
             x: (size,) multipliers; an approximate solution is sufficient.
             c: (k,) multipliers of the equality constraints.
         """
-        ...
 
 
 @dataclass(frozen=True)

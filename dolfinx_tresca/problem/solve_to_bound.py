@@ -14,8 +14,8 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.problem import DualSolution, Point
+from dolfinx_tresca.optimise.record.history import History
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.record.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
@@ -95,7 +95,8 @@ def _meets(
 ) -> bool:
     """Return whether a solution meets the criteria of convergence of options. Collective."""
     point = Point(found.multipliers, found.c, found.gradient)
-    stopping = Stopping(dual, requested, NaturalResidual(dual, found.rho))
-    measures = stopping.measures(point, found.accuracy or 0.0, found.residuals[-1])
+    residual = NaturalResidual(dual, found.rho)
+    history = History(dual, requested, lambda iteration: False, residual)
+    measures = history.measures(point, found.accuracy or 0.0, found.residuals[-1])
     met = all(reached <= wanted for reached, wanted in measures)
-    return met and evaluation.energy_error_bound <= SLACK * stopping.accuracy
+    return met and evaluation.energy_error_bound <= SLACK * history.accuracy

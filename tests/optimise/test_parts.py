@@ -201,23 +201,20 @@ def dense_model(problem: DenseProblem, A: np.ndarray) -> BlockBFGSModel:
 @BOUNDED
 @given(problems(most_decades=4.0))
 def test_largest_eigenvalue_is_an_estimate_from_few_products(problem):
-    """At most 2 % above, the residual at which it stops, and for a rough b not far below.
+    """Never above, and for a rough b not far below.
 
     It cannot know eigenvectors that b hides: test_theorem.py asks that this does no harm.
     """
     exact = np.linalg.eigvalsh(problem.A)[-1]
-    found = largest_eigenvalue(problem)
-    assert found >= exact * 0.8
+    assert 0.8 * exact <= largest_eigenvalue(problem) <= exact * (1 + 1e-10)
     assert problem.products <= 20
-    if problem.products < 20:
-        assert found <= 1.02 * exact * (1 + 1e-10)
 
 
 def test_largest_eigenvalue_without_a_load():
     problem = random_problem(3, 6, 1.0)
     problem.b = np.zeros_like(problem.b)
     exact = np.linalg.eigvalsh(problem.A)[-1]
-    assert exact * (1 - 1e-10) <= largest_eigenvalue(problem) <= 1.05 * exact
+    assert 0.95 * exact <= largest_eigenvalue(problem) <= exact * (1 + 1e-10)
 
 
 def history_of(problem: DenseProblem, options: SolverOptions, rho: float) -> History:

@@ -9,8 +9,8 @@ import pytest
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.problem import Point
+from dolfinx_tresca.optimise.record.history import UNPROVEN, History
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.record.stopping import UNPROVEN, Stopping
 from dolfinx_tresca.options import SolverOptions
 from scenes.dense import METHODS, DenseProblem, random_problem, run
 
@@ -48,8 +48,9 @@ def wanted(problem: DenseProblem, bound: float, **options: float) -> list[float]
     """What is wanted of a point that is as good as any, but for its bound."""
     one = BoundedProblem(problem.A, problem.b, problem.feasible_set, bound=bound)
     x, r = np.zeros_like(problem.b), -problem.b
-    stopping = Stopping(one, SolverOptions(**options), NaturalResidual(one, 1.0))
-    wanted = stopping.measures(Point(x, np.empty(0), r), 0.0, residual=0.0)
+    residual = NaturalResidual(one, 1.0)
+    history = History(one, SolverOptions(**options), lambda iteration: False, residual)
+    wanted = history.measures(Point(x, np.empty(0), r), 0.0, residual=0.0)
     return [want for _, want in wanted][1:]  # without the balance of forces
 
 

@@ -125,11 +125,8 @@ class ModelNewton:
         at = self.at
         while (status := self.status()) is None:
             target, self.first_target = self.first_target or self.target(), None
-            if at.refine_for_step(target.x - at.x):
-                target = self.target()
             at.move(self.accepted(target))
-            enough = PROGRESS * self.history.error
-            if not at.resolved and self.residual.at(at.point) > enough:
+            if not (at.learned or self.residual.at(at.point) < PROGRESS * self.history.error):
                 at.increase_accuracy()
         solution = self.history.solution(at.point, status, at.error)
         if status is ContactStatus.NO_FIXED_POINT:
@@ -174,6 +171,10 @@ class ModelNewton:
             self.residual = residual = NaturalResidual(problem, residual.rho, at.error)
         self.history = History(problem, self.options, self.observe, residual)
         zero, start = at.x, problem.admissible.project(start)
+        if len(constraints) > 0 and norm(problem, start) == 0.0:
+            # the least multipliers that balance the loads
+            shift = constraints.balance(problem.admissible).shift
+            start = problem.admissible.project(constraints.columns @ shift)
         if norm(problem, start) > 0.0:
             at.move_to(start, *at.initial_gradient(start, ROUGH))
         if len(constraints) > 0:  # b is known up to G c
@@ -182,7 +183,7 @@ class ModelNewton:
             at.c = self.first_target.c
             residual.set_constraint_multipliers(at.c)
         if self.options.rtol:
-            at.finest = FORCING * self.history.stopping.residual_error
+            at.finest = FORCING * self.history.residual_error
         if residual.at(at.point) > residual.scale:
             if problem.is_load_step and not self.has_given_bounds:
                 residual.count(at.r + problem.b)
@@ -204,8 +205,8 @@ class ModelNewton:
         Collective.
         """
         at, history, residual = self.at, self.history, self.residual
-        if at.error > 0.0 and history.stopping.reached(at.point, 0.0)[2]:
-            at.refine(history.stopping.tolerable_error(at.point))
+        if at.error > 0.0 and history.reached(at.point, 0.0)[2]:
+            at.refine(history.tolerable_error(at.point))
         if (status := history.check_convergence(at.point, at.error)) is not None:
             return status
         lost = self.failures >= FAILURES

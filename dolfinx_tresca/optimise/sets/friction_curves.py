@@ -19,11 +19,9 @@ class Curve(Protocol):
 
     def values(self, pressure: Array, slip: Array) -> Array:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length]."""
-        ...
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
         """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""
-        ...
 
 
 #: A curve with the pressures (n,) [stress] and slips (n,) [length] of its nodes.
