@@ -19,9 +19,9 @@ from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.fixing import SpringResponse
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.optimise.sets.balance import balance
 from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
-from dolfinx_tresca.optimise.sets.constraint_matrix import MANY, ConstraintMatrix, stored
-from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.sets.constraints import MANY, EqualityConstraints, stored
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
@@ -231,12 +231,14 @@ def equilibrium_constraints(
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
     by_factor = diags_array(factors, format="csr")
     constraints = EqualityConstraints(
-        matrix=ConstraintMatrix(stored(jumps @ by_factor), reductions, feasible_set.nodes()),
+        columns=stored(jumps @ by_factor),
         softness=stored(by_factor @ stiffness @ by_factor),
         values=factors * resultants,
         sizes=_largest_of_group(
             np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)
         ),
+        reductions=reductions,
+        nodes=feasible_set.nodes(),
     )
     checked = _solvable(constraints, feasible_set, factors, describe)
     return checked, factors
@@ -326,7 +328,7 @@ def _solvable(
         MechanismError: nothing balances the loads along a motion; the error's `motion` has the
             components (k,) of the motion in the modes.
     """
-    found = constraints.balance(feasible_set, LOAD_RESERVE)
+    found = balance(constraints, feasible_set, LOAD_RESERVE)
     if found.satisfied:
         return constraints
     sizes = np.maximum(constraints.sizes, np.abs(constraints.values))

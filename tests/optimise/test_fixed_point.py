@@ -17,7 +17,6 @@ from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.newton import iteration
 from dolfinx_tresca.optimise.problem import Point
 from dolfinx_tresca.optimise.record.residual import EXHAUSTED
-from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
@@ -147,10 +146,12 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     problem = wedge(0.5)
     problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
     problem.constraints = EqualityConstraints(
-        ConstraintMatrix(np.array([[0.0], [1.0]]), OneRank(), np.array([0, 0])),
+        np.array([[0.0], [1.0]]),
         np.zeros((1, 1)),
         np.ones(1),
         np.ones(1),
+        OneRank(),
+        np.array([0, 0]),
     )
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.NO_FIXED_POINT
@@ -173,10 +174,12 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
         problem.cones = dataclasses.replace(problem.cones, discs=lam)
         problem.A, problem.b = np.eye(3), np.array([1.0, 0.0, -gap])
         problem.constraints = EqualityConstraints(
-            ConstraintMatrix(np.array([[0.0], [1.0], [0.0]]), OneRank(), np.array([0, 0, 2])),
+            np.array([[0.0], [1.0], [0.0]]),
             np.zeros((1, 1)),
             np.ones(1),
             np.ones(1),
+            OneRank(),
+            np.array([0, 0, 2]),
         )
         statuses.append(run(problem, rtol=RTOL).status)
     assert statuses == [ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED]

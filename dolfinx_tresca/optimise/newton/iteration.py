@@ -23,6 +23,7 @@ from dolfinx_tresca.optimise.problem import (
 from dolfinx_tresca.optimise.record.history import History, Observe
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.optimise.reductions import norm
+from dolfinx_tresca.optimise.sets.balance import balance
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
@@ -173,7 +174,7 @@ class ModelNewton:
         zero, start = at.x, problem.admissible.project(start)
         if len(constraints) > 0 and norm(problem, start) == 0.0:
             # the least multipliers that balance the loads
-            shift = constraints.balance(problem.admissible).shift
+            shift = balance(constraints, problem.admissible).shift
             start = problem.admissible.project(constraints.columns @ shift)
         if norm(problem, start) > 0.0:
             at.move_to(start, *at.initial_gradient(start, ROUGH))
@@ -262,36 +263,33 @@ class ModelNewton:
     def descending(self, whole: Step) -> Step:
         """Return a step that decreases q as Theorem 38.1 requires, given the whole Newton step.
 
-        Slip bounds must be given, and there must be no constraints. Collective.
+        The step ends at the minimiser of q along the Newton step, or else at the minimiser between
+        the ends of the gradient projection step and of the Newton step. If the curvature of q along
+        the gradient projection step exceeds 1 / rho, rho is reduced first, for all later
+        iterations. Slip bounds must be given, and there must be no constraints. Collective.
         """
-        at, nothing = self.at, self.at.zero_step()
-        move = self.projected_move()
-        promised = self.slope(move) + 0.5 / self.residual.rho * float(
-            self.problem.inner(move, move)
-        )
-        size = norm(self.problem, at.x) * norm(self.problem, at.r)
-        if -promised <= PRODUCT_ROUNDING * size:
+        at, residual, inner = self.at, self.residual, self.problem.inner
+        move = residual.projection(at.point) - at.x
+        promised = float(inner(move, at.r + 0.5 / residual.rho * move))
+        if -promised <= PRODUCT_ROUNDING * norm(self.problem, at.x) * norm(self.problem, at.r):
             # changes of q are rounding, changes of the gradient are not: the residual decides
-            if self.residual.at(at.point_after(whole)) < self.history.error:
+            if residual.at(at.point_after(whole)) < self.history.error:
                 return whole
-            return at.zero_step() if at.increase_accuracy() else nothing
-        step = self.minimiser_between(nothing, whole)
-        decrease = self.slope(step.direction) + 0.5 * self.curvature(step)
-        if decrease <= promised:
+            at.increase_accuracy()
+            return at.zero_step()
+        step = self.minimiser_between(at.zero_step(), whole)
+        if float(inner(step.direction, at.r + 0.5 * step.product)) <= promised:
             return step
-        before = at.r
-        if at.increase_accuracy():
-            product = whole.product + before - at.r
-            whole = dataclasses.replace(whole, product=product)
-        return self.safeguard(whole)
-
-    def slope(self, direction: Array) -> float:
-        """Return the derivative of q along a direction from the present point."""
-        return float(self.problem.inner(direction, self.at.r))
-
-    def curvature(self, step: Step) -> float:
-        """Return the second derivative of q along a step."""
-        return float(self.problem.inner(step.direction, step.product))
+        for _ in range(MOST_REDUCTIONS):
+            step = at.step(move, whole.c)
+            curvature, length = float(inner(move, step.product)), float(inner(move, move))
+            # the error of an inexact product does not count as curvature
+            noise = (step.error + at.error) * float(np.sqrt(max(curvature, 0.0)))
+            if (curvature - noise) * residual.rho <= length * (1.0 + 1e-10):
+                break
+            residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
+            move = residual.projection(at.point) - at.x
+        return self.minimiser_between(step, whole)
 
     def minimiser_between(self, first: Step, last: Step) -> Step:
         """Return the step to the minimiser of q between the ends of two steps."""
@@ -305,28 +303,6 @@ class ModelNewton:
             (1.0 - part) * first.error + part * last.error,
             first.c,
         )
-
-    def projected_move(self) -> Array:
-        """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
-        return self.residual.projection(self.at.point) - self.at.x
-
-    def safeguard(self, newton: Step) -> Step:
-        """Return a step at least as good as the gradient projection step.
-
-        The step ends at the minimiser of q between the ends of the gradient projection step and of
-        the Newton step. If the curvature of q exceeds 1 / rho, rho is reduced first, for all later
-        iterations.
-        """
-        for _ in range(MOST_REDUCTIONS):
-            move = self.at.step(self.projected_move(), newton.c)
-            curvature = self.curvature(move)
-            length = float(self.problem.inner(move.direction, move.direction))
-            # the error of an inexact product does not count as curvature
-            noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
-            if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
-                break
-            self.residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
-        return self.minimiser_between(move, newton)
 
 
 def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
@@ -343,10 +319,10 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
     constraints, section = problem.constraints, problem.bounds(point.x, point.r)
     if len(constraints) == 0:  # no body floats
         return None
-    balance = constraints.balance(section)
-    if balance.satisfied:
+    found = balance(constraints, section)
+    if found.satisfied:
         return None
-    motion = balance.shift / np.linalg.norm(balance.shift)
+    motion = found.shift / np.linalg.norm(found.shift)
     slip = constraints.columns @ motion
     friction = section.project(LARGE * slip)
     friction[section.normal] = 0.0

@@ -230,7 +230,7 @@ class ConvexNewton(SemismoothNewton):
         """Prepare steps with the slips at a point x (size,) with the gradient r (size,)."""
         super().__init__(problem, model)
         cones = problem.admissible.at(x, r, self.rho)
-        nodes = problem.constraints.matrix.nodes
+        nodes = problem.constraints.nodes
         largest = np.zeros(nodes.max(initial=-1) + 1)
         np.maximum.at(largest, nodes, self.size)
         self.rho = RHO_DIAGONAL_CONVEX / largest[nodes]

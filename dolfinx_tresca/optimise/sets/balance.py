@@ -10,14 +10,14 @@ from scipy.sparse import diags_array, issparse
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix
 from dolfinx_tresca._base.patience import MOST_STEPS
-from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.positive_definite import factored
 
 #: The search ends without a solution if the rounding error of G z, relative to the terms of the
 #: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its
-#: solutions are on the boundary of Lambda. `balancing_multipliers` explains G, z, C and phi.
+#: solutions are on the boundary of Lambda. `balance` explains G, z, C and phi.
 LOST = 1e-6
 
 #: First, least and largest value of the damping, which is the fraction of the diagonal of the
@@ -32,9 +32,14 @@ RELAXATION, MORE_DAMPING = 1e-3, 10.0
 PART_ACCURACY, LEAST_PART = 1e-6, 1e-30
 
 
+#: The search ends without a solution if all multipliers that satisfy the equations have a norm
+#: above this multiple of the norm of `EqualityConstraints.sizes`.
+LARGEST_REACTION = 1e4
+
+
 @dataclass(frozen=True)
 class Balance:
-    """The result of `balancing_multipliers`.
+    """The result of `balance`.
 
     Attributes:
         shift: (k,) the solution z; the multipliers are P(G z).
@@ -42,7 +47,7 @@ class Balance:
         satisfied: whether the residual is at most the rounding error of the equation's terms. The
             rounding error of G z may be larger; a residual of that size does not prove that a
             solution exists.
-        unbounded: whether phi fell below -depth, where `depth` is an argument of the function.
+        unbounded: whether all solutions are too large (`LARGEST_REACTION`), or none exists.
     """
 
     shift: Array
@@ -51,47 +56,48 @@ class Balance:
     unbounded: bool = False
 
 
-def balancing_multipliers(
+def balance(
+    constraints: EqualityConstraints,
     feasible_set: FeasibleSet | FrictionCones,
-    matrix: ConstraintMatrix,
-    softness: Matrix,
-    target: Array,
-    sizes: Array,
-    depth: float,
+    reserve: float = 0.0,
 ) -> Balance:
-    """Return z with G'P(G z) + C z = target, where P projects onto Lambda. Collective.
+    """Search for multipliers in Lambda that satisfy equations: they balance the loads. Collective.
 
-    The solution z minimises the convex function
+    The result is z with G'P(G z) + C z = e, where P projects onto Lambda. Here C is the projector
+    onto the range of S: all soft equations are equally soft, and the result does not depend on
+    their softness. Exact equations stay exact. The solution z minimises the convex function
 
-        phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'target,    x = G z,
+        phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'e,    x = G z,
 
     whose gradient is the residual of the equation. The method is Newton's with damping, and with
     the part of each step that minimises phi. Where no pressure acts, phi is flat; there the damping
-    is reduced from step to step, and steps grow until z has left the flat region.
+    is reduced from step to step, and steps grow until z has left the flat region. If phi falls
+    below -depth, all x in Lambda and c with G'x + C c = e have |x|^2 + c'C c > 2 depth (weak
+    duality).
 
     Args:
+        constraints: the equations.
         feasible_set: Lambda.
-        matrix: G (size, k).
-        softness: (k, k) C, symmetric and positive semidefinite.
-        target: (k,) right-hand side of the equation.
-        sizes: (k,) sums of the absolute values of the terms of `target`, from which rounding errors
-            are estimated.
-        depth: the search ends if phi falls below -depth. All x in Lambda and c with G'x + C c =
-            target then have |x|^2 + c'C c > 2 depth (weak duality).
+        reserve: relative increase of e; a positive value asks for a margin.
     """
-    agreed = matrix.reductions.from_first_rank
-    scale = 1.0 / np.sqrt((matrix.gram + softness).diagonal())
+    target = (1.0 + reserve) * constraints.values
+    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
+    depth = 0.5 * LARGEST_REACTION**2 * float(sizes @ sizes)
+    vectors = constraints.soft_directions[1]
+    softness = vectors @ vectors.T
+    agreed = constraints.reductions.from_first_rank
+    scale = 1.0 / np.sqrt((constraints.hessian(lambda v: v) + softness).diagonal())
 
     def excess(z: Array) -> Array:
         """Return the gradient of phi."""
-        p = feasible_set.project(matrix.columns @ z)
-        return agreed(matrix.along(p) + softness @ z - target)
+        p = feasible_set.project(constraints.columns @ z)
+        return agreed(constraints.along(p) + softness @ z - target)
 
     def rounding(z: Array) -> tuple[Array, Array]:
         """Return two rounding errors (k,) of the residual: from summing it, and from G z."""
-        p = feasible_set.project(matrix.columns @ z)
-        moved = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
-        terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), moved])).T
+        p = feasible_set.project(constraints.columns @ z)
+        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, cancelled = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
         summed = ROUNDING * (terms + abs(softness) @ np.abs(z) + sizes)
         return agreed(summed), agreed(np.finfo(float).eps * cancelled)
 
@@ -105,8 +111,8 @@ def balancing_multipliers(
             return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
         if -_dot(z, gradient) > depth:  # phi(0) = 0 and phi is convex: phi(z) <= z'gradient
             return Balance(z, gradient, satisfied=False, unbounded=True)
-        derivative = feasible_set.projection_derivative(matrix.columns @ z)
-        hessian = matrix.hessian(derivative) + softness
+        derivative = feasible_set.projection_derivative(constraints.columns @ z)
+        hessian = constraints.hessian(derivative) + softness
         scaling = diags_array(scale) if issparse(hessian) else np.diag(scale)
         step = -agreed(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array, issparse
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix
 from dolfinx_tresca.optimise.reductions import Reductions
-from dolfinx_tresca.optimise.sets.balance import Balance, balancing_multipliers
 from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
-from dolfinx_tresca.optimise.sets.constraint_matrix import ConstraintMatrix
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sets.nodal_matrix import NodalPattern
 
-#: `balance` ends its search without a solution if all multipliers that satisfy the equations have a
-#: norm above this multiple of the norm of `sizes`.
-LARGEST_REACTION = 1e4
+#: Number of equations at and above which sparse matrices are faster than dense matrices.
+MANY = 100
+
+
+def stored(matrix: csr_array) -> Matrix:
+    """Return a matrix as it is if it has at least `MANY` columns, else as a dense array."""
+    return matrix if matrix.shape[1] >= MANY else matrix.toarray()
 
 
 @dataclass(frozen=True)
@@ -36,32 +38,67 @@ class EqualityConstraints:
     Methods are collective.
 
     Attributes:
-        matrix: G (size, k), with columns of length 1 or less.
-        softness: (k, k) S, symmetric and positive semidefinite, sparse if `matrix` is.
+        columns: G (size, k), sparse or dense, with columns of length 1 or less. Each row has
+            entries for few bodies only.
+        softness: (k, k) S, symmetric and positive semidefinite, sparse if G is.
         values: (k,) e.
         sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
             estimated.
+        reductions: sums over the ranks.
+        nodes: (size,) the node of each multiplier, see `FeasibleSet.nodes`.
     """
 
-    matrix: ConstraintMatrix
+    columns: Matrix
     softness: Matrix
     values: Array
     sizes: Array
+    reductions: Reductions
+    nodes: Indices
 
     @classmethod
     def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
         """Return an empty set of equations for vectors (size,)."""
-        nothing = np.empty(0)
-        matrix = ConstraintMatrix(np.empty((size, 0)), reductions, np.arange(size))
-        return cls(matrix, np.empty((0, 0)), nothing, nothing)
-
-    @property
-    def columns(self) -> Matrix:
-        """G (size, k). Not collective."""
-        return self.matrix.columns
+        G, none = np.empty((size, 0)), np.empty(0)
+        return cls(G, np.empty((0, 0)), none, none, reductions, np.arange(size))
 
     def __len__(self) -> int:
         return len(self.values)
+
+    @cached_property
+    def absolute(self) -> Matrix:
+        """The absolute values of G, sparse or dense."""
+        return abs(self.columns)
+
+    @cached_property
+    def _transposed(self) -> tuple[Matrix, Matrix]:
+        """G' and its absolute values; their rows are contiguous in memory."""
+        contiguous = csr_array if issparse(self.columns) else np.ascontiguousarray
+        return contiguous(self.columns.T), contiguous(self.absolute.T)
+
+    def along(self, x: Array) -> Array:
+        """Return G'x (k,)."""
+        return self.reductions.total(self._transposed[0] @ x) if len(self) else np.empty(0)
+
+    def along_absolute(self, x: Array) -> Array:
+        """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
+        return self.reductions.total(self._transposed[1] @ x)
+
+    def hessian(self, derivative: Callable[[Array], Array]) -> Matrix:
+        """Return G'D G, (k, k), the same on all ranks.
+
+        Args:
+            derivative: function that applies D to an array (size, columns); D is symmetric and
+                couples only multipliers of the same node.
+        """
+        if not issparse(self.columns):
+            return self.reductions.inner(self.columns, derivative(self.columns))
+        D = self._pattern.matrix(derivative)
+        return self.reductions.sparse_inner(self.columns, csr_array(D @ self.columns))
+
+    @cached_property
+    def _pattern(self) -> NodalPattern:
+        """The pattern of matrices that couple only multipliers of the same node."""
+        return NodalPattern(self.nodes)
 
     def softness_with(self, added: float) -> Matrix:
         """Return S + s I, (k, k), for a number s >= 0 that is added. Not collective."""
@@ -70,37 +107,16 @@ class EqualityConstraints:
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
-        result: Array = self.values - self.matrix.along(x) - self.softness @ c
+        result: Array = self.values - self.along(x) - self.softness @ c
         return result
 
     def imbalance(self, x: Array, c: Array) -> float:
-        """Return the largest residual of the equations, divided by the sizes of their terms."""
+        """Return the norm of the residual of the equations, divided by that of their terms."""
         if len(self) == 0:
             return 0.0
-        terms = self.matrix.along_absolute(np.abs(x)) + abs(self.softness) @ np.abs(c) + self.sizes
+        terms = self.along_absolute(np.abs(x)) + abs(self.softness) @ np.abs(c) + self.sizes
         size = float(np.linalg.norm(terms))
         return float(np.linalg.norm(self.residual(x, c))) / size if size > 0.0 else 0.0
-
-    def balance(self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0) -> Balance:
-        """Search for multipliers in Lambda that satisfy the equations: they balance the loads.
-
-        S is replaced by the projector onto its range: all soft equations are then equally soft, and
-        the result does not depend on their softness. Exact equations stay exact.
-
-        Args:
-            feasible_set: Lambda.
-            reserve: relative increase of e; a positive value asks for a margin.
-        """
-        sizes = np.maximum(self.sizes, np.abs(self.values))
-        vectors = self._range[1]
-        return balancing_multipliers(
-            feasible_set,
-            self.matrix,
-            vectors @ vectors.T,
-            (1.0 + reserve) * self.values,
-            sizes,
-            depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
-        )
 
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
@@ -108,18 +124,18 @@ class EqualityConstraints:
         For floating bodies, the result is the energy norm of the rigid displacements that are
         missing for equilibrium.
         """
-        values, vectors = self._range
+        values, vectors = self.soft_directions
         missing = vectors.T @ self.residual(x, c)
         return float(np.sqrt(missing @ (missing / values)))
 
     @cached_property
-    def _range(self) -> tuple[Array, Matrix]:
+    def soft_directions(self) -> tuple[Array, Matrix]:
         """The eigenvalues of S that exceed rounding errors, and their eigenvectors (k, number)."""
         if not self.softness.nonzero()[0].size:
             shape = (len(self), 0)
             return np.empty(0), csr_array(shape) if issparse(self.softness) else np.empty(shape)
-        agreed = self.matrix.reductions.from_first_rank
-        if not issparse(self.softness):
+        agreed = self.reductions.from_first_rank
+        if isinstance(self.softness, np.ndarray):
             values, vectors = (agreed(one) for one in np.linalg.eigh(self.softness))
         else:
             values, vectors = eigenpairs(self.softness)
