@@ -38,7 +38,7 @@ def clarabel_minimum(
     # the solver's absolute tolerances are for numbers of size 1
     size = np.linalg.norm(np.append(b, constraints.values))
     rows, right, cones = [], [], []
-    G, S, k = constraints.columns, constraints.softness, len(constraints)
+    k, G, S = len(constraints), constraints.columns.toarray(), constraints.softness.toarray()
     A = np.block([[A, np.zeros_like(G)], [np.zeros_like(G.T), S]])
     b = np.append(b, np.zeros(k))
 

@@ -21,7 +21,7 @@ from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.optimise.sets.balance import balance
 from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
-from dolfinx_tresca.optimise.sets.constraints import MANY, EqualityConstraints, stored
+from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.sets.positive_definite import is_positive_definite
@@ -46,6 +46,9 @@ ROUNDING_SQUARE = 1e-13
 #: bodies would take a dense eigenvalue problem. An error message also names this number of groups
 #: of bodies, at most. The number changes nothing but the message.
 MOST_NAMED = 6
+
+#: Number of modes at and above which a few motions are computed in place of all motions.
+MANY = 100
 
 #: A mode counts as moving if its largest component in unresisted motions exceeds this fraction of
 #: the largest component of all modes, and modes as moving together if the cosine of the angle
@@ -231,8 +234,8 @@ def equilibrium_constraints(
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
     by_factor = diags_array(factors, format="csr")
     constraints = EqualityConstraints(
-        columns=stored(jumps @ by_factor),
-        softness=stored(by_factor @ stiffness @ by_factor),
+        columns=csr_array(jumps @ by_factor),
+        softness=csr_array(by_factor @ stiffness @ by_factor),
         values=factors * resultants,
         sizes=_largest_of_group(
             np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)

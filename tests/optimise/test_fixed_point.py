@@ -146,8 +146,8 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     problem = wedge(0.5)
     problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
     problem.constraints = EqualityConstraints(
-        np.array([[0.0], [1.0]]),
-        np.zeros((1, 1)),
+        csr_array([[0.0], [1.0]]),
+        csr_array((1, 1)),
         np.ones(1),
         np.ones(1),
         OneRank(),
@@ -174,8 +174,8 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
         problem.cones = dataclasses.replace(problem.cones, discs=lam)
         problem.A, problem.b = np.eye(3), np.array([1.0, 0.0, -gap])
         problem.constraints = EqualityConstraints(
-            np.array([[0.0], [1.0], [0.0]]),
-            np.zeros((1, 1)),
+            csr_array([[0.0], [1.0], [0.0]]),
+            csr_array((1, 1)),
             np.ones(1),
             np.ones(1),
             OneRank(),

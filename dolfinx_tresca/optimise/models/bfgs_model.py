@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Matrix, dense
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps, solve_or_fit
 from dolfinx_tresca.optimise.reductions import Reductions
 
@@ -74,7 +75,7 @@ class BlockBFGSModel(Model):
         return result
 
     def solve_between(
-        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
+        self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
         """Return V s and c, the solution of the equations in `Model.solve_between`. Collective.
 
@@ -82,15 +83,14 @@ class BlockBFGSModel(Model):
         so that the system has a solution even if the second equation has none.
         """
         unit = self._unit
-        G, softness = dense(G), dense(softness)
-        columns = np.column_stack([self._U, unit * G])
+        columns = np.column_stack([self._U, unit * G.toarray()])
         scaled = maps.inverse(columns)
         first = maps.inverse(right)
         capacitance = self._inner(columns, scaled)
         k = len(missing)
         rank = len(capacitance) - k
         capacitance[:rank, :rank] += self._C_inverse
-        capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness
+        capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness.toarray()
         wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
         found = self._agreed(solve_or_fit(capacitance, wanted))
         return first - scaled @ found, -unit * found[rank:]

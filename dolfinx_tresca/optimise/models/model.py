@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Matrix
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.sets.feasible_set import Face
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
@@ -89,7 +90,7 @@ class Model(ABC):
 
     @abstractmethod
     def solve_between(
-        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
+        self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
         """Return V s and c with T (M + C) V s - T G c = T r, s = P s, and G'V s + S c = missing.
 
@@ -98,8 +99,8 @@ class Model(ABC):
         Args:
             maps: T, V, C and P.
             right: (size,) r.
-            G: (size, k) columns of length 1, sparse or dense.
-            softness: (k, k) S, sparse or dense.
+            G: (size, k) columns of length 1, sparse.
+            softness: (k, k) S, sparse.
             missing: (k,) right-hand side of the second equation.
         """
 

@@ -116,7 +116,7 @@ class WholeModel(Model):
         return float(self._reductions.from_first_rank(values)[0])
 
     def solve_between(
-        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
+        self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
         """Return V s and c, the solution of the equations in `Model.solve_between`. Collective.
 
@@ -128,8 +128,8 @@ class WholeModel(Model):
         C = diags_array(self._gathered(maps.stiffness), format="csr")
         matrix = T @ ((self._shifted + C) / unit) @ V + (eye_array(len(self)) - P)
         if k:
-            G = self._reductions.stacked(csr_array(G))
-            soft = csr_array(unit * softness) + LEAST_SOFTNESS * eye_array(k)
+            G = self._reductions.stacked(G)
+            soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
             blocks = [[matrix, -(T @ G)], [G.T @ V, soft]]
             matrix = (
                 csr_array(block_array(blocks))

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.sparse import diags_array, issparse
+from scipy.sparse import csr_array, diags_array, eye_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
@@ -113,7 +113,7 @@ def balance(
             return Balance(z, gradient, satisfied=False, unbounded=True)
         derivative = feasible_set.projection_derivative(constraints.columns @ z)
         hessian = constraints.hessian(derivative) + softness
-        scaling = diags_array(scale) if issparse(hessian) else np.diag(scale)
+        scaling = diags_array(scale)
         step = -agreed(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
         )
@@ -130,9 +130,9 @@ def balance(
     return Balance(z, excess(z), satisfied=False)
 
 
-def _damped_solution(matrix: Matrix, right: Array, damping: float) -> Array:
+def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:
     """Return (M + d I)^-1 b for M >= 0; d is increased until the factorisation exists."""
-    unit = diags_array(np.ones(len(right))) if issparse(matrix) else np.eye(len(right))
+    unit = eye_array(len(right))
     while damping < np.inf:
         solve = factored(matrix + damping * unit)
         if solve is not None:

@@ -7,20 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array, issparse
+from scipy.sparse import csr_array, eye_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
 from dolfinx_tresca.optimise.sets.nodal_matrix import NodalPattern
-
-#: Number of equations at and above which sparse matrices are faster than dense matrices.
-MANY = 100
-
-
-def stored(matrix: csr_array) -> Matrix:
-    """Return a matrix as it is if it has at least `MANY` columns, else as a dense array."""
-    return matrix if matrix.shape[1] >= MANY else matrix.toarray()
 
 
 @dataclass(frozen=True)
@@ -38,9 +30,9 @@ class EqualityConstraints:
     Methods are collective.
 
     Attributes:
-        columns: G (size, k), sparse or dense, with columns of length 1 or less. Each row has
-            entries for few bodies only.
-        softness: (k, k) S, symmetric and positive semidefinite, sparse if G is.
+        columns: G (size, k), with columns of length 1 or less. Each row has entries for few bodies
+            only.
+        softness: (k, k) S, symmetric and positive semidefinite.
         values: (k,) e.
         sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
             estimated.
@@ -48,8 +40,8 @@ class EqualityConstraints:
         nodes: (size,) the node of each multiplier, see `FeasibleSet.nodes`.
     """
 
-    columns: Matrix
-    softness: Matrix
+    columns: csr_array
+    softness: csr_array
     values: Array
     sizes: Array
     reductions: Reductions
@@ -58,40 +50,32 @@ class EqualityConstraints:
     @classmethod
     def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
         """Return an empty set of equations for vectors (size,)."""
-        G, none = np.empty((size, 0)), np.empty(0)
-        return cls(G, np.empty((0, 0)), none, none, reductions, np.arange(size))
+        G, none = csr_array((size, 0)), np.empty(0)
+        return cls(G, csr_array((0, 0)), none, none, reductions, np.arange(size))
 
     def __len__(self) -> int:
         return len(self.values)
 
     @cached_property
-    def absolute(self) -> Matrix:
-        """The absolute values of G, sparse or dense."""
+    def absolute(self) -> csr_array:
+        """The absolute values of G."""
         return abs(self.columns)
-
-    @cached_property
-    def _transposed(self) -> tuple[Matrix, Matrix]:
-        """G' and its absolute values; their rows are contiguous in memory."""
-        contiguous = csr_array if issparse(self.columns) else np.ascontiguousarray
-        return contiguous(self.columns.T), contiguous(self.absolute.T)
 
     def along(self, x: Array) -> Array:
         """Return G'x (k,)."""
-        return self.reductions.total(self._transposed[0] @ x) if len(self) else np.empty(0)
+        return self.reductions.inner(self.columns, x) if len(self) else np.empty(0)
 
     def along_absolute(self, x: Array) -> Array:
         """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
-        return self.reductions.total(self._transposed[1] @ x)
+        return self.reductions.inner(self.absolute, x)
 
-    def hessian(self, derivative: Callable[[Array], Array]) -> Matrix:
+    def hessian(self, derivative: Callable[[Array], Array]) -> csr_array:
         """Return G'D G, (k, k), the same on all ranks.
 
         Args:
             derivative: function that applies D to an array (size, columns); D is symmetric and
                 couples only multipliers of the same node.
         """
-        if not issparse(self.columns):
-            return self.reductions.inner(self.columns, derivative(self.columns))
         D = self._pattern.matrix(derivative)
         return self.reductions.sparse_inner(self.columns, csr_array(D @ self.columns))
 
@@ -100,10 +84,9 @@ class EqualityConstraints:
         """The pattern of matrices that couple only multipliers of the same node."""
         return NodalPattern(self.nodes)
 
-    def softness_with(self, added: float) -> Matrix:
+    def softness_with(self, added: float) -> csr_array:
         """Return S + s I, (k, k), for a number s >= 0 that is added. Not collective."""
-        unit = eye_array(len(self), format="csr")
-        return self.softness + added * (unit if issparse(self.softness) else unit.toarray())
+        return self.softness + added * eye_array(len(self), format="csr")
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
@@ -129,16 +112,12 @@ class EqualityConstraints:
         return float(np.sqrt(missing @ (missing / values)))
 
     @cached_property
-    def soft_directions(self) -> tuple[Array, Matrix]:
+    def soft_directions(self) -> tuple[Array, csr_array]:
         """The eigenvalues of S that exceed rounding errors, and their eigenvectors (k, number)."""
         if not self.softness.nonzero()[0].size:
-            shape = (len(self), 0)
-            return np.empty(0), csr_array(shape) if issparse(self.softness) else np.empty(shape)
-        agreed = self.reductions.from_first_rank
-        if isinstance(self.softness, np.ndarray):
-            values, vectors = (agreed(one) for one in np.linalg.eigh(self.softness))
-        else:
-            values, vectors = eigenpairs(self.softness)
-            values, vectors.data = agreed(values), agreed(vectors.data)
+            return np.empty(0), csr_array((len(self), 0))
+        values, vectors = eigenpairs(self.softness)
+        values = self.reductions.from_first_rank(values)
+        vectors.data = self.reductions.from_first_rank(vectors.data)
         kept = values > ROUNDING * values.max()
         return values[kept], vectors[:, kept]

@@ -1,31 +1,25 @@
-"""Solutions with symmetric matrices that are positive definite, sparse or dense."""
+"""Factors of sparse symmetric matrices that are positive definite."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csc_array, csr_array, issparse
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
-from dolfinx_tresca._base.arrays import Array, Matrix
+from dolfinx_tresca._base.arrays import Array
 
 
-def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
-    """Return a function that applies the inverse; None if the matrix is not positive definite.
+def factored(matrix: csr_array) -> Callable[[Array], Array] | None:
+    """Return a function that applies the inverse; None if there is a zero pivot.
 
-    Sparse matrices are factored as L U without pivoting, which for positive definite matrices is as
-    stable as Cholesky's method. For other matrices, this factorisation fails only at a zero pivot,
-    not at a negative pivot.
+    The matrix is factored as L U without pivoting, which for positive definite matrices is as
+    stable as Cholesky's method.
     """
     try:
-        if issparse(matrix):
-            return _sparse_factors(matrix).solve  # type: ignore[no-any-return]
-        return partial(cho_solve, cho_factor(matrix, check_finite=False))
-    except (RuntimeError, np.linalg.LinAlgError):  # a zero pivot in L U, a negative one in L L'
+        return _sparse_factors(matrix).solve  # type: ignore[no-any-return]
+    except RuntimeError:
         return None
 
 
