@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import shutil
 import sys
 import sysconfig
@@ -20,7 +19,7 @@ import dolfinx
 
 import dolfinx_tresca
 from dolfinx_tresca.output.table import Row, as_text
-from dolfinx_tresca.stiffness.blas import loaded_libraries, reference_blas
+from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
 
 #: Packages of PETSc that factor or precondition K.
 SOLVERS = ("mumps", "cholmod", "superlu_dist", "hypre")
@@ -84,7 +83,7 @@ def _vtk() -> str:
 def _blas() -> str:
     """Return the BLAS libraries of this process and the environment variable OMP_NUM_THREADS."""
     libraries = loaded_libraries()
-    names = {Path(path).name for path in libraries if re.search(r"/lib[^/]*blas[^/]*$", path)}
+    names = {Path(path).name for path in filter(BLAS.search, libraries)}
     slow = ", the slow reference implementation" if reference_blas(libraries) else ""
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     return f"{', '.join(sorted(names)) or 'inside PETSc'}{slow}; OMP_NUM_THREADS {threads}"

@@ -20,16 +20,19 @@ from dolfinx_tresca import (
     MESHES,
     ContactPair,
     ContactProblem,
+    ContactStatus,
     Coulomb,
     TaggedMesh,
     read_gmsh,
     solve_adaptively,
 )
+from dolfinx_tresca._base.parallel import reduce_array
 from scenes.blocks import block
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.patches import BOTTOM, LOWER, TOP, UPPER, patch
 from scenes.rubber_block import rubber_block
 from scenes.two_bricks import on_bricks, two_bricks
+from scenes.wall import wall
 
 #: Problems of each kind that are counted, and those before, which fill caches.
 PROBLEMS, BEFORE = 20, 3
@@ -161,3 +164,40 @@ def test_nothing_stays(
     assert objects_after - objects == Counter()
     assert communicators_after == communicators
     assert used_after - used <= KEPT
+
+
+@pytest.mark.parallel
+def test_kept_solutions_take_no_communicators(comm: MPI.Comm) -> None:
+    """A history of load steps may be kept, on several ranks too."""
+    scene = two_bricks(comm, 3).but(friction=Coulomb(0.3))
+    first = scene.data.load.value.copy()
+    kept, communicators = [], []
+    with scene.problem() as problem:
+        for step in range(1, 5):
+            scene.data.load.value[:] = step * first
+            kept.append(problem.solve())
+            problem.accept()
+            communicators.append(free_communicators(MPI.COMM_SELF))
+    assert communicators[1] == communicators[-1]
+    forces = [solution.normal_force for solution in kept]
+    sums = [
+        float(reduce_array(comm, solution.surface.weights @ solution.surface.pressure.x.array))
+        for solution in kept
+    ]
+    assert forces == pytest.approx(sums)  # each has values of its own
+    assert forces == pytest.approx([step * forces[0] for step in range(1, 5)], rel=1e-3)
+
+
+@pytest.mark.parallel
+def test_a_pair_takes_as_many_communicators_as_the_docs_say(comm: MPI.Comm) -> None:
+    """The difference between two walls is that of their pairs: the rest is the same."""
+    pairs, taken = [], []
+    for bricks, courses in ((2, 2), (2, 2), (3, 3)):  # the first wall fills caches
+        scene = wall(comm, bricks, courses)
+        before = free_communicators(MPI.COMM_SELF)
+        with scene.problem() as problem:
+            solution = problem.solve()
+            assert solution.status is ContactStatus.CONVERGED
+            pairs.append(len(scene.pairs))
+            taken.append(before - free_communicators(MPI.COMM_SELF))
+    assert taken[2] - taken[1] <= (6 if comm.size == 1 else 10) * (pairs[2] - pairs[1])

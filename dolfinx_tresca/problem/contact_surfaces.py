@@ -112,7 +112,8 @@ class ContactSurfaces(PetscOwner):
                 pair_surfaces(V, prescribed, pair, axisymmetric=linear.axisymmetric)
                 for pair in pairs
             ]
-            self.secondary = [Surface.of(V, pair) for pair in pairs]
+            work = fem.Function(V)
+            self.secondary = [Surface.of(work, pair) for pair in pairs]
             self.friction = SlipBounds(V)
             self.nodal_values = self.friction.values
             for pair, on_nodes in zip(pairs, operators, strict=True):

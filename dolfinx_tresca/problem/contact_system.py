@@ -39,6 +39,7 @@ from dolfinx_tresca.solution.theory import (
     slips_of_pairs,
 )
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.stiffness.blas import one_thread
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -295,6 +296,7 @@ class ContactSystem(PetscOwner):
         self._last_solve = None
         self.surfaces.update_stiffness()
 
+    @one_thread()
     def solve(
         self,
         options: SolverOptions,

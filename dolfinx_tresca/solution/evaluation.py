@@ -13,6 +13,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.adjoint import discs_at_edge
 from dolfinx_tresca.dual.bounds.estimate import total
@@ -119,7 +120,7 @@ def evaluate(
     """
     B, response, lam = dual.jump, dual.response, dual.bounds(found.multipliers, found.gradient)
     comm = B.comm
-    w = fem.Function(B.system.space, name="w")
+    w = zero_like(B.system.f, "w")
     error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
     c = found.c
@@ -254,7 +255,7 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
 def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
     """Return the contact force -B'x [force] of multipliers x. Collective."""
-    force = fem.Function(B.system.space)
+    force = zero_like(B.system.f, "f")
     owned = B.whole_force(x).array
     force.x.array[: len(owned)] = -owned
     force.x.scatter_forward()

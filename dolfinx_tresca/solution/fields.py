@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 import dolfinx.la
@@ -18,6 +16,8 @@ from dolfinx import fem
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
+from dolfinx_tresca._base.functions import zero_like
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.vertices import nodes_of_vertices
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -205,25 +205,27 @@ class Surface:
 
     Attributes:
         mesh: the facets of the secondary side.
-        scalar: space of scalar functions of degree 1 on `mesh`.
-        vector: space of vector functions of degree 1 on `mesh`, with the dimension of space.
+        scalar: a scalar Function of degree 1 on `mesh`, the original of all others.
+        vector: a vector Function of degree 1 on `mesh`, with the dimension of space, likewise.
         parent: (nodes of `scalar`, with ghosts) local number of the node of V at each node.
-        work: a Function in V through which values reach ghosts; its own values have no meaning.
+        work: a Function in V through which values reach ghosts; its own values have no meaning. All
+            surfaces share it.
         pair: the pair of this secondary side.
         entity_maps: maps between the facets of the problem's mesh and `mesh`.
     """
 
     mesh: Any
-    scalar: fem.FunctionSpace
-    vector: fem.FunctionSpace
+    scalar: fem.Function
+    vector: fem.Function
     parent: LocalNumbers
     work: fem.Function
     pair: ContactPair
     entity_maps: compat.EntityMaps
 
     @classmethod
-    def of(cls, V: Any, pair: ContactPair) -> Surface:
+    def of(cls, work: fem.Function, pair: ContactPair) -> Surface:
         """Return the secondary surface of a pair. Collective."""
+        V = work.function_space
         dim = V.mesh.geometry.dim
         facets = np.sort(pair.facet_tags.find(pair.secondary))
         mesh, parent_nodes, entity_maps = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
@@ -235,7 +237,8 @@ class Surface:
         corners = scalar.dofmap.list.shape[1]
         of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
         parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
-        return cls(mesh, scalar, vector, parent, fem.Function(V), pair, entity_maps)
+        originals = fem.Function(scalar), fem.Function(vector)
+        return cls(mesh, *originals, parent, work, pair, entity_maps)
 
     def function(
         self,
@@ -259,7 +262,7 @@ class Surface:
         whole[:] = outside
         whole[nodes] = values if values.ndim == 2 else values[:, None]
         self.work.x.scatter_forward()
-        function = kind(self.vector if values.ndim == 2 else self.scalar, name=name)
+        function = zero_like(self.vector if values.ndim == 2 else self.scalar, name, kind)
         columns = dim if values.ndim == 2 else 1
         function.x.array[:] = whole[self.parent, :columns].ravel()
         return function
@@ -272,7 +275,7 @@ class Surface:
         # the rank that owns a node of V may have no cell of the surface at this node
         whole = fem.Function(V)
         whole.x.array[:] = 0.0
-        own = self.scalar.dofmap.index_map.size_local
+        own = self.scalar.function_space.dofmap.index_map.size_local
         whole.x.array.reshape(-1, dim)[self.parent[:own], :columns] = function.x.array.reshape(
             -1, columns
         )[:own]
@@ -289,12 +292,12 @@ class Surface:
             weights: (m,) areas of these nodes.
         """
         areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
-        areas[self.scalar.dofmap.index_map.size_local :] = 0.0
+        areas[self.scalar.function_space.dofmap.index_map.size_local :] = 0.0
         return areas
 
     def displacement(self, u: fem.Function) -> fem.Function:
         """Return u at the nodes of the surface. Not collective."""
-        function = fem.Function(self.vector, name=u.name)
+        function = zero_like(self.vector, u.name)
         dim = self.mesh.geometry.dim
         function.x.array[:] = u.x.array.reshape(-1, dim)[self.parent].ravel()
         return function
@@ -328,7 +331,8 @@ class Surface:
         pressures = np.zeros(count)
         pressures[operators.normal_node] = pressure
         vectors, primary = operators.tangential_vectors, self.pair.primary
-        has_friction = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
+        # unlike allreduce of mpi4py, this makes no communicator for the mesh
+        has_friction = reduce_array(self.mesh.comm, len(operators.tangent_node)) > 0
         if operators.bonded:
             state: Array = np.full(count, float(ContactState.BONDED))
         elif has_friction:

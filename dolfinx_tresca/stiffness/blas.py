@@ -1,16 +1,26 @@
-"""A warning where the slow reference BLAS is in use."""
+"""The BLAS of this process: a warning if it is slow, and one thread for small products."""
 
 from __future__ import annotations
 
+import ctypes
+import itertools
 import logging
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import log
+
+#: Environment variables by which users set the number of OpenBLAS's threads.
+THREAD_VARIABLES = {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"}
+
+#: Paths of BLAS libraries.
+BLAS = re.compile(r"/lib[^/]*blas[^/]*$")
 
 
 @cache
@@ -44,3 +54,38 @@ def reference_blas(libraries: Iterable[str]) -> str | None:
     # Debian keeps the reference implementation in a folder .../blas/ of its own
     reference = re.compile(r"/blas/libblas\.so|librefblas")
     return next((path for path in libraries if reference.search(path)), None)
+
+
+@cache
+def openblas_threads() -> Sequence[tuple[Callable[[], int], Callable[[int], None]]]:
+    """Return the functions that get and set the number of threads of each OpenBLAS.
+
+    A process may have several: numpy, scipy and PETSc may each bring its own. Not collective.
+    """
+    functions = []
+    for path in filter(BLAS.search, loaded_libraries()):
+        library = ctypes.CDLL(path)
+        # wheels of numpy and scipy rename the functions of OpenBLAS
+        for prefix, suffix in itertools.product(("", "scipy_"), ("", "64_")):
+            names = [f"{prefix}openblas_{verb}_num_threads{suffix}" for verb in ("get", "set")]
+            if all(hasattr(library, name) for name in names):
+                functions.append((library[names[0]], library[names[1]]))
+    return functions
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limit OpenBLAS to one thread in a block, unless the environment sets a number of threads.
+
+    The products of the contact algorithm are so small that threads cost more time than they save,
+    and threads that wait take cores away from other ranks. Not collective.
+    """
+    limited = [] if THREAD_VARIABLES & os.environ.keys() else openblas_threads()
+    counts = [get() for get, _ in limited]
+    for _, set_number in limited:
+        set_number(1)
+    try:
+        yield
+    finally:
+        for (_, set_number), count in zip(limited, counts, strict=True):
+            set_number(count)

@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import collapse
+from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.owner import PetscOwner
 
 
@@ -39,6 +40,7 @@ class Component(PetscOwner):
         """
         self._space, self._index = space, index
         self.V, self._dofs = collapse(space.sub(index))
+        self._original = fem.Function(self.V)
         own, whole = self.V.dofmap, space.dofmap.index_map
         flags = fem.Function(space)
         flags.x.array[self._dofs] = 1.0
@@ -66,7 +68,7 @@ class Component(PetscOwner):
 
         The ghost values of w must be up to date.
         """
-        part = fem.Function(self.V)
+        part = zero_like(self._original, w.name)
         part.x.array[:] = w.x.array[self._dofs]
         return part
 

@@ -19,6 +19,7 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell
 
@@ -103,7 +104,7 @@ class DiscretisationError:
         self._factor = RECOVERY_FACTOR[degree, simplices]
         self._square = fem.form(_with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
-        self._cells = cells
+        self._cells, self._errors = cells, fem.Function(cells)
         generic = ufl.as_tensor(np.eye(dim) + 1.0)
         ring = ufl.SpatialCoordinate(mesh)[0] if axisymmetric else ufl.as_ufl(1.0)
         self._materials, self._count = self._classify_materials(
@@ -113,7 +114,7 @@ class DiscretisationError:
     def of(self, u: fem.Function) -> fem.Function:
         """Return the estimate of each cell [energy^(1/2)], a function of degree 0. Collective."""
         squares = self._squares(u.x.array)
-        result = fem.Function(self._cells, name="cell_errors")
+        result = zero_like(self._errors, "cell_errors")
         result.x.array[: len(squares)] = np.sqrt(np.maximum(squares, 0.0))
         result.x.scatter_forward()
         return result
