@@ -182,9 +182,9 @@ def strips(
     problem.destroy()
 
 
-def pellets(meter: Meter, *, friction: float) -> None:
+def pellets(meter: Meter, *, n: int, friction: float) -> None:
     """Heat three pellets in a tube, and cool them."""
-    scene = three_pellets(meter.comm, 1 if meter.small else 2, friction)
+    scene = three_pellets(meter.comm, 10 if meter.small else n, friction)
     with meter.problem(scene, axisymmetric=True) as problem:
         for values in HEATING[:2] if meter.small else HEATING:
             for rise, value in zip(scene.data.rises, values, strict=True):
@@ -273,7 +273,10 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
         for name, forces in BENDING.items()
         for restart in (False, True)[: len(forces)]
     },
-    "pellets": {f"F = {F:g}": partial(pellets, friction=F) for F in (0.0, 0.3)},
+    "pellets": {
+        f"{n} cells along, F = {F:g}": partial(pellets, n=n, friction=F)
+        for n, F in ((40, 0.0), (40, 0.3), (50, 0.3))
+    },
     "shaft": {
         f"moments to {parts[-1]:g}": partial(shaft, parts=parts)
         for parts in ([0.5, 0.9, 0.97], [0.5, 0.9, 0.97, 0.99, 0.995])

@@ -41,7 +41,7 @@ HEATING = [(0, 0, 0), (300, 0, 0), (1500, 0, 0), (1500, 0, 300), (300, 1500, 300
 AXIS, TUBE_END, TUBE_INSIDE, SIDES, BOTTOMS, TOPS = 1, 2, 3, 10, 20, 30
 
 
-def three_pellets(comm: MPI.Comm, fine: int = 2, friction: float = 0.3) -> Scene:
+def three_pellets(comm: MPI.Comm, n: int = 40, friction: float = 0.3) -> Scene:
     """Return the scene; the pellets stand on each other and on a rigid floor. Collective.
 
     It is for problems with `axisymmetric=True`. `data.rises` are three rises of temperature [K]: of
@@ -49,11 +49,10 @@ def three_pellets(comm: MPI.Comm, fine: int = 2, friction: float = 0.3) -> Scene
 
     Args:
         comm: communicator of the mesh.
-        fine: factor of all numbers of cells; a pellet has 6 cells across and 25 along.
+        n: cells along a pellet, a multiple of five.
         friction: coefficient of friction of all pairs; 0: frictionless.
     """
-    lines = fine * np.array([0.0, 3.0, 5.0, 6.0])  # the radii, as numbers of cells
-    end = lines[2]
+    lines = [0.0, 6.0, 10.0, 12.0]  # numbers of cells within `RADII`
 
     def shaped(x: np.ndarray) -> np.ndarray:
         r = np.interp(x[:, 0], lines, (0.0, *RADII))
@@ -61,22 +60,16 @@ def three_pellets(comm: MPI.Comm, fine: int = 2, friction: float = 0.3) -> Scene
         cut = DISH * np.maximum(1 - (r / RADII[0]) ** 2, 0.0) + np.maximum(r - RADII[1], 0.0)
         return np.column_stack([r, middle + (x[:, 1] - middle) * (1 - cut / (0.5 * LENGTH))])
 
-    pellets = [
-        Body(
-            (6 * fine, 25 * fine),
-            [(0.0, lines[3]), (LENGTH * k, LENGTH * (k + 1))],
-            move=shaped,
-        )
-        for k in range(3)
-    ]
-    tube = Body((2 * fine, 85 * fine), [TUBE[:2], (0.0, TUBE[2])])
+    spans = [(LENGTH * k, LENGTH * (k + 1)) for k in range(3)]
+    pellets = [Body((12, n), [(0.0, lines[3]), span], move=shaped) for span in spans]
+    tube = Body((4, 17 * n // 5), [TUBE[:2], (0.0, TUBE[2])])
     made = boxes(comm, "quadrilateral", [*pellets, tube])
     marks: list[Any] = [(AXIS, [0, 1, 2], near(0, 0.0))]
     marks += [(TUBE_END, [3], near(1, 0.0)), (TUBE_INSIDE, [3], near(0, TUBE[0]))]
-    for k in range(3):
-        marks.append((SIDES + k, [k], lambda x: x[:, 0] > end))
-        for tags_of, z in ((BOTTOMS, LENGTH * k), (TOPS, LENGTH * (k + 1))):
-            marks.append((tags_of + k, [k], lambda x, z=z: near(1, z)(x) & (x[:, 0] < end)))
+    for k, span in enumerate(spans):
+        marks.append((SIDES + k, [k], lambda x: x[:, 0] > lines[2]))
+        for tag, z in zip((BOTTOMS + k, TOPS + k), span, strict=True):
+            marks.append((tag, [k], lambda x, z=z: near(1, z)(x) & (x[:, 0] < lines[2])))
     tags, V, mesh = made.tags(*marks), made.V, made.mesh
     is_tube = fem.Function(fem.functionspace(mesh, ("DG", 0)))
     is_tube.interpolate(lambda x: 1.0 * (x[0] > RADII[2]))
