@@ -193,14 +193,14 @@ def pellets(meter: Meter, *, n: int, friction: float) -> None:
 
 
 def shaft(meter: Meter, *, parts: list[float]) -> None:
-    """Press a shaft into its hub, and turn it by parts of the greatest moment."""
+    """Press a shaft into its hub, and turn it by parts of the moment that friction bears."""
     scene = shaft_in_hub(meter.comm, 24 if meter.small else 192)
     with meter.problem(scene) as problem:
         scene.data.weight.value = 1000.0
-        moment = greatest_moment(meter.step(problem))
+        solution = meter.step(problem)
         for part in parts:
-            scene.data.moment.value = part * moment
-            meter.step(problem)
+            scene.data.moment.value = part * greatest_moment(solution)
+            solution = meter.step(problem)
 
 
 def bricks(meter: Meter, *, end: str) -> None:

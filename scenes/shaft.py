@@ -55,11 +55,9 @@ def shaft_in_hub(comm: MPI.Comm, n: int = 96) -> Scene:
     return Scene(V, a, L, [fixed(V, tags.find(HELD))], pairs, tags, data=data)
 
 
-def greatest_moment(pressed: ContactSolution) -> float:
-    """Return about the greatest moment [N] that friction bears, from the shaft under its weight.
+def greatest_moment(solution: ContactSolution) -> float:
+    """Return the moment [N] about the axis if all nodes slipped under the pressures of a solution.
 
-    A rigid shaft climbs up the hub by the angle of friction, and then slips. Contact on an arc
-    bears more, by the ratio of the sum of the pressures to their resultant; that this ratio stays
-    the same when the shaft is turned is an approximation.
+    Pressures change with the moment, so this is the limit only when the shaft is near it.
     """
-    return float(RADIUS * np.sin(np.arctan(FRICTION)) * pressed.normal_force)
+    return FRICTION * RADIUS * solution.normal_force
