@@ -25,6 +25,11 @@ Where: TypeAlias = Callable[[np.ndarray], np.ndarray]
 Map: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
+def near(axis: int, value: float) -> Where:
+    """Return a function that selects the points that have a value as coordinate."""
+    return lambda x: np.isclose(x[:, axis], value, rtol=1e-9, atol=1e-9)
+
+
 @dataclass(frozen=True)
 class Body:
     """A box of cells, from which cells may be left out, and whose points may be moved.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, Coulomb, RigidPlane
 from dolfinx_tresca.scene.friction import Friction
-from scenes.boxes import Body, boxes
+from scenes.boxes import Body, boxes, near
 from scenes.elasticity import elasticity
 from scenes.scene import Scene
 
@@ -105,18 +105,18 @@ def assembly(
     if one_pair:
         pushed = [len(bodies) - 1]
         tags = made.tags(
-            (2, range(len(bodies)), None), (1, range(len(ends[0])), _at(1, 0.0)),
-            (3, pushed, _at(0, bodies[-1, 1])),
+            (2, range(len(bodies)), None), (1, range(len(ends[0])), near(1, 0.0)),
+            (3, pushed, near(0, bodies[-1, 1])),
         )  # fmt: skip
         pairs, end = [ContactPair(tags, 2, 2, law)], 3
     else:
         marks = []
         for k in range(number):
             some = [int(one) for one in np.flatnonzero((course == k) & ~is_loose)]
-            marks += [(1 + 2 * k + side, some, _at(1, HEIGHT * (k + side))) for side in (0, 1)]
+            marks += [(1 + 2 * k + side, some, near(1, HEIGHT * (k + side))) for side in (0, 1)]
         head = 2 * number + 1 + 2 * np.arange(len(bodies))
         for b, x in enumerate(bodies):
-            marks += [(int(head[b]) + side, [b], _at(0, x[side])) for side in (0, 1)]
+            marks += [(int(head[b]) + side, [b], near(0, x[side])) for side in (0, 1)]
         tags = made.tags(*marks)
         pairs = [ContactPair(tags, 1 + 2 * k, 2 * k, law) for k in range(1, number)]
         pairs += [
@@ -141,8 +141,3 @@ def assembly(
         weights=WEIGHT * HEIGHT * np.diff(bodies)[:, 0] * ~is_loose,
     )
     return Scene(V, elasticity(V, YOUNG, POISSON), L, [], pairs, tags, data=data)
-
-
-def _at(axis: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that tells which points (n, 2) have a value as coordinate."""
-    return lambda x: np.isclose(x[:, axis], value, rtol=0.0, atol=1e-9 * HEIGHT)

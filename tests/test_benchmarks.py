@@ -36,6 +36,7 @@ RUNS = {
     "choice": ("--scenes hertz --degrees 1 --most 1000 --repeats 1", "ratio"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
     "assemblies": ("--bricks 2", "push_products"),
+    "reports": ("--small", "seconds"),
     "holding_bodies": ("--bricks 2 --pushes 0.2", "springs_products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),
     "changed_stiffness": (

@@ -1,0 +1,359 @@
+"""Goals of the solver: scenes that users reported, and walls, piles, bricks and small load steps.
+
+    tools/fenicsx python3 benchmarks/reports.py --json reports.json
+    tools/fenicsx python3 benchmarks/reports.py --full --scenes walls piles --json reports.json
+
+Each row is a path of load steps, each of which is solved and accepted. Seconds are processor
+seconds of `solve()` and `accept()`; the problem is constructed before. The linear solve to which
+they are compared is the factorisation of the same K and a single solve with it. The seconds of the
+products are those of the solves with K in them. The seconds of the iteration, without its products,
+are divided by them: beyond 1 the search takes longer than the linear algebra that it drives.
+
+Strips, shaft and cube are solved to the default accuracy, pellets to a relative residual of 1e-8,
+all other scenes to 1e-6. All use Cholesky factors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from assemblies import PUSH, SIZES
+from harness import Benchmark, Column, Comm, Row, Table
+from harness.timing import timed
+
+from dolfinx_tresca import (
+    ContactError,
+    ContactProblem,
+    ContactSolution,
+    ContactStatus,
+    Coulomb,
+    MechanismError,
+)
+from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from scenes.arch import arch
+from scenes.blocks import ABOVE, block
+from scenes.pellets import HEATING, three_pellets
+from scenes.pile import random_pile
+from scenes.scene import Scene
+from scenes.shaft import greatest_moment, shaft_in_hub
+from scenes.strips import LOWER, UPPER, two_strips
+from scenes.two_bricks import ENDS, two_bricks
+from scenes.wall import HEIGHT, wall
+
+#: Relative residual of scenes that are not solved to the default accuracy.
+RTOL = 1e-6
+
+#: Methods whose calls are timed, by what they do: a solution reports none of these seconds.
+TIMED: list[tuple[Any, str, str]] = [
+    (StiffnessSolver, "__init__", "factorisation"),
+    (StiffnessSolver, "solve", "single"),
+    (StiffnessSolver, "improve", "single"),
+    (StiffnessSolver, "solve_several", "columns"),
+    (DiscretisationError, "__init__", "estimate"),
+    (DiscretisationError, "of", "estimate"),
+]
+
+
+class Meter:
+    """Solves load steps, and keeps what they cost.
+
+    Attributes:
+        comm: communicator of the scenes.
+        small: whether scenes have a few cells only.
+        unknowns: number of displacement unknowns of the latest scene.
+        steps: figures of the load steps.
+    """
+
+    def __init__(self, comm: Comm, small: bool) -> None:
+        """Begin without load steps. Not collective."""
+        self.comm, self.small = comm, small
+        self.unknowns, self.steps = 0, list[Row]()
+        self._calls: list[tuple[str, float, int]] = []  # of this problem: kind, seconds, solves
+
+    def timing(self) -> ExitStack:
+        """Return a context in which the methods of `TIMED` are timed. Not collective."""
+        stack = ExitStack()
+        for owner, name, kind in TIMED:
+            method = self._timed(getattr(owner, name), kind)
+            stack.enter_context(patch.object(owner, name, method))
+        return stack
+
+    def _timed(self, method: Callable[..., Any], kind: str) -> Callable[..., Any]:
+        def call(owner: Any, *arguments: Any, **named: Any) -> Any:
+            before, start = getattr(owner, "solves", 0), time.process_time()
+            result = method(owner, *arguments, **named)
+            seconds = time.process_time() - start
+            # other solvers than that of K have matrices of multipliers
+            if kind == "estimate" or owner.matrix.getSize()[0] == self.unknowns:
+                self._calls.append((kind, seconds, getattr(owner, "solves", 0) - before))
+            return result
+
+        return call
+
+    def problem(self, scene: Scene, **changes: Any) -> ContactProblem:
+        """Return the problem of a scene; `changes` are arguments of `Scene.problem`. Collective."""
+        self.unknowns, self._calls = scene.unknowns, []
+        return scene.problem(stiffness="cholesky", **changes)
+
+    def step(self, problem: ContactProblem, **asked: Any) -> ContactSolution:
+        """Solve and accept a load step, and return its solution, converged or not. Collective."""
+
+        def solve_and_accept() -> ContactSolution:
+            solution = problem.solve(**asked)
+            problem.accept(unconverged=True)  # the row shows failures
+            return solution
+
+        earlier = len(self._calls)
+        seconds, solution = timed(self.comm, solve_and_accept)
+        single = np.mean([s for kind, s, _ in self._calls if kind == "single"])
+        factorisation = next(s for kind, s, _ in self._calls if kind == "factorisation")
+        calls = self._calls[earlier:]
+        solves = sum(number for *_, number in calls)
+        with_K = sum(s for kind, s, _ in calls if kind in ("single", "columns"))
+        phases = [solution.timings[name] for name in ("load", "iteration", "fields")]
+        products = with_K - (solves - solution.products) * single
+        self.steps.append(
+            {
+                "status": solution.status.name,
+                "iterations": solution.iterations,
+                "products": solution.products,
+                "solves": solves,
+                "seconds": seconds,
+                "linear": factorisation + single,
+                "with_K": with_K,
+                "estimate": sum(s for kind, s, _ in calls if kind == "estimate"),
+                "in_products": products,
+                # wall-clock seconds of phases, of which the ratio alone counts
+                "iteration": seconds * phases[1] / sum(phases) - products,
+            }
+        )
+        return solution
+
+    def row(self) -> Row:
+        """Return the figures of all load steps. Not collective."""
+        steps, names = self.steps, ("seconds", "linear", "with_K", "estimate", "solves")
+        seconds, linear, with_K, estimate, solves = (sum(s[name] for s in steps) for name in names)
+        products = sum(step["in_products"] for step in steps)
+        failed = [s["status"] for s in steps if s["status"] != ContactStatus.CONVERGED.name]
+        return {
+            "unknowns": self.unknowns,
+            "steps": len(steps),
+            "converged": len(steps) - len(failed),
+            "iterations": [step["iterations"] for step in steps],
+            "products": [step["products"] for step in steps],
+            "solves": solves / len(steps),
+            "seconds": seconds,
+            "seconds_of_step": seconds / len(steps),
+            "ratio": seconds / linear,
+            "largest_ratio": max(step["seconds"] / step["linear"] for step in steps),
+            "iteration": sum(s["iteration"] for s in steps) / products if products else None,
+            "percent": [round(100.0 * s / seconds) for s in (with_K, estimate)],
+            "status": (failed or [ContactStatus.CONVERGED.name])[0],
+        }
+
+
+def strips(
+    meter: Meter, *, n: int, degree: int, forces: list[float], restart: bool = False
+) -> None:
+    """Bend two strips by forces [N/mm]; with `restart` each step is solved by a new problem."""
+    scene = two_strips(meter.comm, 12 if meter.small else n, degree)
+    scene = scene.but(secondary=LOWER, primary=UPPER)  # takes more iterations than the other way
+    problem = meter.problem(scene)
+    with TemporaryDirectory() as folder:
+        state = Path(folder) / "state.npz"
+        for number, force in enumerate(forces):
+            if restart and number:
+                problem.save_state(state)
+                problem.destroy()
+                problem = meter.problem(scene)
+                problem.load_state(state)
+            scene.data.shear.value = force
+            meter.step(problem)
+    problem.destroy()
+
+
+def pellets(meter: Meter, *, n: int, friction: float) -> None:
+    """Heat three pellets in a tube, and cool them."""
+    scene = three_pellets(meter.comm, 10 if meter.small else n, friction)
+    with meter.problem(scene, axisymmetric=True) as problem:
+        for values in HEATING[:2] if meter.small else HEATING:
+            for rise, value in zip(scene.data.rises, values, strict=True):
+                rise.value = value
+            meter.step(problem, rtol=1e-8)
+
+
+def shaft(meter: Meter, *, parts: list[float]) -> None:
+    """Press a shaft into its hub, and turn it by parts of the moment that friction bears."""
+    scene = shaft_in_hub(meter.comm, 24 if meter.small else 192)
+    with meter.problem(scene) as problem:
+        scene.data.weight.value = 1000.0
+        solution = meter.step(problem)
+        for part in parts:
+            scene.data.moment.value = part * greatest_moment(solution)
+            solution = meter.step(problem)
+
+
+def bricks(meter: Meter, *, end: str) -> None:
+    """Press two bricks."""
+    with meter.problem(two_bricks(meter.comm, 4 if meter.small else 16, end=end)) as problem:
+        meter.step(problem, rtol=RTOL)
+
+
+def walls(meter: Meter, *, size: tuple[int, int]) -> None:
+    """Load a wall by its weight, then push it."""
+    size = SIZES[2] if meter.small else size
+    scene = wall(meter.comm, *size, one_pair=True)
+    with meter.problem(scene) as problem:
+        for push in (0.0, PUSH):
+            scene.data.push.value = push * scene.data.weights.sum() / size[1] / HEIGHT
+            meter.step(problem, rtol=RTOL)
+
+
+def arches(meter: Meter, *, thickness: float) -> None:
+    """Load an arch by its weight."""
+    scene = arch(meter.comm, thickness, voussoirs=5 if meter.small else 25)
+    with meter.problem(scene) as problem:
+        meter.step(problem, rtol=RTOL)
+
+
+def piles(meter: Meter, *, number: int) -> None:
+    """Load random piles by their weights; those that do not stand count no step."""
+    for seed in range(18, 20) if meter.small else range(number):
+        try:
+            with meter.problem(random_pile(seed).scene()) as problem:
+                meter.step(problem, rtol=RTOL)
+        except MechanismError:
+            continue
+
+
+def cube(meter: Meter, *, n: int) -> None:
+    """Press the upper face of a cube on a plane, and drag it in small steps until all slips.
+
+    The step that presses does not count.
+    """
+    law = Coulomb(0.3)
+    n, steps = (2, 2) if meter.small else (n, 20)
+    scene = block(meter.comm, (n, n, n), friction=law, held=[ABOVE], boxes=True)
+    with meter.problem(scene) as problem:
+        for number, shift in enumerate(np.linspace(0.0, 1e-3, steps + 1)):
+            motion = np.array([shift, 0.0, -1e-3])[:, None]
+            scene.data.held.interpolate(lambda x, motion=motion: motion + 0.0 * x)
+            meter.step(problem)
+            if number == 0:
+                meter.steps.clear()
+
+
+#: Name of a path of the strips -> forces [N/mm]; beyond 0.4 some nodes slip.
+BENDING: dict[str, list[float]] = {
+    "pressed": [0.0],
+    "near the limit": [0.0, 0.2, 0.39],
+    "beyond and back": [0.0, 0.2, 0.39, 0.8, 0.4],
+}
+
+#: Cells along a strip, and degree.
+STRIPS = [(100, 2), (400, 1), (200, 2)]
+
+#: Scene -> case -> function that solves its load steps.
+SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
+    "strips": {
+        f"{n} cells of degree {degree}, {name}{', restarts' * restart}": partial(
+            strips, n=n, degree=degree, forces=forces, restart=restart
+        )
+        for n, degree in STRIPS
+        for name, forces in BENDING.items()
+        for restart in (False, True)[: len(forces)]
+    },
+    "pellets": {
+        f"{n} cells along, F = {F:g}": partial(pellets, n=n, friction=F)
+        for n, F in ((40, 0.0), (40, 0.3), (50, 0.3))
+    },
+    "shaft": {
+        f"moments to {parts[-1]:g}": partial(shaft, parts=parts)
+        for parts in ([0.5, 0.9, 0.97], [0.5, 0.9, 0.97, 0.99, 0.995])
+    },
+    "bricks": {end: partial(bricks, end=end) for end in ENDS},
+    "walls": {
+        f"{number:,} bricks": partial(walls, size=size)
+        for number, size in ((52, SIZES[52]), (1104, (34, 32)), (5005, SIZES[5005]))
+    },
+    "arch": {f"thickness {t:g} m": partial(arches, thickness=t) for t in (0.15, 0.11)},
+    "piles": {f"{number} seeds": partial(piles, number=number) for number in (40, 300)},
+    "cube": {f"{3 * (n + 1) ** 3:,} unknowns": partial(cube, n=n) for n in (4, 8, 16)},
+}
+
+#: Cases that take long.
+FULL = {"5,005 bricks", "300 seeds"}
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the paths of the scenes."""
+    for scene in arguments.scenes:
+        chosen = [case for case in SCENES[scene] if arguments.full or case not in FULL]
+        for case in chosen[-1:] if arguments.small else chosen:
+            yield {"scene": scene, "case": case, "small": arguments.small}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the figures of a case. Collective."""
+    meter, error = Meter(comm, case["small"]), {}
+    with meter.timing():
+        try:
+            SCENES[case["scene"]][case["case"]](meter)
+        except ContactError as reason:
+            error = {"status": type(reason).__name__}
+    yield (meter.row() if meter.steps else {}) | error
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
+    parser.add_argument("--full", action="store_true", help="also the largest wall, and 300 piles")
+    parser.add_argument("--small", action="store_true", help="a case of a few cells for each scene")
+
+
+def most(name: str) -> Callable[[list[Row]], str]:
+    """Return a function that writes the most in a load step, and the sum over all steps."""
+    return lambda rows: f"{max(rows[-1][name])} / {sum(rows[-1][name])}"
+
+
+COLUMNS = [
+    Column("scene", "{scene}", width=7),
+    Column("case", "{case}", width=49),
+    Column("unknowns", "{unknowns}"),
+    Column("steps", "{steps}"),
+    Column("iterations: most / all", most("iterations")),
+    Column("products: most / all", most("products")),
+    Column("solves with K, a step", "{solves:.1f}"),
+    Column("seconds", "{seconds:.2f}"),
+    Column("a step", "{seconds_of_step:.4f}"),
+    Column("over linear: mean / most", "{ratio:.1f} / {largest_ratio:.1f}"),
+    Column("iteration over products", "{iteration:.2f}"),
+    Column("% in solves with K / in the mesh's error", "{percent[0]} / {percent[1]}"),
+    Column("converged", "{converged} of {steps}"),
+    Column("status", "{status}"),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "case"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    small={"small": True},
+    shown=COLUMNS,
+    tables=[Table("reports", COLUMNS, line=["scene", "case"])],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
