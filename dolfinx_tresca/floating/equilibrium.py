@@ -331,7 +331,7 @@ def _solvable(
         MechanismError: nothing balances the loads along a motion; the error's `motion` has the
             components (k,) of the motion in the modes.
     """
-    found = balance(constraints, feasible_set, LOAD_RESERVE)
+    found = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
     if found.satisfied:
         return constraints
     sizes = np.maximum(constraints.sizes, np.abs(constraints.values))

@@ -12,7 +12,7 @@ from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.newton import near_model
 from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
-from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution, SemismoothNewton
+from dolfinx_tresca.optimise.newton.semismooth_newton import ModelSolution
 from dolfinx_tresca.optimise.problem import (
     DualProblem,
     DualSolution,
@@ -172,17 +172,12 @@ class ModelNewton:
             self.residual = residual = NaturalResidual(problem, residual.rho, at.error)
         self.history = History(problem, self.options, self.observe, residual)
         zero, start = at.x, problem.admissible.project(start)
-        if len(constraints) > 0 and norm(problem, start) == 0.0:
-            # the least multipliers that balance the loads
-            shift = balance(constraints, problem.admissible).shift
-            start = problem.admissible.project(constraints.columns @ shift)
+        if len(constraints) > 0:  # the nearest multipliers that balance the loads
+            shift = balance(constraints, problem.admissible, start=start).shift
+            start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
             at.move_to(start, *at.initial_gradient(start, ROUGH))
-        if len(constraints) > 0:  # b is known up to G c
-            at.c = SemismoothNewton(problem, self.store.model()).constraint_multipliers(at.x, at.r)
-            self.first_target = self.target()
-            at.c = self.first_target.c
-            residual.set_constraint_multipliers(at.c)
+        self.find_constraint_multipliers()
         if self.options.rtol:
             at.finest = FORCING * self.history.residual_error
         if residual.at(at.point) > residual.scale:
@@ -190,7 +185,21 @@ class ModelNewton:
                 residual.count(at.r + problem.b)
             else:
                 at.move_to(zero, -problem.b, problem.response.b_error)
-                self.first_target = None
+                self.find_constraint_multipliers()
+
+    def find_constraint_multipliers(self) -> None:
+        """Solve the model at the start for the motions of floating bodies: b is known up to G c.
+
+        The motions of the gradient projection step that balances the loads are the initial guess.
+        """
+        at, constraints, rho = self.at, self.problem.constraints, self.residual.rho
+        if len(constraints) > 0 and not self.residual.zero_is_solution:
+            lam, softness = self.problem.bounds(at.x, at.r), 1.0 / rho * constraints.softness
+            shift = balance(constraints, lam, at.x - rho * at.r, softness).shift
+            at.c = np.asarray(shift / rho)
+            self.first_target = self.target()
+            at.c = self.first_target.c
+            self.residual.set_constraint_multipliers(at.c)
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""

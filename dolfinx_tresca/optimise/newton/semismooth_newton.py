@@ -153,23 +153,6 @@ class SemismoothNewton:
         )
         return settled + change - x, change_c
 
-    def constraint_multipliers(self, x: Array, r: Array) -> Array:
-        """Return c (k,) with which the constraints hold if nodes pressed at x stay pressed.
-
-        With such motions of floating bodies, Newton's method begins near the solution.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) A x - b.
-        """
-        constraints, c = self.problem.constraints, np.zeros(len(self.problem.constraints))
-        section = self.problem.admissible.at(x, r, self.rho).section(x)
-        maps = NodalMaps.on_face(
-            section.face(x), self.model.diagonal, np.zeros_like(x), lambda step, v: step
-        )
-        softness, missing = constraints.softness_with(self.softness), constraints.residual(x, c)
-        return self.model.solve_between(maps, -r, constraints.columns, softness, missing)[1]
-
     def solve(self, start: NewtonPoint, tolerance: float, softer: float = 1.0) -> NewtonPoint:
         """Return the point with the least residual.
 

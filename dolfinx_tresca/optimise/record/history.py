@@ -84,7 +84,7 @@ class History:
         self.residuals.append(residual.relative(value))
         self.q.append(dual_energy(problem, point))
         reached, wanted, done = self.reached(point, error)
-        if residual.zero_is_solution and value <= residual.rounding:
+        if value <= residual.rounding and (self._options.rtol is None or residual.zero_is_solution):
             reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(
@@ -167,7 +167,8 @@ class History:
             residual: natural residual, divided by its scale.
         """
         problem, x, r = self._problem, point.x, point.r
-        yield problem.constraints.imbalance(x, point.c), BALANCED
+        if self.residual.at(point) > self.residual.rounding:
+            yield problem.constraints.imbalance(x, point.c), BALANCED
         if self._options.rtol is not None:
             yield residual, self._options.rtol
         bound = energy_error(problem, point, error)

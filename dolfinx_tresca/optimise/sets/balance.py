@@ -42,7 +42,7 @@ class Balance:
     """The result of `balance`.
 
     Attributes:
-        shift: (k,) the solution z; the multipliers are P(G z).
+        shift: (k,) the solution z; the multipliers are P(y + G z).
         excess: (k,) residual of the equation.
         satisfied: whether the residual is at most the rounding error of the equation's terms. The
             rounding error of G z may be larger; a residual of that size does not prove that a
@@ -59,46 +59,51 @@ class Balance:
 def balance(
     constraints: EqualityConstraints,
     feasible_set: FeasibleSet | FrictionCones,
+    start: Array | None = None,
+    softness: csr_array | None = None,
     reserve: float = 0.0,
 ) -> Balance:
     """Search for multipliers in Lambda that satisfy equations: they balance the loads. Collective.
 
-    The result is z with G'P(G z) + C z = e, where P projects onto Lambda. Here C is the projector
-    onto the range of S: all soft equations are equally soft, and the result does not depend on
-    their softness. Exact equations stay exact. The solution z minimises the convex function
+    The result is z with G'P(y + G z) + C z = e, where P projects onto Lambda. The solution z
+    minimises the convex function
 
-        phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'e,    x = G z,
+        phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'e,    x = y + G z,
 
     whose gradient is the residual of the equation. The method is Newton's with damping, and with
     the part of each step that minimises phi. Where no pressure acts, phi is flat; there the damping
     is reduced from step to step, and steps grow until z has left the flat region. If phi falls
-    below -depth, all x in Lambda and c with G'x + C c = e have |x|^2 + c'C c > 2 depth (weak
-    duality).
+    below -depth for y = 0, all x in Lambda and c with G'x + C c = e have |x|^2 + c'C c > 2 depth
+    (weak duality).
 
     Args:
         constraints: the equations.
         feasible_set: Lambda.
+        start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
+        softness: (k, k) C; None: the projector onto the range of S. All soft equations are then
+            equally soft, and the result does not depend on their softness.
         reserve: relative increase of e; a positive value asks for a margin.
     """
     target = (1.0 + reserve) * constraints.values
     sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
-    depth = 0.5 * LARGEST_REACTION**2 * float(sizes @ sizes)
+    depth = 0.5 * LARGEST_REACTION**2 * float(sizes @ sizes) if start is None else np.inf
     vectors = constraints.soft_directions[1]
-    softness = vectors @ vectors.T
+    C: csr_array = vectors @ vectors.T if softness is None else softness
+    y = np.zeros(constraints.columns.shape[0]) if start is None else start
     agreed = constraints.reductions.from_first_rank
-    scale = 1.0 / np.sqrt((constraints.hessian(lambda v: v) + softness).diagonal())
+    scale = 1.0 / np.sqrt((constraints.hessian(lambda v: v) + C).diagonal())
 
     def excess(z: Array) -> Array:
         """Return the gradient of phi."""
-        p = feasible_set.project(constraints.columns @ z)
-        return agreed(constraints.along(p) + softness @ z - target)
+        p = feasible_set.project(y + constraints.columns @ z)
+        return agreed(constraints.along(p) + C @ z - target)
 
     def rounding(z: Array) -> tuple[Array, Array]:
         """Return two rounding errors (k,) of the residual: from summing it, and from G z."""
-        p = feasible_set.project(constraints.columns @ z)
+        p = feasible_set.project(y + constraints.columns @ z)
         moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
         terms, cancelled = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
-        summed = ROUNDING * (terms + abs(softness) @ np.abs(z) + sizes)
+        summed = ROUNDING * (terms + abs(C) @ np.abs(z) + sizes)
         return agreed(summed), agreed(np.finfo(float).eps * cancelled)
 
     z, damping = np.zeros_like(target), DAMPING
@@ -111,8 +116,8 @@ def balance(
             return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
         if -_dot(z, gradient) > depth:  # phi(0) = 0 and phi is convex: phi(z) <= z'gradient
             return Balance(z, gradient, satisfied=False, unbounded=True)
-        derivative = feasible_set.projection_derivative(constraints.columns @ z)
-        hessian = constraints.hessian(derivative) + softness
+        derivative = feasible_set.projection_derivative(y + constraints.columns @ z)
+        hessian = constraints.hessian(derivative) + C
         scaling = diags_array(scale)
         step = -agreed(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)

@@ -85,8 +85,10 @@ class EqualityConstraints:
         return NodalPattern(self.nodes)
 
     def softness_with(self, added: float) -> csr_array:
-        """Return S + s I, (k, k), for a number s >= 0 that is added. Not collective."""
-        return self.softness + added * eye_array(len(self), format="csr")
+        """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
+        vectors = self.soft_directions[1]
+        exact = eye_array(len(self), format="csr") - vectors @ vectors.T
+        return csr_array(self.softness + added * exact)
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
