@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -14,16 +14,16 @@ from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
-from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
+from dolfinx_tresca.optimise.newton.iteration import solve
 from dolfinx_tresca.optimise.problem import DualSolution, KnownProducts
 from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.options import Method
 
-METHODS = tuple(methods.METHODS)
+METHODS = get_args(Method)
 
 
 class OneRank:
@@ -353,4 +353,4 @@ def run(
     if "accuracy" not in options:
         options.setdefault("rtol", 1e-6)
     chosen = SolverOptions(method=method, **options)
-    return methods.solve(problem, start, chosen, observe)
+    return solve(problem, start, chosen, observe)

@@ -117,6 +117,10 @@ def gimssn(
     return run.iterate(step, adaptive_precision(run.history, options))
 
 
+#: Name of a method in `SolverOptions` -> its function.
+ALGORITHMS = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
+
+
 class _Run:
     """The state of a solve by an algorithm of the paper.
 

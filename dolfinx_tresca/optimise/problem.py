@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.models.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.models.products import ProductStore
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.optimise.reductions import InnerProduct, Reductions
@@ -16,6 +17,9 @@ from dolfinx_tresca.status import ContactStatus
 
 #: Products with A that are known: single products, or A as a matrix. Both give a model of A.
 KnownProducts: TypeAlias = ProductStore | WholeModel
+
+#: A symmetric positive definite model of A.
+Model: TypeAlias = BlockBFGSModel | WholeModel
 
 
 class Operator(Protocol):

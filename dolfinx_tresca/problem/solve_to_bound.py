@@ -12,7 +12,7 @@ from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
-from dolfinx_tresca.optimise import methods
+from dolfinx_tresca.optimise.newton.iteration import solve
 from dolfinx_tresca.optimise.problem import DualSolution, Point
 from dolfinx_tresca.optimise.record.history import History
 from dolfinx_tresca.optimise.record.residual import NaturalResidual
@@ -60,7 +60,7 @@ def solve_to_bound(
     q: tuple[float, ...] = ()
     for attempt in range(MAX_ATTEMPTS):
         with timed("iteration", timings):
-            found = methods.solve(dual, start, asked, observe)
+            found = solve(dual, start, asked, observe)
         with timed("fields", timings):
             evaluation, history = evaluate(dual, surfaces, bodies, found, estimate=options.balanced)
         iterations += found.iterations

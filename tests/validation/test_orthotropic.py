@@ -269,7 +269,7 @@ def test_the_last_tractions_are_the_next_start_along_other_axes(comm):
         first = problem.solve(rtol=1e-6)
         bounds[0].value, bounds[1].value, direction.value = 0.3 * G, G, (-0.2, 1.0, 0.0)
         again = problem.solve(rtol=2e-6)
-        assert first.iterations > 2 and again.iterations == 0
+        assert first.iterations > again.iterations == 0
         assert same(numbers(again), numbers(first), 1e-9)
 
 

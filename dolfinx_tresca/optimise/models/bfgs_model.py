@@ -7,11 +7,11 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps, solve_or_fit
+from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, NodalMaps, solve_or_fit
 from dolfinx_tresca.optimise.reductions import Reductions
 
 
-class BlockBFGSModel(Model):
+class BlockBFGSModel:
     """The model M = Y Y' + (I - Y W') D (I - W Y') of A: symmetric and positive definite.
 
     The columns of Y are the known products A w with the columns w of W, and W'Y = I. M equals A on
@@ -77,10 +77,17 @@ class BlockBFGSModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, the solution of the equations in `Model.solve_between`. Collective.
+        """Return V s and c, which solve the equations of `NodalMaps`. Collective.
 
         Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
         so that the system has a solution even if the second equation has none.
+
+        Args:
+            maps: T, V, C and P.
+            right: (size,) r.
+            G: (size, k) columns of length 1.
+            softness: (k, k) S.
+            missing: (k,) e.
         """
         unit = self._unit
         columns = np.column_stack([self._U, unit * G.toarray()])

@@ -1,13 +1,11 @@
-"""Models of A: products, and systems of equations along the faces of Lambda. Numpy only."""
+"""Equations with models of A, along the faces of Lambda. Numpy only."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.sets.feasible_set import Face
@@ -20,9 +18,9 @@ LEAST_SOFTNESS = 1e-10
 
 @dataclass(frozen=True)
 class NodalMaps:
-    """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
+    """The maps T, V, C and P in the equations T (M + C) V s - T G c = T r and G'V s + S c = e.
 
-    Here M is the model of A, and G c the contribution of equality constraints. Such equations
+    Here s = P s, M is the model of A, and G and S belong to equality constraints. Such equations
     determine Newton steps on a face, and steps towards an adjoint solution. Each map couples only
     multipliers of the same node. T, V and P are applied to arrays (size,) or (size, columns).
 
@@ -68,41 +66,6 @@ class NodalMaps:
             projector=face.project,
             inverse=lambda v: with_bound_change(np.asarray((weight * face.project(v).T).T), v),
         )
-
-
-class Model(ABC):
-    """A symmetric positive definite model M of A.
-
-    Attributes:
-        diagonal: (size,) D, the diagonal with which `NodalMaps.inverse` approximates M.
-    """
-
-    diagonal: Array
-
-    @property
-    @abstractmethod
-    def size(self) -> Array:
-        """diag(M), (size,)."""
-
-    @abstractmethod
-    def apply(self, x: Array) -> Array:
-        """Return M x for x of shape (size,) or (size, columns). Collective."""
-
-    @abstractmethod
-    def solve_between(
-        self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
-    ) -> tuple[Array, Array]:
-        """Return V s and c with T (M + C) V s - T G c = T r, s = P s, and G'V s + S c = missing.
-
-        Collective.
-
-        Args:
-            maps: T, V, C and P.
-            right: (size,) r.
-            G: (size, k) columns of length 1, sparse.
-            softness: (k, k) S, sparse.
-            missing: (k,) right-hand side of the second equation.
-        """
 
 
 def solve_or_fit(matrix: Array, right: Array) -> Array:

@@ -10,7 +10,7 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, isspars
 from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix, dense
-from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, Model, NodalMaps, solve_or_fit
+from dolfinx_tresca.optimise.models.model import LEAST_SOFTNESS, NodalMaps, solve_or_fit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.optimise.sets.nodal_matrix import NodalPattern
 
@@ -22,7 +22,7 @@ from dolfinx_tresca.optimise.sets.nodal_matrix import NodalPattern
 SHIFT = 1e-5
 
 
-class WholeModel(Model):
+class WholeModel:
     """The model M = A + s I of A, whose matrix is known.
 
     The matrix is sparse for assemblies of many small bodies, since A couples only multipliers of
@@ -118,7 +118,7 @@ class WholeModel(Model):
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, the solution of the equations in `Model.solve_between`. Collective.
+        """Return V s and c, which solve the equations of `NodalMaps`. Collective.
 
         `LEAST_SOFTNESS`, divided by the mean of diag(A), is added to the diagonal of S, so that the
         equations have a solution even if the constraints have none.

@@ -9,6 +9,8 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING, ROUGH
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.optimise import paper
 from dolfinx_tresca.optimise.models.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.newton import near_model
 from dolfinx_tresca.optimise.newton.iterate import Iterate, Step
@@ -54,11 +56,12 @@ LARGE = 1e100
 def solve(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> DualSolution:
-    """Find multipliers x that minimise q over the friction cones' section at their own pressures.
+    """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    For Tresca's law, this section is Lambda. For Coulomb's law, x is a fixed point: the solution of
-    Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983, Approximation of
-    the Signorini problem with friction, obeying the Coulomb law).
+    The default method finds multipliers x that minimise q over the section of the friction cones at
+    their own pressures. For Tresca's law, this section is Lambda. For Coulomb's law, x is a fixed
+    point: the solution of Tresca's problem with the slip bounds at the pressures of x (Haslinger
+    1983, Approximation of the Signorini problem with friction, obeying the Coulomb law).
 
     The model M (`near_model`) equals A on all vectors with known products. Newton's method
     (`semismooth_newton`) solves the problem with M in place of A by small dense algebra; changes of
@@ -82,7 +85,18 @@ def solve(
         start: (size,) first multipliers; projected onto the cones.
         options: tolerances.
         observe: function that is called with each iterate, the first one included.
+
+    Raises:
+        InputError: a method of the paper, which is for slip bounds that are given, was chosen for
+            slip bounds that depend on the pressure.
     """
+    if options.method in paper.ALGORITHMS:
+        if isinstance(problem.admissible, FeasibleSet):
+            return paper.ALGORITHMS[options.method](problem, start, options, observe)
+        raise InputError(
+            f"method={options.method!r} needs slip bounds that are given: here they depend on the "
+            "pressure. Leave out `method`, or give the friction as Tresca, Bonded or Frictionless."
+        )
     return ModelNewton(problem, options, observe).run(start)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
-from dolfinx_tresca.optimise.models.model import Model, NodalMaps
+from dolfinx_tresca.optimise.models.model import NodalMaps
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
-from dolfinx_tresca.optimise.problem import DualProblem, Point
+from dolfinx_tresca.optimise.problem import DualProblem, Model, Point
 from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
