@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import RankReductions, broadcast_array, reduce_array
 from dolfinx_tresca.errors import InputError
@@ -105,19 +106,13 @@ class FixingSprings:
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""
-        (rows, _), comm = K.getSizes(), K.comm
-        k = self.columns.shape[1]
-        mine = k if comm.rank == 0 else 0
-        columns = self.columns
-        pattern = [one.astype(PETSc.IntType) for one in (columns.indptr, columns.indices)]
-        Z = PETSc.Mat().createAIJ((rows, (mine, k)), csr=(*pattern, columns.data), comm=comm)
-        transposed = Z.copy().transpose()
-        springs = Z.matMult(transposed)
-        result = K.copy()
+        comm, k = self.modes.comm, len(self.modes)
+        Z = sparse_matrix(self.columns, (k if comm.rank == 0 else 0, k), comm)
+        springs, result = Z.matTransposeMult(Z), K.copy()
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        for owned in (Z, transposed, springs):
-            owned.destroy()
+        Z.destroy()
+        springs.destroy()
         return result
 
     def energy(self, u: PETSc.Vec) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.errors import StiffnessError
@@ -71,9 +72,7 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
     first, end = jump.matrix.getOwnershipRange()
     place = csr_array(members)[first:end].data
-    pattern = [array.astype(PETSc.IntType) for array in (forces.indptr, forces.indices)]
-    sizes = ((len(row), None), jump.matrix.getSizes()[1])
-    B = PETSc.Mat().createAIJ(sizes, csr=(*pattern, forces.data), comm=jump.comm)
+    B = sparse_matrix(forces, jump.matrix.getSizes()[1], jump.comm)
     responses = _columns(operator, place, count, B)
     B.destroy()
     force, column = np.nonzero(np.arange(count) < numbers[body, None])
@@ -124,24 +123,22 @@ def _solve(matrix: csr_array, right: Array) -> Array:
     Raises:
         StiffnessError: the factorisation failed.
     """
-    indptr, indices = (one.astype(PETSc.IntType) for one in (matrix.indptr, matrix.indices))
-    A = PETSc.Mat().createAIJ(matrix.shape, csr=(indptr, indices, matrix.data), comm=MPI.COMM_SELF)
-    result = np.empty(len(right))
-    b, x = (PETSc.Vec().createWithArray(one, comm=MPI.COMM_SELF) for one in (right, result))
+    A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
-    try:
-        factors.setOperators(A)
-        factors.setType(PETSc.PC.Type.LU)
-        factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-        factors.setFactorSetUpSolverType()
-        factor = factors.getFactorMatrix()
-        factor.setMumpsIcntl(7, MINIMUM_FILL)
-        factor.setMumpsIcntl(14, SPARE_WORKSPACE)
-        factors.apply(b, x)
-        failure = factor.getMumpsInfog(1)
-    finally:
-        for owned in (factors, x, b, A):
-            owned.destroy()
+    x, b = A.createVecs()
+    b.array = right
+    factors.setOperators(A)
+    factors.setType(PETSc.PC.Type.LU)
+    factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    factors.setFactorSetUpSolverType()
+    factor = factors.getFactorMatrix()
+    factor.setMumpsIcntl(7, MINIMUM_FILL)
+    factor.setMumpsIcntl(14, SPARE_WORKSPACE)
+    factors.apply(b, x)
+    result: Array = x.array.copy()
+    failure = factor.getMumpsInfog(1)
+    for owned in (factors, x, b, A):
+        owned.destroy()
     if failure < 0:
         raise StiffnessError(
             f"MUMPS could not solve for the contacts of many bodies: INFOG(1) = {failure} "

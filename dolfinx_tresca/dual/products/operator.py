@@ -9,6 +9,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.matrices import dense_matrix
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -94,12 +95,9 @@ class DualOperator(PetscOwner):
             X: (size, k) multipliers.
             B: matrix that replaces the matrix of jumps in A = B K^-1 B'; None: it is not replaced.
         """
-        B, (size, count) = B or self.jump.matrix, X.shape
-        self.products += count
-        multipliers = PETSc.Mat().createDense(((size, None), (None, count)), comm=self.comm)
-        multipliers.setUp()
-        multipliers.getDenseArray()[:] = X
-        multipliers.assemble()
+        B = B or self.jump.matrix
+        self.products += X.shape[1]
+        multipliers = dense_matrix(X, self.comm)
         forces = B.transposeMatMult(multipliers)
         forces.getDenseArray()[self.jump.system.prescribed] = 0.0
         displacements = forces.duplicate()
