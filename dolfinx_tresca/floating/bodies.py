@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
@@ -79,6 +80,23 @@ class Bodies:
     def mean_nodes(self) -> float:
         """The mean number of nodes per body, weighted by this number: large bodies decide."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
+
+    def rigid_modes(self, dim: int) -> csr_array:
+        """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
+
+        The translations along the axes and then the rotations about the centre of each body have
+        the order of `rigid_modes.MODES`.
+
+        Args:
+            dim: the dimension of space.
+        """
+        translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
+        rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
+        modes = np.concatenate([translations, rotations])  # (mode, node, component)
+        mode, node, component = np.nonzero(modes)
+        entries = (node * dim + component, self.label[node] * len(modes) + mode)
+        shape = (len(self.arm) * dim, self.number * len(modes))
+        return csr_array((modes[mode, node, component], entries), shape=shape)
 
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
         """Return the number, the name and the bounding box of a body, in words.

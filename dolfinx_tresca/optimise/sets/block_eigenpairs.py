@@ -10,10 +10,11 @@ from dolfinx_tresca._base.arrays import Array, Indices
 
 
 def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
-    """Return eigenvalues (k,), in any order, and eigenvectors (k, k) of a symmetric matrix.
+    """Return eigenvalues (k,) and eigenvectors (k, k) of a symmetric matrix.
 
     Rows that nonzero entries connect, directly or through other rows, are treated as one dense
-    block: the cost grows with the sum of the cubes of the blocks' sizes.
+    block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
+    to the block of row j; the eigenvalues of a block ascend.
 
     Args:
         matrix: (k, k) symmetric, k > 0.
