@@ -134,13 +134,11 @@ def _tag_names(
     body_of_cell = body[V.dofmap.list[:, 0]]
     tag = np.full(len(body_of_cell), np.iinfo(np.int32).max, dtype=np.int64)
     tag[cell_tags.indices] = cell_tags.values
-    least, negated = np.full((2, number), np.iinfo(np.int64).max)
-    np.minimum.at(least, body_of_cell, tag)
-    np.minimum.at(negated, body_of_cell, -tag)
-    least, negated = reduce_array(V.mesh.comm, [least, negated], MPI.MIN)
+    bounds = np.full((number, 2), np.iinfo(np.int64).max)
+    np.minimum.at(bounds, body_of_cell, np.column_stack([tag, -tag]))
     return tuple(
-        cell_tags.names.get(int(one), "") if one == -other else ""
-        for one, other in zip(least, negated, strict=True)
+        cell_tags.names.get(int(least), "") if least == -negated else ""
+        for least, negated in reduce_array(V.mesh.comm, bounds, MPI.MIN)
     )
 
 

@@ -74,15 +74,8 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     weak = np.flatnonzero(resistance <= limit[body])
     basis, body = csr_array(free @ parts[:, weak]), body[weak]
     basis.eliminate_zeros()
-    return RigidBodyModes(
-        comm=comm,
-        bodies=bodies,
-        basis=basis,
-        stiffness=stiffness[body],
-        floats=resistance[weak] <= nothing[body],
-        body=body,
-        parts=parts[:, weak],
-    )
+    floats = resistance[weak] <= nothing[body]
+    return RigidBodyModes(comm, bodies, basis, stiffness[body], floats, body, parts[:, weak])
 
 
 def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
@@ -104,13 +97,13 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
     np.fmax.at(most, label, entries)
     smallest, largest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, most, MPI.MAX)
     if smallest.min() <= 0.0:
-        body = int(smallest.argmin())
-        fault = f"its diagonal is negative, down to {smallest.min():.3g}, in"
-        if smallest.min() == 0.0:
-            zero = node[(entries == 0.0) & (label == body)]
-            number = reduce_array(comm, len(np.unique(zero)))
-            fault = f"the stiffness is zero at {number} of {bodies.nodes[body]} nodes of"
-        raise not_positive_definite(f"{fault} {bodies.describe(body)}")
+        body, value = int(smallest.argmin()), smallest.min()
+        found = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
+        number = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
+        raise not_positive_definite(
+            f"the stiffness is {found} at {number} of {bodies.nodes[body]} nodes of "
+            f"{bodies.describe(body)}"
+        )
     return np.where(largest > 0.0, largest, 1.0)
 
 
