@@ -59,8 +59,6 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
         return None
     label = label_bodies(jump.system.V)
     bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-    if BODY_SHARE * bodies < 1.0:  # some body has a larger share of the multipliers
-        return None
     row, body, forces = _forces_on_bodies(jump, label, bodies)
     acts = csr_array((np.ones(len(row)), (row, body)), shape=(len(jump.gap), bodies))
     members = csc_array(jump.reductions.stacked(acts))  # row indices: the multipliers of each body
@@ -91,13 +89,11 @@ def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel:
     """
     jump = operator.jump
     first, end = jump.matrix.getOwnershipRange()
-    rows = _columns(operator, np.arange(first, end), jump.matrix.getSize()[0])
+    rows = _columns(operator, np.arange(first, end), jump.matrix.getSize()[0], jump.matrix)
     return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
 
 
-def _columns(
-    operator: DualOperator, place: Indices, count: int, B: PETSc.Mat | None = None
-) -> Array:
+def _columns(operator: DualOperator, place: Indices, count: int, B: PETSc.Mat) -> Array:
     """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
 
     Args:

@@ -21,6 +21,12 @@ def first_products(
 ) -> ProductStore:
     """Return a store with an estimate of diag(A), from the product with random signs. Collective.
 
+    The mean of x_i (A x)_i for random signs x_i estimates the mean of A_ii (Hutchinson 1989, A
+    stochastic estimator of the trace of the influence matrix). A_ii is nearly proportional to the
+    compliance of a node whose neighbours are fixed, which depends on materials, edges and cell
+    sizes. Therefore only two factors are fitted for a pair: one for all normal multipliers, and one
+    for all tangential multipliers.
+
     If there is a near field, it replaces A in this product, since the effect of random signs is
     local; the store then has no products with A.
 
@@ -37,14 +43,15 @@ def first_products(
         product, error = operator.product(signs, ROUGH)
     else:
         product = near_field(signs)
-    store = ProductStore(jump.reductions, estimate_diagonal(jump, compliance, signs, product))
+    diagonal = rescaled_diagonal(jump, compliance, jump, signs * product, compliance)
+    store = ProductStore(jump.reductions, diagonal)
     if near_field is None:
         store.add(signs, product, error)
     return store
 
 
 def rademacher_vector(jump: JumpOperator) -> Array:
-    """Return a vector (size,) of random signs for `estimate_diagonal`, equal on all partitions.
+    """Return a vector (size,) of random signs, equal on all partitions.
 
     The sign depends on the node's number in the mesh file, through a mixing of the number's bits.
     """
@@ -57,25 +64,6 @@ def rademacher_vector(jump: JumpOperator) -> Array:
             seed = file_number[pair.nodes[rows]] * 4 + (kind + repeat).astype(np.uint64)
             signs.append(1.0 - 2.0 * (splitmix64(seed) & np.uint64(1)).astype(float))
     return np.concatenate(signs)
-
-
-def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: Array) -> Array:
-    """Return an estimate (size,) of diag(A) from random signs x and A x. Collective.
-
-    The mean of x_i (A x)_i estimates the mean of A_ii (Hutchinson 1989, A stochastic estimator of
-    the trace of the influence matrix). A_ii is nearly proportional to the compliance of a node
-    whose neighbours are fixed, which depends on materials, edges and cell sizes. Therefore only two
-    factors are fitted for a pair: one for all normal multipliers, and one for all tangential
-    multipliers.
-
-    Args:
-        jump: B.
-        compliance: (size,) compliance of nodes whose neighbours are fixed, the same for all
-            directions of a friction disc.
-        x: (size,) the signs.
-        product: (size,) A x.
-    """
-    return rescaled_diagonal(jump, compliance, jump, x * product, compliance)
 
 
 def rescaled_diagonal(
