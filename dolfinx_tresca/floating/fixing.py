@@ -71,7 +71,7 @@ class FixingSprings:
         all be on one edge.
         """
         modes, label = self.modes, self.modes.bodies.label
-        moves = np.diff(modes.basis.indptr).reshape(len(label), -1).any(axis=1)
+        moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.number))
         first = modes.comm.scan(len(label)) - len(label)
         chance = splitmix64(np.arange(first, first + len(label), dtype=np.uint64)) / 2.0**64

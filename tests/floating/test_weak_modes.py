@@ -56,3 +56,21 @@ def test_a_mesh_that_is_wholly_prescribed_has_no_motions(comm):
         modes = weakly_resisted_modes(system, Bodies.of(V))
     assert len(modes) == 0
     assert modes.summary == ""
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("softness", [0.0, 1e-6])
+def test_a_body_of_one_cell(comm, softness):
+    """The floor and soft springs carry its weight; on several ranks, some have no node of it."""
+    made = boxes(comm, "quadrilateral", [Body((1, 1), [(0.0, 1.0), (0.0, 1.0)])])
+    tags = made.tags((1, [0], lambda x: np.isclose(x[:, 1], 0.0)))
+    u, v = ufl.TrialFunction(made.V), ufl.TestFunction(made.V)
+    spring = fem.Constant(made.mesh, softness * YOUNG)
+    a = elasticity(made.V, YOUNG) + spring * ufl.inner(u, v) * ufl.dx
+    floor = ContactPair(tags, 1, RigidPlane((0, 0, 0), (0, 1, 0)), Coulomb(0.5))
+    with ContactProblem(a, -WEIGHT * v[1] * ufl.dx, [floor]) as problem:
+        solution = problem.solve(rtol=1e-9)
+    solution.raise_if_failed()
+    carried = comm.allreduce(fem.assemble_scalar(fem.form(spring * solution.u[1] * ufl.dx)))
+    force = solution.pair_resultants[0].force
+    assert force == pytest.approx([0.0, WEIGHT + carried], abs=1e-9 * WEIGHT)
