@@ -236,7 +236,7 @@ def equilibrium_constraints(
             "and at the friction, or hold the body by Dirichlet conditions or springs.",
             motion,
         )
-    # no solution exists only because of the rounding of the loads
+    # only rounding of the loads is missing
     values = values + balance.excess / (1.0 + LOAD_RESERVE)
     return replace(constraints, values=values), factors
 
