@@ -335,7 +335,7 @@ PARTS: dict[str, Patches] = {
         (first_products, "rademacher_vector", lambda jump: np.ones_like(rademacher_vector(jump)))
     ],
     "fit of the diagonal": [
-        (first_products, "estimate_diagonal", lambda jump, local, x, product: local)
+        (first_products, "rescaled_diagonal", lambda jump, local, *estimate: local)
     ],
     "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
     "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],

@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
@@ -244,16 +245,7 @@ class JumpOperator(PetscOwner):
 
     def of_columns(self, columns: csr_array) -> csr_array:
         """Return B U (size, k) for a sparse matrix U (unknowns of this rank, k). Collective."""
-        comm, (rows, k) = self.comm, columns.shape
-        pattern = [one.astype(PETSc.IntType) for one in (columns.indptr, columns.indices)]
-        mine = k if comm.rank == 0 else 0
-        sizes = ((rows, None), (mine, k))
-        U = PETSc.Mat().createAIJ(sizes, csr=(*pattern, columns.data), comm=comm)
-        product = self.matrix.matMult(U)
-        result = csr_array(product.getValuesCSR()[::-1], shape=(len(self.gap), k))
-        for owned in (U, product):
-            owned.destroy()
-        return result
+        return product(self.matrix, columns)
 
     def whole_force(self, x: Array) -> PETSc.Vec:
         """Return B'x [force], also where u is prescribed; the next call overwrites the vector."""

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
@@ -80,6 +81,23 @@ class Bodies:
         """The mean number of nodes per body, weighted by this number: large bodies decide."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
+    def rigid_modes(self, dim: int) -> csr_array:
+        """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
+
+        The translations along the axes and then the rotations about the centre of each body have
+        the order of `rigid_modes.MODES`.
+
+        Args:
+            dim: the dimension of space.
+        """
+        translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
+        rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
+        modes = np.concatenate([translations, rotations])  # (mode, node, component)
+        mode, node, component = np.nonzero(modes)
+        entries = (node * dim + component, self.label[node] * len(modes) + mode)
+        shape = (len(self.arm) * dim, self.number * len(modes))
+        return csr_array((modes[mode, node, component], entries), shape=shape)
+
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
         """Return the number, the name and the bounding box of a body, in words.
 
@@ -116,13 +134,11 @@ def _tag_names(
     body_of_cell = body[V.dofmap.list[:, 0]]
     tag = np.full(len(body_of_cell), np.iinfo(np.int32).max, dtype=np.int64)
     tag[cell_tags.indices] = cell_tags.values
-    least, negated = np.full((2, number), np.iinfo(np.int64).max)
-    np.minimum.at(least, body_of_cell, tag)
-    np.minimum.at(negated, body_of_cell, -tag)
-    least, negated = reduce_array(V.mesh.comm, [least, negated], MPI.MIN)
+    bounds = np.full((number, 2), np.iinfo(np.int64).max)
+    np.minimum.at(bounds, body_of_cell, np.column_stack([tag, -tag]))
     return tuple(
-        cell_tags.names.get(int(one), "") if one == -other else ""
-        for one, other in zip(least, negated, strict=True)
+        cell_tags.names.get(int(least), "") if least == -negated else ""
+        for least, negated in reduce_array(V.mesh.comm, bounds, MPI.MIN)
     )
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -13,8 +12,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import Array, Indices, dense
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.arrays import Array, Indices, dense, scaled_rows
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.fixing import SpringResponse
 from dolfinx_tresca.optimise.problem import FrictionDeficit
@@ -41,18 +39,16 @@ UNRESISTED_SQUARE = 1e-6
 #: if it is at most this number. (The jumps are scaled to length 1.)
 ROUNDING_SQUARE = 1e-13
 
-#: Number of motions that are computed if contact does not resist some motions of many bodies. The
-#: error message names the bodies that move in these motions. To compute all motions of hundreds of
-#: bodies would take a dense eigenvalue problem. An error message also names this number of groups
-#: of bodies, at most. The number changes nothing but the message.
-MOST_NAMED = 6
+#: Number of motions that are computed if contact does not resist some joint motions of many bodies.
+#: To compute all motions of hundreds of bodies would take a dense eigenvalue problem. The number
+#: changes nothing but the error message, which names bodies that move in these motions.
+MOTIONS = 6
 
 #: Number of modes at and above which a few motions are computed in place of all motions.
 MANY = 100
 
 #: A mode counts as moving if its largest component in unresisted motions exceeds this fraction of
-#: the largest component of all modes, and modes as moving together if the cosine of the angle
-#: between their components exceeds it. Twice or half the number changes no message of the tests.
+#: the largest component of all modes. Twice or half the number changes no message of the tests.
 MOVING = 1e-3
 
 
@@ -71,15 +67,18 @@ class Equilibrium:
 
     Attributes:
         constraints: the equations of equilibrium G'lambda + S c = e.
-        modes: U (owned degrees of freedom, k), sparse; scaled such that a column of G has length 1,
-            or a smaller length if S resists its mode more than contact does.
-        describe: function that names the body that moves and its motion, for multipliers (k,) of
-            the constraints. Collective.
+        response: the displacements that the modes U are multiples of.
+        factors: (k,) the factors of these multiples, such that a column of G has length 1, or a
+            smaller length if S resists its mode more than contact does.
     """
 
     constraints: EqualityConstraints
-    modes: csr_array
-    describe: Callable[[Array], str]
+    response: SpringResponse
+    factors: Array
+
+    def describe(self, motion: Array) -> str:
+        """Return which body moves, and how, for multipliers (k,) of the constraints. Collective."""
+        return self.response.modes.describe(self.factors * motion)
 
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U c to u. Collective.
@@ -92,20 +91,16 @@ class Equilibrium:
         Returns:
             the energy norm of the rigid displacements that are then still missing for equilibrium.
         """
-        u.array += self.modes @ c
+        u.array += self.response.displacements @ (self.factors * c)
         return self.constraints.violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return the resultants U'f (k,), and the largest sum of their terms' absolute values.
-
-        Collective.
+        """Return the resultants U'f (k,), and the largest size of their terms. Collective.
 
         Args:
             f: forces on all unknowns.
         """
-        terms = self.modes.T @ f.array, abs(self.modes).T @ np.abs(f.array)
-        comm = f.comm.tompi4py()
-        result, sizes = (np.asarray(reduce_array(comm, one)) for one in terms)
+        result, sizes = (self.factors * values for values in self.response.resultants(f.array))
         return result, float(sizes.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
@@ -150,14 +145,12 @@ class FloatingBodies:
                 bodies.
         """
         response = self._response
-        resultants, sizes = response.resultants(load)
         try:
             constraints, factors = equilibrium_constraints(
                 feasible_set,
                 self._jumps,
                 response.stiffness,
-                resultants,
-                sizes,
+                *response.resultants(load),
                 response.modes.body,
                 reductions,
                 response.modes.describe,
@@ -165,11 +158,7 @@ class FloatingBodies:
         except MechanismError as error:
             error.motion = response.displacements @ error.motion
             raise
-        return Equilibrium(
-            constraints,
-            response.displacements * factors,
-            lambda motion: response.modes.describe(factors * motion),
-        )
+        return Equilibrium(constraints, response, factors)
 
 
 def equilibrium_constraints(
@@ -205,102 +194,98 @@ def equilibrium_constraints(
         MechanismError: neither K nor contact resists a motion, or nothing balances the loads; the
             error's `motion` has the components (k,) of the motion in the modes.
     """
-    carrying = diags_array(feasible_set.carrying.astype(np.float64), format="csr") @ jumps
+    carrying = scaled_rows(jumps, feasible_set.carrying.astype(np.float64))
     gram = reductions.sparse_inner(carrying, carrying)
     length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
     # compared for each body by itself, since jumps depend on the size and the mesh of a body
     largest = _largest_of_group(length, bodies)
     length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
-    resisted = stiffness.diagonal()
+    resisted, k = stiffness.diagonal(), len(length)
     floats = np.flatnonzero(resisted == 0.0)
-    size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
-    by_size = diags_array(1.0 / size, format="csr")
-    scaled = (by_size @ gram @ by_size)[floats][:, floats]
-    unresisted = reductions.from_first_rank(_unresisted(scaled, bodies[floats]))
-    if unresisted.size:
-        weak = np.zeros((len(size), unresisted.shape[1]))
-        weak[floats] = unresisted / size[floats, None]
-        motions = _by_group(weak, bodies)
-        named = "; nor ".join(describe(motion) for motion in motions[:MOST_NAMED])
-        more = len(motions) - MOST_NAMED
+    by_size = 1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
+    scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
+    motions, more = _unresisted(csr_array(scaled), bodies[floats])
+    if motions.size:
+        moved = np.zeros((k, motions.shape[1]))
+        moved[floats] = by_size[:, None] * motions
         raise MechanismError(
-            f"nothing holds {named}{f'; nor {more} more' * (more > 0)}, and no contact resists "
-            "that. Fix part of the boundary with a Dirichlet condition, add a soft spring to a, or "
-            "give the contact friction.",
-            motions[0][:, np.square(motions[0]).sum(axis=0).argmax()],
+            f"nothing holds {describe(moved)}{f'; nor {more} more' * (more > 0)}, and no contact "
+            "resists that. Fix part of the boundary with a Dirichlet condition, add a soft spring "
+            "to a, or give the contact friction.",
+            reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()]),
         )
     # modes without jumps are scaled by the stiffness of the springs that hold them, which together
     # with an unstable K may be negative
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
     by_factor = diags_array(factors, format="csr")
+    values, own_sizes = factors * resultants, np.where(length > 0.0, factors * sizes, 0.0)
+    of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
+    coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
     constraints = EqualityConstraints(
         columns=csr_array(jumps @ by_factor),
         softness=csr_array(by_factor @ stiffness @ by_factor),
-        values=factors * resultants,
-        sizes=_largest_of_group(
-            np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)
-        ),
+        values=values,
+        sizes=_largest_of_group(own_sizes, coupled[bodies]),
         reductions=reductions,
         nodes=feasible_set.nodes(),
     )
-    checked = _solvable(constraints, feasible_set, factors, describe)
-    return checked, factors
+    found = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
+    if found.satisfied:
+        return constraints, factors
+    most = UNBALANCED_PART * np.maximum(constraints.sizes, np.abs(values))
+    if found.unbounded or (np.abs(found.excess) > most).any():
+        motion = factors * found.shift
+        raise MechanismError(
+            f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
+            "what it touches, tip it over, or overcome friction there: look at their directions "
+            "and at the friction, or hold the body by Dirichlet conditions or springs.",
+            motion,
+        )
+    # only rounding of the loads is missing
+    values = values + found.excess / (1.0 + LOAD_RESERVE)
+    return replace(constraints, values=values), factors
 
 
-def _unresisted(gram: csr_array, bodies: Indices) -> Array:
-    """Return m motions that contact does not resist, by their components (k, m) in the modes.
+def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
+    """Return motions that contact does not resist, of one body or of a group of bodies.
 
-    The number m may be zero. In each motion a single body moves while all others rest; if there is
-    no such motion, all bodies move together. The limit for joint motions of n bodies is smaller,
-    since the resistance falls with n: the least eigenvalue of a stack of n bodies is about 1 / n^4.
+    Single bodies that move while all others rest are looked for first, then bodies that move
+    together. The limit for joint motions of n bodies is smaller, since the resistance falls with n:
+    the least eigenvalue of a stack of n bodies is about 1 / n^4.
 
     Args:
-        gram: (k, k) products of the modes' jumps, sparse, 1 on the diagonal.
-        bodies: (k,) the body of each mode.
+        gram: (m, m) products of the modes' jumps, sparse, 1 on the diagonal.
+        body: (m,) the body of each mode.
+
+    Returns:
+        the components (m, number) of the motions in the modes, empty if there is no such motion;
+        and the number of other bodies that contact does not hold either.
     """
-    k, number = len(bodies), len(np.unique(bodies))
-    if k == 0:
-        return np.zeros((0, 0))
-    entries = gram.tocoo()
-    same = bodies[entries.row] == bodies[entries.col]
-    pattern = (entries.row[same], entries.col[same])
-    own = csr_array((entries.data[same], pattern), shape=gram.shape)  # all other bodies at rest
-    together = max(UNRESISTED_SQUARE / number**4, ROUNDING_SQUARE)
-    motions: Array = np.zeros((k, 0))
-    for matrix, least in ((own, UNRESISTED_SQUARE), (gram, together)):
-        if is_positive_definite(matrix - least * eye_array(k)):
+    m, entries = len(body), gram.tocoo()
+    within = body[entries.row] == body[entries.col]  # all other bodies at rest
+    own = csr_array((entries.data[within], (entries.row[within], entries.col[within])), gram.shape)
+    together = UNRESISTED_SQUARE / max(len(np.unique(body)), 1) ** 4
+    for matrix, least in ((own, UNRESISTED_SQUARE), (gram, max(together, ROUNDING_SQUARE))):
+        if m == 0 or is_positive_definite(matrix - least * eye_array(m)):
             continue
-        if matrix is own or k < MANY:
+        if matrix is own or m < MANY:
             values, vectors = eigenpairs(matrix)
         else:
-            values, vectors = eigsh(matrix, MOST_NAMED, sigma=-least, v0=np.ones(k))
-        motions = np.hstack([motions, dense(vectors[:, values <= least])])
-    return motions
+            values, vectors = eigsh(matrix, MOTIONS, sigma=-least, v0=np.ones(m))
+        motions = dense(vectors[:, values <= least])
+        moving = _moving(motions, body)
+        if len(moving):
+            # projections of a body's modes onto these motions move no body that moves by itself
+            group = motions @ motions[body == moving[0]].T
+            return group, len(np.setdiff1d(moving, _moving(group, body)))
+    return np.empty((m, 0)), 0
 
 
-def _by_group(motions: Array, bodies: Indices) -> list[Array]:
-    """Return motions for each group of bodies that can only move together, zero elsewhere.
-
-    Args:
-        motions: (k, m) components of motions in the modes of all bodies; each motion may be a sum
-            of independent motions of several groups.
-        bodies: (k,) the body of each mode.
-    """
+def _moving(motions: Array, body: Indices) -> Indices:
+    """Return the bodies that move in motions with components (m, number); body (m,) of modes."""
     lengths = np.linalg.norm(motions, axis=1)
-    moves = lengths > MOVING * lengths.max()
-    directions = np.where(moves, motions.T / np.where(moves, lengths, 1.0), 0.0)
-    cosines = directions.T @ directions
-    groups = _held_together(csr_array(np.where(np.abs(cosines) > MOVING, cosines, 0.0)), bodies)
-    return [motions * (groups == group)[:, None] for group in np.unique(groups[moves])]
-
-
-def _held_together(gram: csr_array, bodies: Indices) -> Indices:
-    """Return a group number (k,) for each mode: equal for modes of bodies that contact couples."""
-    k, body = len(bodies), np.unique(bodies, return_inverse=True)[1]
-    of_body = csr_array((np.ones(k), (np.arange(k), body)), shape=(k, k))
-    graph = abs(gram) + of_body @ of_body.T
-    groups: Indices = connected_components(graph, directed=False)[1]
-    return groups
+    moving: Indices = np.unique(body[lengths > MOVING * lengths.max(initial=0.0)])
+    return moving
 
 
 def _largest_of_group(sizes: Array, group: Indices) -> Array:
@@ -309,40 +294,3 @@ def _largest_of_group(sizes: Array, group: Indices) -> Array:
     np.maximum.at(largest, group, sizes)
     result: Array = largest[group]
     return result
-
-
-def _solvable(
-    constraints: EqualityConstraints,
-    feasible_set: FeasibleSet | FrictionCones,
-    factors: Array,
-    describe: Callable[[Array], str],
-) -> EqualityConstraints:
-    """Return equations with a solution in Lambda, equal to the given equations up to rounding.
-
-    If no solution exists only because of the rounding of the loads, the right-hand sides change.
-
-    Args:
-        constraints: the equations.
-        feasible_set: Lambda.
-        factors: (k,) factors by which the equations scale the rigid body modes.
-        describe: function that names the motion with given components (k,) of the modes.
-
-    Raises:
-        MechanismError: nothing balances the loads along a motion; the error's `motion` has the
-            components (k,) of the motion in the modes.
-    """
-    found = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
-    if found.satisfied:
-        return constraints
-    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
-    if found.unbounded or (np.abs(found.excess) > UNBALANCED_PART * sizes).any():
-        motion = factors * found.shift
-        raise MechanismError(
-            f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
-            "what it touches, tip it over, or overcome friction there: look at their directions "
-            "and at the friction, or hold the body by Dirichlet conditions or springs.",
-            motion,
-        )
-    return dataclasses.replace(
-        constraints, values=constraints.values + found.excess / (1.0 + LOAD_RESERVE)
-    )

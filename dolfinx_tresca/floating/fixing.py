@@ -9,18 +9,21 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.matrices import product, sparse_matrix
 from dolfinx_tresca._base.mixing import splitmix64
-from dolfinx_tresca._base.parallel import RankReductions, broadcast_array, reduce_array
+from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Approximate number of a body's nodes on which springs act.
-FIXING_NODES = 20
+#: Mean number of a body's nodes on which springs act. (Too few nodes to hold a body are drawn once
+#: in 10^10 bodies.) With twice the number, the factors of small bodies get a tenth more entries;
+#: with half the number, the least eigenvalue of K_p is up to half as large.
+FIXING_NODES = 30
 
 #: Relative accuracy, in the energy norm, to which iterative solvers compute a `SpringResponse`.
 RESPONSE_ACCURACY = 1e-10
@@ -53,71 +56,37 @@ class FixingSprings:
         than modes, since the body would be deformed locally around a single node.
         """
         modes = self.modes
-        dim = modes.dim
-        _, index, numbers = np.unique(modes.body, return_inverse=True, return_counts=True)
-        place = np.arange(len(modes)) - (np.cumsum(numbers) - numbers)[index]
-        fixed = np.repeat(self._is_fixed(index, len(numbers)), dim)
-        part = diags_array(fixed.astype(float), format="csr") @ modes.basis
+        chosen = diags_array(np.repeat(self._are_fixed(), modes.dim).astype(np.float64))
+        part = csr_array(chosen @ modes.basis)
         part.eliminate_zeros()
-        # a small matrix for each body, padded with the unit matrix
-        most = modes.parts.shape[1]
-        grams: Array = np.zeros((len(numbers), most, most))
-        products = (part.T @ part).tocoo()
-        row, column = products.row, products.col
-        grams[index[row], place[row], place[column]] = products.data
-        grams = reduce_array(modes.comm, grams)
-        body, beyond = np.nonzero(np.arange(most) >= numbers[:, None])
-        grams[body, beyond, beyond] = 1.0
-        springs = np.zeros_like(grams)
-        springs[index, place, place] = np.sqrt(modes.stiffness)
-        weights = broadcast_array(modes.comm, np.linalg.solve(grams, springs))
-        mode, other = np.nonzero(np.arange(most) < numbers[index, None])
-        values = weights[index[mode], place[mode], other]
-        blocks = csr_array((values, (mode, mode - place[mode] + other)), shape=2 * (len(modes),))
-        return csr_array(part @ blocks)
+        gram = RankReductions(modes.comm).sparse_inner(part, part)
+        values, vectors = modes.comm.bcast(eigenpairs(gram))
+        inverse = vectors @ diags_array(1.0 / values) @ vectors.T
+        return csr_array(part @ inverse @ diags_array(np.sqrt(modes.stiffness)))
 
-    def _is_fixed(self, index: Indices, bodies: int) -> Mask:
-        """Choose `FIXING_NODES` nodes of each body at random, and mark them (n,). Collective.
+    def _are_fixed(self) -> Mask:
+        """Choose about `FIXING_NODES` nodes of each body at random, and mark them (n,). Collective.
 
-        Each node has a pseudorandom number, and the nodes of a body with the smallest numbers are
-        chosen: nodes at regular intervals might all be on one edge.
-
-        Args:
-            index: (k,) number of the body that each rigid mode moves, in 0, ..., bodies - 1.
-            bodies: number of bodies.
+        The choice depends on a pseudorandom number of each node: nodes at regular intervals might
+        all be on one edge.
         """
-        modes, entries = self.modes, self.modes.basis.tocoo()
-        count = entries.shape[0] // modes.dim
-        body = np.full(count, bodies)
-        body[entries.row // modes.dim] = index[entries.col]
-        key = _scattered(modes.comm.scan(count) - count + np.arange(count))
-        order = np.lexsort([key, body])
-        first = np.searchsorted(body, np.arange(bodies + 1), sorter=order)
-        order = order[: first[-1]]  # other nodes have no mode
-        rank = np.arange(len(order)) - first[body[order]]
-        some = order[rank < FIXING_NODES]
-        least = np.full((bodies, FIXING_NODES), np.iinfo(np.uint64).max, dtype=np.uint64)
-        least[body[some], rank[rank < FIXING_NODES]] = key[some]
-        least = modes.comm.allreduce(least, op=_least)
-        result = np.zeros(count, dtype=np.bool_)
-        result[order] = key[order] <= least[body[order], -1]
+        modes, label = self.modes, self.modes.bodies.label
+        moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
+        numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.number))
+        first = modes.comm.scan(len(label)) - len(label)
+        chance = splitmix64(np.arange(first, first + len(label), dtype=np.uint64)) / 2.0**64
+        result: Mask = moves & (chance * numbers[label] <= FIXING_NODES)
         return result
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""
-        (rows, _), comm = K.getSizes(), K.comm
-        k = self.columns.shape[1]
-        mine = k if comm.rank == 0 else 0
-        columns = self.columns
-        pattern = [one.astype(PETSc.IntType) for one in (columns.indptr, columns.indices)]
-        Z = PETSc.Mat().createAIJ((rows, (mine, k)), csr=(*pattern, columns.data), comm=comm)
-        transposed = Z.copy().transpose()
-        springs = Z.matMult(transposed)
-        result = K.copy()
+        comm, k = self.modes.comm, len(self.modes)
+        Z = sparse_matrix(self.columns, (k if comm.rank == 0 else 0, k), comm)
+        springs, result = Z.matTransposeMult(Z), K.copy()
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        for owned in (Z, transposed, springs):
-            owned.destroy()
+        Z.destroy()
+        springs.destroy()
         return result
 
     def energy(self, u: PETSc.Vec) -> float:
@@ -135,38 +104,32 @@ class FixingSprings:
         Raises:
             StiffnessError: a solve failed.
         """
-        modes = self.modes
-        k = len(modes)
-        soft = np.flatnonzero(~modes.floats)
-        if len(soft) == 0:
+        modes, k = self.modes, len(self.modes)
+        if modes.floats.all():
             return SpringResponse(modes, modes.basis, csr_array((k, k)))
-        # K couples no two bodies, so that one solve serves one mode of every body
-        body = modes.body[soft]
-        place = np.arange(len(soft)) - np.searchsorted(body, body)
-        answers = []
-        mode, force, answer = K.createVecRight(), K.createVecLeft(), K.createVecRight()
-        for number in range(int(place.max()) + 1):
-            some = soft[place == number]
-            mode.array = modes.basis[:, some].sum(axis=1)
-            K.mult(mode, force)
-            # forces of equal size on all bodies, since the accuracy is relative to the whole answer
-            forces = modes.split(force.array, some)
-            sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
-            sizes[sizes == 0.0] = 1.0
-            force.array = forces @ (1.0 / sizes)
+        # forces of equal size on all bodies, since the accuracy is relative to the whole answer
+        forces = product(K, modes.basis)
+        sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
+        sizes[sizes == 0.0] = 1.0
+        # K couples no two bodies, so that one solve serves one soft mode of every body
+        soft, body, n = ~modes.floats, modes.body, forces.shape[0]
+        place = np.searchsorted(body, body, side="right") - np.arange(k)
+        label = np.repeat(modes.bodies.label, modes.dim)
+        moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.number))[:, body]
+        force, answer = K.createVecLeft(), K.createVecRight()
+        V = csr_array(modes.basis.shape)
+        for number in np.unique(place[soft]):
+            chosen = np.where(soft & (place == number), 1.0, 0.0)
+            force.array = forces @ (chosen / sizes)
             answer.set(0.0)
             solver.improve(force, answer, rtol=RESPONSE_ACCURACY, accuracy=0.0)
-            answers.append(modes.split(answer.array, some) * sizes)
-        for owned in (mode, force, answer):
-            owned.destroy()
-        V = csr_array(sum(answers[1:], start=answers[0]))
+            V = V + diags_array(answer.array) @ moves @ diags_array(chosen * sizes)
+        force.destroy()
+        answer.destroy()
         # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
-        # difference of large terms
-        sums = RankReductions(modes.comm)
-        of_modes, of_answers = (
-            sums.sparse_inner(self.columns, one) for one in (modes.basis * ~modes.floats, V)
-        )
-        resisted = csr_array(of_modes.T @ of_answers)
+        # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
+        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
+        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
         stiffness = csr_array(0.5 * (resisted + resisted.T))
         return SpringResponse(modes, csr_array(modes.basis - V), stiffness)
 
@@ -187,23 +150,13 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None
     if modes.floats.any():
-        first = modes.name(int(modes.body[modes.floats.argmax()]))
+        body = modes.bodies.describe(int(modes.body[modes.floats.argmax()]))
         raise InputError(
             "bodies that contact alone holds need the form a of the displacement alone, but it is "
-            f"that of a mixed space, and nothing holds {first}. "
+            f"that of a mixed space, and nothing holds {body}. "
             "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
         )
     return None
-
-
-def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:
-    """Return pseudorandom integers (n,) for integers (n,), equal only for equal integers."""
-    return splitmix64(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
-
-
-def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the k least values in each row of two arrays (n, k) together, ascending."""
-    return np.sort(np.concatenate([a, b], axis=1), axis=1)[:, : a.shape[1]]
 
 
 @dataclass(frozen=True)

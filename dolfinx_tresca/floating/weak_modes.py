@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.matrices import product
+from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.optimise.sets.block_eigenpairs import eigenpairs
 from dolfinx_tresca.stiffness.solver import not_positive_definite
 
 #: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
@@ -47,163 +46,88 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
         StiffnessError: K has zeros or negative numbers on the diagonal, or a negative stiffness
             against a rigid motion; the error names the body and its position.
     """
-    mesh = system.V.mesh
+    mesh, prescribed = system.V.mesh, system.prescribed_displacements
+    comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
+    modes, label = bodies.rigid_modes(dim), np.repeat(bodies.label, dim)
     with system.displacement_stiffness() as K:
-        return _find(K, system.prescribed_displacements, bodies, mesh.comm, mesh.geometry.dim)
-
-
-def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -> RigidBodyModes:
-    """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective.
-
-    Raises:
-        StiffnessError: the diagonal of K has entries that are not positive, or K has a negative
-            stiffness against a rigid motion.
-    """
-    body, number, where = bodies.label, bodies.number, bodies.describe
-    owned = len(body)
-    modes = _rigid_body_modes(bodies.arm, dim)
-
-    diagonal = K.getDiagonal()
-    entries = np.where(prescribed, np.nan, diagonal.array).reshape(-1, dim)
+        forces, diagonal = product(K, modes), K.getDiagonal()
+    largest = _largest_entries(diagonal.array.reshape(-1, dim), ~prescribed, bodies, comm)
     diagonal.destroy()
-    least, largest = np.full(number, np.inf), np.zeros(number)
-    np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
-    np.fmax.at(largest, body, np.fmax.reduce(entries, axis=1))
-    softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
-
-    if softest.min() <= 0.0:
-        softest_body = int(softest.argmin())
-        fault = f"its diagonal is negative, down to {softest.min():.3g}, in"
-        if softest.min() == 0.0:
-            zero = reduce_array(comm, (entries[body == softest_body] == 0.0).any(axis=1).sum())
-            fault = f"the stiffness is zero at {zero} of {bodies.nodes[softest_body]} nodes of"
-        raise not_positive_definite(f"{fault} {where(softest_body)}")
-    stiffest[stiffest == 0.0] = 1.0  # bodies that are wholly prescribed
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
-    weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
-    forces = np.empty_like(modes)
-    motion, force = K.createVecRight(), K.createVecLeft()
-    for k in range(len(modes)):
-        motion.array = modes[k].ravel()
-        K.mult(motion, force)
-        forces[k] = (weight * force.array).reshape(-1, dim)
-    motion.destroy()
-    force.destroy()
+    weight = diags_array(np.where(prescribed, largest[label], 1.0))
+    energy = sums.sparse_inner(modes, csr_array(weight @ forces))
+    free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
+    gram = sums.sparse_inner(free, free)
+    body, resistance, parts = comm.bcast(_stationary(gram, energy, bodies.number))
 
-    free = modes * ~prescribed.reshape(-1, dim)
-    energy, square = (
-        reduce_array(comm, _products(modes, other, body, number)) for other in (forces, free)
-    )
-    held = reduce_array(
-        comm, np.bincount(body, prescribed.reshape(-1, dim).any(axis=1), minlength=number)
-    )
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
-    stiffness = stiffest / bodies.nodes ** (2.0 / dim)
-    nothing = NOTHING_RESISTS * stiffest
+    stiffness, nothing = largest / bodies.nodes ** (2.0 / dim), NOTHING_RESISTS * largest
+    held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.number)) > 0.0
     # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
-    limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
-    weak: _WeakModes = comm.bcast(_weak_modes(square, energy, limit))
-
-    negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
+    limit = np.where(held, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
+    negative = resistance < -NEGATIVE_STIFFNESS * stiffness[body]
     if negative.any():
         raise not_positive_definite(
             "its stiffness against a rigid motion is negative, of "
-            f"{where(int(weak.body[negative.argmax()]))}"
+            f"{bodies.describe(int(body[negative.argmax()]))}"
         )
-
-    mode, node, component = np.nonzero(free)
-    shape = (owned * dim, number * len(modes))
-    columns = body[node] * len(modes) + mode
-    of_bodies = csr_array((free[mode, node, component], (node * dim + component, columns)), shape)
-    column, mode = np.nonzero(weak.parts)
-    shape = (shape[1], len(weak.body))
-    parts = (weak.parts[column, mode], (weak.body[column] * len(modes) + mode, column))
-    basis = csr_array(of_bodies @ csr_array(parts, shape))
+    weak = np.flatnonzero(resistance <= limit[body])
+    basis, body = csr_array(free @ parts[:, weak]), body[weak]
     basis.eliminate_zeros()
-    return RigidBodyModes(
-        comm=comm,
-        basis=basis,
-        stiffness=stiffness[weak.body],
-        floats=weak.resistance <= nothing[weak.body],
-        body=weak.body,
-        label=body,
-        name=where,
-        parts=weak.parts,
-    )
+    floats = resistance[weak] <= nothing[body]
+    return RigidBodyModes(comm, bodies, basis, stiffness[body], floats, body, parts[:, weak])
 
 
-@dataclass(frozen=True)
-class _WeakModes:
-    """Rigid body modes that are orthonormal in the degrees of freedom, and resisted weakly.
-
-    Attributes:
-        body: (k,) the body of each mode, ascending.
-        parts: (k, 3 or 6) components of each mode in the rigid body modes of its body.
-        resistance: (k,) stiffness of K against each mode.
-    """
-
-    body: Indices
-    parts: Array
-    resistance: Array
-
-
-def _weak_modes(
-    square: Array,
-    energy: Array,
-    limit: Array,
-) -> _WeakModes:
-    """Return the rigid body modes against which the stiffness of K is at most a limit.
+def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
+    """Return the largest diagonal entry of K on each body, 1 if all are prescribed. Collective.
 
     Args:
-        square: (bodies, k, k) inner products of the modes on free degrees of freedom.
-        energy: (bodies, k, k) products R'K R with the modes R.
-        limit: (bodies,) stiffness against a mode of length 1 up to which the mode is returned.
+        diagonal: (nodes, dim) the diagonal of K at this rank's nodes.
+        free: (nodes * dim,) whether each degree of freedom is not prescribed.
+        bodies: the bodies.
+        comm: the communicator.
+
+    Raises:
+        StiffnessError: entries are zero or negative.
     """
-    values, vectors = np.linalg.eigh(square)
-    independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last eigenvalues
-    bodies, parts, resistances = [], [], []
-    for count in np.unique(independent[independent > 0]):
-        some = np.flatnonzero(independent == count)
-        unit = vectors[some, :, -count:] / np.sqrt(values[some, None, -count:])
-        resistance, turned = np.linalg.eigh(unit.transpose(0, 2, 1) @ energy[some] @ unit)
-        body, mode = np.nonzero(resistance <= limit[some, None])
-        bodies.append(some[body])
-        parts.append((unit @ turned)[body, :, mode])
-        resistances.append(resistance[body, mode])
-    body = np.concatenate([np.zeros(0, dtype=np.intp), *bodies])
-    order = np.argsort(body, kind="stable")
-    return _WeakModes(
-        body[order],
-        np.concatenate([np.zeros((0, square.shape[1])), *parts])[order],
-        np.concatenate([np.zeros(0), *resistances])[order],
-    )
+    node, component = np.nonzero(free.reshape(diagonal.shape))
+    entries, label = diagonal[node, component], bodies.label[node]
+    least, most = np.full(bodies.number, np.inf), np.zeros(bodies.number)
+    np.fmin.at(least, label, entries)
+    np.fmax.at(most, label, entries)
+    smallest, largest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, most, MPI.MAX)
+    if smallest.min() <= 0.0:
+        body, value = int(smallest.argmin()), smallest.min()
+        found = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
+        number = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
+        raise not_positive_definite(
+            f"the stiffness is {found} at {number} of {bodies.nodes[body]} nodes of "
+            f"{bodies.describe(body)}"
+        )
+    return np.where(largest > 0.0, largest, 1.0)
 
 
-def _products(
-    modes: Array,
-    others: Array,
-    body: npt.NDArray[np.int64],
-    number: int,
-) -> Array:
-    """Return the inner products (number, k, k) of two sets of fields (k, n, dim), for each body.
+def _stationary(
+    gram: csr_array, energy: csr_array, number: int
+) -> tuple[Indices, Array, csr_array]:
+    """Return the rigid motions of each body against which the stiffness of K is stationary.
 
     Args:
-        modes: first set of fields.
-        others: second set of fields.
-        body: (n,) body of each node.
-        number: number of bodies.
+        gram: (m, m) inner products of the rigid body modes on free degrees of freedom.
+        energy: (m, m) products R'K R with the modes R.
+        number: number of bodies, whose modes follow one another.
+
+    Returns:
+        the body (k,) of each motion, ascending; the stiffness (k,) against it; and the components
+        (m, k) of the motions in the modes. Motions that move no free degree of freedom are left
+        out; the other motions are orthonormal on free degrees of freedom.
     """
-    result = np.empty((number, len(modes), len(others)))
-    for j, mode in enumerate(modes):
-        for k, other in enumerate(others):
-            density = np.einsum("ni,ni->n", mode, other)
-            result[:, j, k] = np.bincount(body, weights=density, minlength=number)
-    return result
-
-
-def _rigid_body_modes(arm: Array, dim: int) -> Array:
-    """Return rigid body modes (3 or 6, n, dim) at points (n, 3) relative to a body's centre."""
-    translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
-    axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
-    rotations = np.cross(axes[:, None], arm[None])[:, :, :dim]
-    return np.concatenate([translations, rotations])
+    values, vectors = eigenpairs(gram)
+    of_bodies = values.reshape(number, -1)
+    independent = of_bodies > DEPENDENT_MODES * of_bodies.max(axis=1, keepdims=True)
+    body, column = np.nonzero(independent)
+    unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(of_bodies[body, column]))
+    if len(body) == 0:
+        return body, np.empty(0), unit
+    stiffness, turned = eigenpairs(csr_array(unit.T @ energy @ unit))
+    return body, stiffness, csr_array(unit @ turned)

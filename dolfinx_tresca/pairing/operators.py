@@ -20,6 +20,7 @@ from dolfinx_tresca._base.arrays import (
     Mask,
     scaled_rows,
 )
+from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
@@ -317,17 +318,8 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
         blocks: sparse matrices, whose rows follow one another in the result.
         comm: the communicator.
     """
-    rows = vstack(blocks, format="csr")
-    matrix = PETSc.Mat().createAIJ(
-        (
-            (rows.shape[0], None),
-            (block_size * index_map.size_local, block_size * index_map.size_global),
-        ),
-        csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),
-        comm=comm,
-    )
-    matrix.assemble()
-    return matrix
+    columns = block_size * index_map.size_local, block_size * index_map.size_global
+    return sparse_matrix(vstack(blocks, format="csr"), columns, comm)
 
 
 def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:

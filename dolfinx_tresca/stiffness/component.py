@@ -9,12 +9,14 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.functions import zero_like
+from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca._base.owner import PetscOwner
 
 
@@ -46,13 +48,9 @@ class Component(PetscOwner):
         flags.x.array[self._dofs] = 1.0
         self.mask: Mask = flags.x.array[: whole.size_local] > 0.0
         owned = own.index_map.size_local * own.index_map_bs
-        columns = whole.local_to_global(self._dofs[:owned]).astype(PETSc.IntType)
-        self._parts = PETSc.Mat().createAIJ(
-            ((owned, None), (whole.size_local, whole.size_global)),
-            csr=(np.arange(owned + 1, dtype=PETSc.IntType), columns, np.ones(owned)),
-            comm=space.mesh.comm,
-        )
-        self._parts.assemble()
+        entries = np.ones(owned), whole.local_to_global(self._dofs[:owned]), np.arange(owned + 1)
+        rows = csr_array(entries, shape=(owned, whole.size_global))
+        self._parts = sparse_matrix(rows, (whole.size_local, whole.size_global), space.mesh.comm)
 
     @property
     def comm(self) -> Any:

@@ -173,16 +173,6 @@ class StiffnessSolver(PetscOwner):
         """
         return self._solve(f, u)
 
-    def several(self, count: int) -> PETSc.Mat:
-        """Return a new dense matrix with `count` columns for `solve_several`. Collective.
-
-        The caller owns the matrix.
-        """
-        K = self._ksp.getOperators()[0]
-        columns = PETSc.Mat().createDense((K.getSizes()[0], (None, count)), comm=K.comm)
-        columns.setUp()
-        return columns
-
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
         """Solve K U = F for the columns of dense matrices. Collective.
 

@@ -441,6 +441,7 @@ def test_groups_of_bodies_that_nothing_holds(comm, dim):
     """Two bonded bodies slide as one on two others, which stand as one on a floor; a fifth is free.
 
     The gap below the fifth body counts as contact, which resists only where a plane has friction.
+    Bodies that move by themselves are named before bodies that move together.
     """
     lowest = [(0.0, 0.0), (0.0, 1.0), (0.0, 2.0), (0.0, 3.0), (3.0, 0.5)]
     kind = {2: "quadrilateral", 3: "hexahedron"}[dim]
@@ -460,12 +461,16 @@ def test_groups_of_bodies_that_nothing_holds(comm, dim):
     pairs.append(ContactPair(tags, 1, plane, Coulomb(0.5)))
     pairs.append(ContactPair(tags, 9, plane, Frictionless()))
     slides = {2: "translation along x", 3: "translation along x, .* y, rotation about z"}[dim]
-    message = (
-        f"nothing holds body 3 of 5, between .*, together with body 4: {slides}; "
-        f"nor body 5 of 5, between [^:]*: {slides}, and no contact resists that"
-    )
-    with ContactProblem(a, None, pairs) as problem, pytest.raises(InputError, match=message):
-        problem.solve()
+    messages = [
+        f"nothing holds body 5 of 5, between [^:]*: {slides}, and no contact resists that",
+        f"nothing holds body 3 of 5, between .*, together with body 4: {slides}, and no contact",
+        f"nothing holds body 1 of 5, between [^:]*: {slides}; nor 4 more, and no contact",
+    ]
+    held = [*pairs[:-1], ContactPair(tags, 9, plane, Coulomb(0.5))]
+    slippery = [dataclasses.replace(pair, friction=Frictionless()) for pair in pairs]
+    for message, chosen in zip(messages, (pairs, held, slippery), strict=True):
+        with ContactProblem(a, None, chosen) as problem, pytest.raises(InputError, match=message):
+            problem.solve()
 
 
 @pytest.mark.parallel

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.parallel import gather_rows
+from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.optimise.models.whole_model import WholeModel
 from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
-from dolfinx_tresca.surface.numbering import label_bodies
+from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 
 #: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
 #: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
@@ -62,22 +59,24 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
         return None
     label = label_bodies(jump.system.V)
     bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-    if BODY_SHARE * bodies < 1.0:  # some body has a larger share of the multipliers
-        return None
-    forces = _BodyForces.of(jump, label, bodies)
-    size = jump.matrix.getSize()[0]
-    count = forces.members.shape[1]
+    row, body, forces = _forces_on_bodies(jump, label, bodies)
+    acts = csr_array((np.ones(len(row)), (row, body)), shape=(len(jump.gap), bodies))
+    members = csc_array(jump.reductions.stacked(acts))  # row indices: the multipliers of each body
+    members.sort_indices()
+    size, numbers = members.shape[0], np.diff(members.indptr)
+    count = int(numbers.max())
     if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
         return None
-    values = np.empty((len(forces.row), count))
-    for first in range(0, count, BLOCK):
-        some = range(first, min(first + BLOCK, count))
-        values[:, some.start : some.stop] = forces.responses(operator, some)
-    column = forces.members[forces.body]
-    row = np.broadcast_to(forces.row[:, None], column.shape)
-    kept = column >= 0
-    rows = csr_array((values[kept], (row[kept], column[kept])), shape=(len(jump.gap), size))
-    first = jump.matrix.getOwnershipRange()[0]
+    members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
+    first, end = jump.matrix.getOwnershipRange()
+    place = csr_array(members)[first:end].data
+    B = sparse_matrix(forces, jump.matrix.getSizes()[1], jump.comm)
+    responses = _columns(operator, place, count, B)
+    B.destroy()
+    force, column = np.nonzero(np.arange(count) < numbers[body, None])
+    multiplier = members.indices[members.indptr[body[force]] + column]
+    entries = (responses[force, column], (row[force], multiplier))
+    rows = csr_array(entries, shape=(len(jump.gap), size))
     return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
 
 
@@ -90,13 +89,25 @@ def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel:
     """
     jump = operator.jump
     first, end = jump.matrix.getOwnershipRange()
-    size = jump.matrix.getSize()[0]
-    rows = np.empty((end - first, size))
-    for start in range(0, size, BLOCK):
-        columns = np.arange(start, min(start + BLOCK, size))
-        units = (np.arange(first, end)[:, None] == columns).astype(np.float64)
-        rows[:, columns] = operator.apply_to_all(units)
+    rows = _columns(operator, np.arange(first, end), jump.matrix.getSize()[0], jump.matrix)
     return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
+
+
+def _columns(operator: DualOperator, place: Indices, count: int, B: PETSc.Mat) -> Array:
+    """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
+
+    Args:
+        operator: A.
+        place: (size,) column in which each multiplier is 1.
+        count: number of columns.
+        B: see `DualOperator.apply_to_all`.
+    """
+    result = np.empty((len(place), count))
+    for start in range(0, count, BLOCK):
+        columns = np.arange(start, min(start + BLOCK, count))
+        units = (place[:, None] == columns).astype(np.float64)
+        result[:, columns] = operator.apply_to_all(units, B)
+    return result
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
@@ -108,24 +119,22 @@ def _solve(matrix: csr_array, right: Array) -> Array:
     Raises:
         StiffnessError: the factorisation failed.
     """
-    indptr, indices = (one.astype(PETSc.IntType) for one in (matrix.indptr, matrix.indices))
-    A = PETSc.Mat().createAIJ(matrix.shape, csr=(indptr, indices, matrix.data), comm=MPI.COMM_SELF)
-    result = np.empty(len(right))
-    b, x = (PETSc.Vec().createWithArray(one, comm=MPI.COMM_SELF) for one in (right, result))
+    A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
-    try:
-        factors.setOperators(A)
-        factors.setType(PETSc.PC.Type.LU)
-        factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-        factors.setFactorSetUpSolverType()
-        factor = factors.getFactorMatrix()
-        factor.setMumpsIcntl(7, MINIMUM_FILL)
-        factor.setMumpsIcntl(14, SPARE_WORKSPACE)
-        factors.apply(b, x)
-        failure = factor.getMumpsInfog(1)
-    finally:
-        for owned in (factors, x, b, A):
-            owned.destroy()
+    x, b = A.createVecs()
+    b.array = right
+    factors.setOperators(A)
+    factors.setType(PETSc.PC.Type.LU)
+    factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    factors.setFactorSetUpSolverType()
+    factor = factors.getFactorMatrix()
+    factor.setMumpsIcntl(7, MINIMUM_FILL)
+    factor.setMumpsIcntl(14, SPARE_WORKSPACE)
+    factors.apply(b, x)
+    result: Array = x.array.copy()
+    failure = factor.getMumpsInfog(1)
+    for owned in (factors, x, b, A):
+        owned.destroy()
     if failure < 0:
         raise StiffnessError(
             f"MUMPS could not solve for the contacts of many bodies: INFOG(1) = {failure} "
@@ -136,120 +145,33 @@ def _solve(matrix: csr_array, right: Array) -> Array:
 
 def _nodes(jump: JumpOperator) -> Indices:
     """Return the number (size,) of each multiplier's node; nodes are numbered pair by pair."""
-    first = 0
-    result: list[Indices] = [np.empty(0, dtype=np.intp)]
-    for pair in jump.pairs:
-        result.append(first + pair.row_node.astype(np.intp))
-        first += len(pair.nodes)
-    return np.concatenate(result)
+    ends = np.cumsum([len(pair.nodes) for pair in jump.pairs])
+    return np.concatenate(
+        [pair.row_node + end - len(pair.nodes) for pair, end in zip(jump.pairs, ends, strict=True)]
+    )
 
 
-@dataclass(frozen=True)
-class _BodyForces:
-    """The forces of this rank's multipliers on each body that they act on.
-
-    Attributes:
-        jump: B.
-        row: (m,) multiplier of each force, a local number.
-        body: (m,) body on which each force acts.
-        members: (bodies, count) global numbers of the multipliers that act on each body; -1 at the
-            end of the row of a body with fewer multipliers.
-        place: (m,) column of `members` that holds each force's multiplier, in the row of its body.
-        unknowns: (n,) global numbers of the unknowns that this rank's rows of B couple, ascending.
-        weights: (m, n) for each force the row of B of its multiplier, with the entries on its body
-            only.
-    """
-
-    jump: JumpOperator
-    row: Indices
-    body: Indices
-    members: Indices
-    place: Indices
-    unknowns: Indices
-    weights: csr_array
-
-    @classmethod
-    def of(cls, jump: JumpOperator, label: Indices, bodies: int) -> _BodyForces:
-        """Find the bodies that each multiplier acts on. Collective.
-
-        Args:
-            jump: B.
-            label: the body of each node of this rank.
-            bodies: number of bodies.
-        """
-        V, B = jump.system.V, jump.matrix
-        start, end = B.getOwnershipRange()
-        pointers, indices, data = B.getValuesCSR()
-        row = np.repeat(np.arange(end - start), np.diff(pointers))
-        row, indices, data = (one[data != 0.0] for one in (row, indices, data))
-        unknowns, position = np.unique(indices, return_inverse=True)
-        labels = B.createVecRight()
-        labels.array = np.repeat(label[: V.dofmap.index_map.size_local], V.dofmap.index_map_bs)
-        body = _fetched(unknowns)(labels).astype(np.intp)[position]
-        labels.destroy()
-        force, entry = np.unique(row * bodies + body, return_inverse=True)
-        row, body = force // bodies, force % bodies
-        weights = csr_array((data, (entry, position)), shape=(len(force), len(unknowns)))
-
-        everywhere = gather_rows(jump.comm, np.column_stack([row + start, body]))
-        order = np.argsort(everywhere[:, 1], kind="stable")
-        numbers = np.bincount(everywhere[:, 1], minlength=bodies)
-        place = np.empty(len(order), dtype=np.intp)
-        place[order] = np.arange(len(order)) - (np.cumsum(numbers) - numbers)[everywhere[order, 1]]
-        members = np.full((bodies, int(numbers.max(initial=0))), -1)
-        members[everywhere[:, 1], place] = everywhere[:, 0]
-        mine = slice(*np.searchsorted(everywhere[:, 0], [start, end]))
-        return cls(jump, row, body, members, place[mine], unknowns, weights)
-
-    def responses(self, operator: DualOperator, some: range) -> Array:
-        """Return for each force the jump (m, len(some)) of its body alone. Collective.
-
-        In each column, one multiplier on each body is 1, and acts on this body alone.
-
-        Args:
-            operator: A, whose solver for K is used; each column counts as a product.
-            some: columns of `members` with the multipliers that are 1.
-        """
-        operator.products += len(some)
-        forces, displacements = (operator.solver.several(len(some)) for _ in range(2))
-        vector, prescribed = self.jump.matrix.createVecRight(), self.jump.system.prescribed
-        entries = self.weights.tocoo()
-        place, unknown = self.place[entries.row], self.unknowns[entries.col]
-        for column, number in enumerate(some):
-            acts = place == number
-            vector.set(0.0)
-            vector.setValues(
-                unknown[acts].astype(PETSc.IntType), entries.data[acts], PETSc.InsertMode.ADD
-            )
-            vector.assemble()
-            vector.array[prescribed] = 0.0
-            forces.getDenseArray()[:, column] = vector.array
-        operator.solver.solve_several(forces, displacements)
-        result, fetch = np.empty((len(self.row), len(some))), _fetched(self.unknowns)
-        for column in range(len(some)):
-            u = displacements.getDenseArray()[:, column]
-            vector.array = np.where(prescribed, 0.0, u)
-            result[:, column] = self.weights @ fetch(vector)
-        for owned in (forces, displacements, vector):
-            owned.destroy()
-        return result
-
-
-def _fetched(unknowns: Indices) -> Callable[[PETSc.Vec], Array]:
-    """Return a collective function that reads a vector's values at unknowns of any rank.
+def _forces_on_bodies(
+    jump: JumpOperator, label: Indices, bodies: int
+) -> tuple[Indices, Indices, csr_array]:
+    """Return the rows of B, split into the rows of the matrices B_b of all bodies. Collective.
 
     Args:
-        unknowns: (n,) global numbers of unknowns.
+        jump: B.
+        label: the body of each node of this rank.
+        bodies: number of bodies.
+
+    Returns:
+        the local number (m,) of the multiplier of each row of this rank; the body (m,) on which the
+        multiplier acts in this row; and the rows (m, all unknowns). Rows are sorted by multiplier,
+        then by body.
     """
-    wanted = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=MPI.COMM_SELF)
-
-    def fetch(vector: PETSc.Vec) -> Array:
-        values = PETSc.Vec().createSeq(len(unknowns), comm=MPI.COMM_SELF)
-        scatter = PETSc.Scatter().create(vector, wanted, values, None)
-        scatter.scatter(vector, values)
-        result = np.array(values.array)
-        scatter.destroy()
-        values.destroy()
-        return result
-
-    return fetch
+    V, (pointers, indices, data) = jump.system.V, jump.matrix.getValuesCSR()
+    row = np.repeat(np.arange(len(jump.gap)), np.diff(pointers))
+    row, indices, data = (entries[data != 0.0] for entries in (row, indices, data))
+    nodes, position = np.unique(indices // V.dofmap.index_map_bs, return_inverse=True)
+    owned = label[: V.dofmap.index_map.size_local]
+    body = labels_of(V, owned, nodes.astype(np.int64))[position]
+    number, force = np.unique(row * bodies + body, return_inverse=True)
+    shape = (len(number), jump.matrix.getSize()[1])
+    return number // bodies, number % bodies, csr_array((data, (force, indices)), shape=shape)

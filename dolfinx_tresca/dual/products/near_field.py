@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from dolfinx import la
@@ -11,7 +13,6 @@ from dolfinx import la
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.schwarz import Schwarz
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
@@ -71,11 +72,15 @@ class NearField(PetscOwner):
 
 def _near(jump: JumpOperator, layers: int) -> Mask:
     """Return which owned nodes are within some layers of cells from the contact. Collective."""
-    V = jump.system.V
+    V, B = jump.system.V, jump.matrix
     nodes, cells = V.dofmap.index_map, V.dofmap.list
+    touched, (_, columns, values) = B.createVecRight(), B.getValuesCSR()
+    touched.setValues(columns, np.abs(values), PETSc.InsertMode.ADD)
+    touched.assemble()
+    of_nodes = touched.array.reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
     near = la.vector(nodes, 1, np.float64)
-    touched = _touched(jump).reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
-    near.array[: nodes.size_local] = touched.any(axis=1)
+    near.array[: nodes.size_local] = of_nodes.any(axis=1)
+    touched.destroy()
     for _ in range(layers):
         near.scatter_forward()
         around = cells[(near.array[cells] > 0.0).any(axis=1)]
@@ -83,15 +88,3 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
         near.scatter_reverse(la.InsertMode.add)
     result: Mask = near.array[: nodes.size_local] > 0.0
     return result
-
-
-def _touched(jump: JumpOperator) -> Mask:
-    """Return which of this rank's degrees of freedom are in a row of B. Collective."""
-    sizes = entrywise(jump.matrix, np.abs)
-    u, ones = sizes.createVecs()
-    ones.set(1.0)
-    sizes.multTranspose(ones, u)
-    touched: Mask = u.array > 0.0
-    for used in (sizes, u, ones):
-        used.destroy()
-    return touched

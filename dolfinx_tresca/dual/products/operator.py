@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.matrices import dense_matrix
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -83,21 +86,25 @@ class DualOperator(PetscOwner):
         self._u.array[self.jump.system.prescribed] = 0.0
         return self.jump.of(self._u), error
 
-    def apply_to_all(self, X: Array) -> Array:
+    def apply_to_all(self, X: Array, B: PETSc.Mat | None = None) -> Array:
         """Return A X for X (size, k), with a direct solver for all columns together. Collective.
 
         This costs far less than k single products. Each column is counted in `products`.
+
+        Args:
+            X: (size, k) multipliers.
+            B: matrix that replaces the matrix of jumps in A = B K^-1 B'; None: it is not replaced.
         """
-        count = X.shape[1]
-        self.products += count
-        forces, displacements = (self.solver.several(count) for _ in range(2))
-        for column, x in enumerate(X.T):
-            forces.getDenseArray()[:, column] = self.jump.contact_force(x).array
+        B = B or self.jump.matrix
+        self.products += X.shape[1]
+        multipliers = dense_matrix(X, self.comm)
+        forces = B.transposeMatMult(multipliers)
+        forces.getDenseArray()[self.jump.system.prescribed] = 0.0
+        displacements = forces.duplicate()
         self.solver.solve_several(forces, displacements)
-        prescribed, product = self.jump.system.prescribed, np.empty_like(X)
-        for column in range(count):
-            u = displacements.getDenseArray()[:, column]
-            product[:, column] = self.jump.of_values(np.where(prescribed, 0.0, u))
-        forces.destroy()
-        displacements.destroy()
+        displacements.getDenseArray()[self.jump.system.prescribed] = 0.0
+        jumps = B.matMult(displacements)
+        product: Array = jumps.getDenseArray().copy()
+        for owned in (multipliers, forces, displacements, jumps):
+            owned.destroy()
         return product

@@ -10,10 +10,11 @@ from dolfinx_tresca._base.arrays import Array
 
 
 def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
-    """Return eigenvalues (k,), in any order, and eigenvectors (k, k) of a symmetric matrix.
+    """Return eigenvalues (k,) and eigenvectors (k, k) of a symmetric matrix.
 
     Rows that nonzero entries connect, directly or through other rows, are treated as one dense
-    block: the cost grows with the sum of the cubes of the blocks' sizes.
+    block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
+    to the block of row j; the eigenvalues of a block ascend.
 
     Args:
         matrix: (k, k) symmetric, k > 0.
@@ -24,4 +25,5 @@ def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     rows = csr_array(matrix)
     pairs = [np.linalg.eigh(rows[block][:, block].toarray()) for block in blocks]
     vectors = csr_array(block_diag([csr_array(vectors) for _, vectors in pairs]))
-    return np.concatenate([values for values, _ in pairs]), vectors[np.argsort(order)]
+    place = np.argsort(order)
+    return np.concatenate([values for values, _ in pairs])[place], vectors[place][:, place]
