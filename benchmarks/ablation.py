@@ -35,6 +35,7 @@ from mpi4py import MPI
 import numpy as np
 from adaptive import ACCURACY, STUDIES
 from changed_stiffness import IN_A_ROW, form
+from dolfinx_tresca.dual.products.first_products import rademacher_vector
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 from harness.timing import timed
 
@@ -50,13 +51,11 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.products import compliance, first_products
-from dolfinx_tresca.dual.products.first_products import rademacher_vector
-from dolfinx_tresca.optimise.models import products
-from dolfinx_tresca.optimise.newton import fixed_point, iterate, near_model, semismooth_newton
-from dolfinx_tresca.optimise.newton import projected_newton as newton
-from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.solvers import fixed_point, iterate, near_model, products, semismooth_newton
+from dolfinx_tresca.solvers import projected_newton as newton
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes import dense
 from scenes.random_blocks import RandomBlocks
 from scenes.scene import Scene
@@ -346,19 +345,19 @@ PARTS: dict[str, Patches] = {
 CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
-    "optimise.newton.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS PROXIMAL "
+    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS PROXIMAL "
     "SOFTER SOLVED",
-    "optimise.models.whole_model": "SHIFT",
+    "solvers.whole_model": "SHIFT",
     "_base.arrays": "ROUNDING",
-    "optimise.newton.near_model": "MOST",
+    "solvers.near_model": "MOST",
     "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS SLOW",
-    "optimise.models.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
+    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
     "PRODUCT_ROUNDING",
     "optimise.models.far_field": "FAR_ENERGY",
-    "optimise.models.bfgs_model": "LEAST_SOFTNESS",
+    "solvers.bfgs_model": "LEAST_SOFTNESS",
     "optimise.newton.fixed_point": "WORSE FAILURES",
     "optimise.sets.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
-    "optimise.sets.constraints": "LARGEST_REACTION",
+    "solvers.constraints": "LARGEST_REACTION",
     "dual.products.compliance": "NEAR_CAPACITY NEAR_SHARE LARGEST_DENSE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
     "dual.initial_guess": "KEPT",

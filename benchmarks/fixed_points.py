@@ -23,8 +23,8 @@ import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.newton import semismooth_newton
-from dolfinx_tresca.optimise.newton.iteration import ModelNewton
+from dolfinx_tresca.solvers import semismooth_newton
+from dolfinx_tresca.solvers.iteration import ModelNewton
 from scenes.dense import random_dry_problem, run
 
 #: Coefficients of friction.

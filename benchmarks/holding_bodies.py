@@ -33,6 +33,7 @@ from functools import partial
 
 import numpy as np
 from assemblies import SIZES
+from dolfinx_tresca.solvers.models.known_products import WholeProducts
 from harness import Benchmark, Column, Comm, Row, Table
 from harness.timing import timed
 from peer_solvers.gradients import proportioning
@@ -41,11 +42,10 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.optimise import methods
-from dolfinx_tresca.optimise.models.known_products import WholeProducts
-from dolfinx_tresca.optimise.record.residual import NaturalResidual
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.sets.positive_definite import factored
+from dolfinx_tresca.solvers import methods
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.positive_definite import factored
+from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes.wall import HEIGHT, wall
 
 #: Relative residual; and residual of a sweep, divided by the residual of Coulomb's law before it.

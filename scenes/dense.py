@@ -14,14 +14,14 @@ from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
-from dolfinx_tresca.optimise.models.products import ProductStore
-from dolfinx_tresca.optimise.models.whole_model import WholeModel
-from dolfinx_tresca.optimise.newton.iteration import solve
-from dolfinx_tresca.optimise.problem import DualSolution, KnownProducts
-from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.options import Method
+from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.iteration import solve
+from dolfinx_tresca.solvers.problem import DualSolution, KnownProducts
+from dolfinx_tresca.solvers.products import ProductStore
+from dolfinx_tresca.solvers.whole_model import WholeModel
 
 METHODS = get_args(Method)
 
@@ -57,7 +57,7 @@ class OneRank:
 
 @dataclass
 class DenseProblem(OneRank):
-    """A dense problem with the protocol of optimise/problem.py; keeps the arguments of `apply`."""
+    """A dense problem with the protocol of solvers/problem.py; keeps the arguments of `apply`."""
 
     A: np.ndarray
     b: np.ndarray

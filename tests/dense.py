@@ -7,8 +7,8 @@ import numpy as np
 from conic import conic_minimum
 from hypothesis import strategies as st
 
-from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from scenes.dense import DenseProblem, OneRank, random_problem
 
 

@@ -16,10 +16,10 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
-from dolfinx_tresca.optimise.paper import largest_eigenvalue
-from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.solvers.paper import largest_eigenvalue
+from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import dual_program
 

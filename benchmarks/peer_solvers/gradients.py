@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from peer_solvers.discrete import Answer, residual_norm
 from scenes.assembled import dual_program
 

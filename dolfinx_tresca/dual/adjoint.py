@@ -45,10 +45,10 @@ from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.optimise.models.model import NodalMaps
-from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.sets.feasible_set import Face, FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.nodal_maps import NodalMaps
+from dolfinx_tresca.solvers.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
 #: adjoint's energy.

@@ -20,12 +20,12 @@ from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.sets.friction_curves import Curve, NodalCurves
 from dolfinx_tresca.pairing.discs import FrictionDiscs
 from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, assemble_B, multiplier_slices
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.friction_curves import Curve, NodalCurves
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 

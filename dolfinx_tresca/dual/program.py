@@ -24,18 +24,18 @@ from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.dual.response import ElasticResponse
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.floating.equilibrium import Equilibrium
-from dolfinx_tresca.optimise.models.products import ProductStore
-from dolfinx_tresca.optimise.problem import KnownProducts
-from dolfinx_tresca.optimise.sets.constraints import EqualityConstraints
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.problem import KnownProducts
+from dolfinx_tresca.solvers.products import ProductStore
 
 
 @dataclass(frozen=True)
 class DualProgram:
     """The quadratic program of one solve: A, b, Lambda, constraints and energies.
 
-    It is the input of the algorithms in `dolfinx_tresca.optimise`.
+    It is the input of the algorithms in `dolfinx_tresca.solvers`.
 
     Attributes:
         compliance: A, and all data that depend on K only.

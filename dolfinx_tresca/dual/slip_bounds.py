@@ -14,7 +14,6 @@ from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.optimise.sets.friction_curves import Curve
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.scene.friction import (
     COEFFICIENT_ROUNDING,
@@ -25,6 +24,7 @@ from dolfinx_tresca.scene.friction import (
     Friction,
 )
 from dolfinx_tresca.scene.scalar_field import ScalarField, invalid
+from dolfinx_tresca.solvers.friction_curves import Curve
 
 #: A negative slip bound counts as rounding, and means zero, if its absolute value is at most this
 #: fraction of the largest finite bound of the pair.

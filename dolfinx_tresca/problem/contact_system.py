@@ -21,7 +21,6 @@ from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
 from dolfinx_tresca.monitor import Iteration
-from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes, pressed_values
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
@@ -38,6 +37,7 @@ from dolfinx_tresca.solution.theory import (
     reason_outside,
     slips_of_pairs,
 )
+from dolfinx_tresca.solvers.friction_curves import CurveAtNodes, pressed_values
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
 from dolfinx_tresca.stiffness.choice import StiffnessMethod

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.optimise.problem import DualSolution
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.hints import hint_at_weakening
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.friction_curves import CurveAtNodes
+from dolfinx_tresca.solvers.problem import DualSolution
 
 
 def depends_on_pressure(pair: ContactPair) -> bool:

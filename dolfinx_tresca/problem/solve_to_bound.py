@@ -12,13 +12,13 @@ from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
-from dolfinx_tresca.optimise.newton.iteration import solve
-from dolfinx_tresca.optimise.problem import DualSolution, Point
-from dolfinx_tresca.optimise.record.history import History
-from dolfinx_tresca.optimise.record.residual import NaturalResidual
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solvers.history import History
+from dolfinx_tresca.solvers.iteration import solve
+from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.status import ContactStatus
 
 #: Largest number of runs of the iteration until its fields have the requested error bound. (Of the

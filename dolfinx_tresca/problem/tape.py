@@ -26,7 +26,6 @@ from dolfinx_tresca.dual.history.saved_state import SavedState
 from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.optimise.sets.friction_curves import CurveAtNodes
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
@@ -45,6 +44,7 @@ from dolfinx_tresca.solution.gradient import (
     sum_of_known,
 )
 from dolfinx_tresca.solution.solved_step import SolvedStep
+from dolfinx_tresca.solvers.friction_curves import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"

@@ -21,9 +21,6 @@ from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.optimise.problem import DualSolution, Point
-from dolfinx_tresca.optimise.record.energy import energy_norm, relative_error
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
 from dolfinx_tresca.solution.resultants import (
     Resultant,
@@ -33,6 +30,9 @@ from dolfinx_tresca.solution.resultants import (
     resultants_on,
     shares_of_bodies,
 )
+from dolfinx_tresca.solvers.energy import energy_norm, relative_error
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.problem import DualSolution, Point
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
 #: Largest coefficient of friction that a material may have: rubber on rubber has 1 to 4.
 LARGEST_COEFFICIENT = 5.0

@@ -12,13 +12,13 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
-from dolfinx_tresca.optimise.sets.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.sets.friction_curves import pressed_values
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.solved_step import SolvedStep
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.friction_curves import pressed_values
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, Tresca
-from dolfinx_tresca.optimise.record.history import BELOW_ANY_MESH
+from dolfinx_tresca.solvers.history import BELOW_ANY_MESH
 from scenes.patches import patch
 from scenes.rubbing import rubbing
 from scenes.scene import EPS

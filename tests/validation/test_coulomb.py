@@ -25,8 +25,8 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
 from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction, Friction
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.nodal import node_function
 from scenes.rubbing import BOUND, YOUNG, rubbing

@@ -22,7 +22,7 @@ from dolfinx_tresca import (
     MechanismError,
     RigidPlane,
 )
-from dolfinx_tresca.optimise.models.whole_model import WholeModel
+from dolfinx_tresca.solvers.whole_model import WholeModel
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
 from scenes.scene import EPS

@@ -12,7 +12,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.bounds.lift import Lift
 from dolfinx_tresca.dual.bounds.saddle_lift import SaddleLift
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.optimise.sets.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 
 
 class EnergyBound(PetscOwner):

@@ -13,7 +13,7 @@ from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.optimise.models.whole_model import WholeModel
+from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 

@@ -21,9 +21,9 @@ from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.optimise.models.products import ProductStore
-from dolfinx_tresca.optimise.models.whole_model import WholeModel
-from dolfinx_tresca.optimise.problem import KnownProducts
+from dolfinx_tresca.solvers.problem import KnownProducts
+from dolfinx_tresca.solvers.products import ProductStore
+from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Largest number of products with the near field that are kept. Each product slows down all algebra

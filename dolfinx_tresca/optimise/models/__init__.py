@@ -1,1 +1,0 @@
-"""Known products with A, and models of A that are built from them."""

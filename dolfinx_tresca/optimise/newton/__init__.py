@@ -1,1 +1,0 @@
-"""The default method: projected Newton on a model of A, also for Coulomb's law."""

@@ -1,1 +1,0 @@
-"""Residuals and energies of iterates, the record of a solve, and its end."""

@@ -1,1 +1,0 @@
-"""The set Lambda, its projection, and equality constraints besides it."""

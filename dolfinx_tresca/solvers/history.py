@@ -1,0 +1,221 @@
+"""The record of a solve, and the check of convergence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from dolfinx_tresca._base.forcing import FORCING
+from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.energy import dual_energy, energy_error, energy_norm
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
+from dolfinx_tresca.solvers.residual import NaturalResidual
+from dolfinx_tresca.status import ContactStatus
+
+#: `LEAST_ACCURACY` is the least relative energy error that is requested if the mesh's error
+#: determines the request. With `rtol`, the mesh's error is not estimated if the relative energy
+#: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
+LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
+
+#: Largest accepted residual of the equality constraints, relative to their terms: forces are in
+#: equilibrium.
+BALANCED = 1e-10
+
+#: Requested residual if there is no bound of the energy error and the user set no `rtol`.
+UNPROVEN = 1e-6
+
+#: Function that is called with each iterate, the first one included. It returns whether to stop,
+#: with the same result on all ranks.
+Observe = Callable[[Iteration], bool]
+
+
+class History:
+    """Checks the convergence of each iterate of a solve, and records residuals and energies.
+
+    With `accuracy=`, only the bound of the energy error is checked. By default, the requested
+    energy error is a part of the discretisation error, and the traction of every node must be near
+    its local minimiser (`DualProblem.local_error`), since energies say little about peaks and
+    states. With `rtol=`, the residual is checked in addition: for slender bodies, for example, the
+    energy error may be large although the residual is small.
+
+    Attributes:
+        residual: natural residual and its scale.
+        accuracy: relative error in the energy norm that is requested at present; inf if it is not
+            yet known.
+        residuals: relative natural residual of each iterate.
+        q: q(lambda) of each iterate, with the energy of soft constraints.
+        errors: natural residual of each iterate, not divided by its scale.
+    """
+
+    def __init__(
+        self,
+        problem: DualProblem,
+        options: SolverOptions,
+        observe: Observe,
+        residual: NaturalResidual,
+    ) -> None:
+        """Begin a solve. Not collective."""
+        self._problem, self._options, self._observe = problem, options, observe
+        self.residual = residual
+        given, rtol = options.accuracy, options.rtol
+        self.accuracy = np.inf if isinstance(given, str) or rtol else given
+        self._mesh_decides = self.accuracy == np.inf
+        self.residuals: list[float] = []
+        self.q: list[float] = []
+        self.errors: list[float] = []
+
+    @property
+    def error(self) -> float:
+        """The natural residual of the newest iterate, not divided by its scale."""
+        return self.errors[-1]
+
+    def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
+        """Record an iterate; return the status if the iteration ends here, else None. Collective.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
+        """
+        problem, residual = self._problem, self.residual
+        value = residual.at(point)
+        self.errors.append(value)
+        self.residuals.append(residual.relative(value))
+        self.q.append(dual_energy(problem, point))
+        reached, wanted, done = self.reached(point, error)
+        if value <= residual.rounding and (self._options.rtol is None or residual.zero_is_solution):
+            reached, done = 0.0, True
+        number = len(self.residuals) - 1
+        stop = self._observe(
+            Iteration(
+                number, problem.operator.products, self.residuals[-1], reached, wanted, self.q[-1]
+            )
+        )
+        if done:
+            return ContactStatus.CONVERGED
+        if stop:
+            return ContactStatus.STOPPED
+        if number >= self._options.max_iterations:
+            return ContactStatus.MAX_ITERATIONS
+        return None
+
+    def is_idle(self, number: int, progress: float, since: int = 0) -> bool:
+        """Return whether residuals have not decreased in the last iterations. Not collective.
+
+        Args:
+            number: number of iterations.
+            progress: ratio of two residuals that counts as a decrease.
+            since: number of the first iterate that counts.
+        """
+        residuals = self.residuals[since:]
+        return len(residuals) > number and (
+            min(residuals[-number:]) > progress * min(residuals[:-number])
+        )
+
+    def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:
+        """Return the result with the last iterate as the solution. Collective.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            status: reason for the end of the iteration.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: unknown.
+        """
+        return DualSolution(
+            multipliers=point.x,
+            c=point.c,
+            gradient=point.r,
+            status=status,
+            iterations=len(self.residuals) - 1,
+            residuals=tuple(self.residuals),
+            q=tuple(self.q),
+            rho=self.residual.rho,
+            wanted=self.accuracy,
+            # the displacement is computed after the last check of convergence: with an error as
+            # large as the tolerable error, its error bound could exceed the bound that was checked
+            accuracy=None if error is None else max(error, FORCING * self.tolerable_error(point)),
+        )
+
+    def reached(self, point: Point, error: float) -> tuple[float, float, bool]:
+        """Return the reached and the requested accuracy, and whether the iterate is good enough.
+
+        The two numbers belong to the first criterion that is not met; if all criteria are met, they
+        belong to the last criterion. Unless the user set `accuracy=`, the first call with a small
+        bound sets `accuracy` from the error of the mesh. Collective.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
+        """
+        residual = self.residual.at(point)
+        reached, wanted = np.inf, 1.0
+        for reached, wanted in self.measures(point, error, self.residual.relative(residual)):
+            if not reached <= wanted:
+                return reached, wanted, residual == 0.0
+        return reached, wanted, True
+
+    def measures(
+        self, point: Point, error: float, residual: float
+    ) -> Iterator[tuple[float, float]]:
+        """Yield the reached and the requested value of each criterion in turn. Collective.
+
+        A criterion is computed only if the caller asks for it, after the earlier criteria are met.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
+            residual: natural residual, divided by its scale.
+        """
+        problem, x, r = self._problem, point.x, point.r
+        if self.residual.at(point) > self.residual.rounding:
+            yield problem.constraints.imbalance(x, point.c), BALANCED
+        if self._options.rtol is not None:
+            yield residual, self._options.rtol
+        bound = energy_error(problem, point, error)
+        if not self._mesh_decides:
+            yield bound, self.accuracy
+            return
+        if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
+            # the relative bound is infinite while errors exceed the norm of the displacement
+            if self.accuracy == np.inf:
+                yield bound, FORCING
+                if self._options.rtol is None or bound > BELOW_ANY_MESH:
+                    mesh = problem.discretisation_error(x, point.c)
+                    self.accuracy = min(
+                        max(self._options.mesh_part * mesh, LEAST_ACCURACY), FORCING
+                    )
+            if self.accuracy < np.inf:
+                yield bound, self.accuracy
+        elif self._options.rtol is None:
+            yield residual, UNPROVEN
+        yield problem.local_error(x, r), self._options.local_accuracy
+
+    def tolerable_error(self, point: Point) -> float:
+        """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
+
+        The tolerable error is small compared with the error of the multipliers, since the local
+        errors of the nodes are computed from the gradient.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+        """
+        problem = self._problem
+        norm = energy_norm(problem, point)
+        if norm == 0.0:  # no relative error
+            return 0.0
+        reached = energy_error(problem, point)
+        error = max(min(self.accuracy, reached), LEAST_ACCURACY) * norm
+        if self._options.rtol is not None or not np.isfinite(error):
+            error = min(error, self.residual_error)
+        return FORCING * error
+
+    @property
+    def residual_error(self) -> float:
+        """The largest tolerable norm sqrt(e'A^-1 e) of an error e of the gradient.
+
+        The Euclidean norm |e| is then at most the requested residual.
+        """
+        rtol = UNPROVEN if self._options.rtol is None else self._options.rtol
+        # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
+        rho = self.residual.rho
+        return rtol * self.residual.scale * float(np.sqrt(rho / self._options.step_factor))

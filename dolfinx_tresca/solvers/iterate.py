@@ -1,0 +1,220 @@
+"""The present multipliers and their gradient, computed as accurately as the iteration needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, SLACK
+from dolfinx_tresca.solvers.problem import DualProblem, KnownProducts, Point
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step from the present point.
+
+    Attributes:
+        direction: (size,) change of the multipliers.
+        product: (size,) A times the direction, which is the change of the gradient.
+        error: error of the gradient at the end of the step, in the norm sqrt(e'A^-1 e).
+        c: (k,) multipliers of the constraints at the end of the step.
+    """
+
+    direction: Array
+    product: Array
+    error: float
+    c: Array
+
+
+class Iterate:
+    """A point in the friction cones with its gradient, and steps from it with their products.
+
+    Products are exact to rounding, as with a direct solver for K; see `InexactIterate`.
+
+    Attributes:
+        x: (size,) multipliers of the point.
+        c: (k,) multipliers of the constraints.
+        r: (size,) A x - b, the gradient at the point without constraints.
+        error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
+        finest: least error that is requested of a gradient.
+        learned: whether the last step has changed the model of A, or the accuracy of gradients.
+        store: known products with A, to which new products are added.
+    """
+
+    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
+        """Begin at zero, where no product is needed.
+
+        Args:
+            problem: the dual problem (38.4), for products and gradients.
+            store: known products, to which new products are added.
+        """
+        self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
+        self.c: Array = np.zeros(len(problem.constraints))
+        self.move_to(np.zeros_like(problem.b), -problem.b, problem.response.b_error)
+
+    @classmethod
+    def of(cls, problem: DualProblem, store: KnownProducts) -> Iterate:
+        """Return an iterate at zero for exact or inexact products. Arguments as in `__init__`."""
+        return (Iterate if problem.operator.exact else InexactIterate)(problem, store)
+
+    @property
+    def point(self) -> Point:
+        """The point with its gradient, which includes the terms of the constraints."""
+        return self.point_after(self.zero_step())
+
+    def point_after(self, step: Step) -> Point:
+        """Return the end of a step."""
+        r = self.r + step.product - self._problem.constraints.columns @ step.c
+        return Point(self.x + step.direction, step.c, r)
+
+    def move_to(self, x: Array, r: Array, error: float) -> None:
+        """Set the point, with a known gradient and its error. Not collective."""
+        self.x, self.r, self.error = x, r, error
+
+    def move(self, step: Step) -> None:
+        """Set the point to the end of a step. Not collective."""
+        self.move_to(self.x + step.direction, self.r + step.product, step.error)
+        self.c = step.c
+
+    def zero_step(self) -> Step:
+        """Return a step of length zero. Not collective."""
+        return Step(np.zeros_like(self.r), np.zeros_like(self.r), self.error, self.c)
+
+    def step(self, direction: Array, c: Array) -> Step:
+        """Return the step along a direction and its product with A. Collective.
+
+        Known products give A times a part of the direction. The rest of the direction is new, and
+        is added to the store with its product.
+
+        Args:
+            direction: (size,) change of the multipliers.
+            c: (k,) multipliers of the constraints at the end of the step.
+        """
+        before = len(self.store)
+        product = self._product(direction)
+        self.learned = len(self.store) != before
+        return Step(direction, product, self.error, c)
+
+    def _product(self, x: Array) -> Array:
+        """Return A x. Only the part of x without known product is multiplied by A."""
+        # subtracting the known part from a product of the whole x would leave rounding errors that
+        # grow from pair to pair
+        new, known = self.store.split(x)
+        if float(self._problem.inner(new, new)) == 0.0:
+            return known
+        product = self._problem.operator.apply(new)
+        self.store.add(new, product)
+        return known + product
+
+    def initial_gradient(self, x: Array, part: float) -> tuple[Array, float]:
+        """Return the gradient at an initial point, and its error. Collective.
+
+        Known products may determine the gradient, for example if a solve with another load has
+        ended at these multipliers.
+
+        Args:
+            x: (size,) the point.
+            part: sufficient error of the gradient, divided by the energy norm of x; it is used for
+                inexact products only.
+        """
+        return self._product(x) - self._problem.b, 0.0
+
+    def increase_accuracy(self) -> bool:
+        """Compute the gradient and later products more accurately; return False if impossible."""
+        return False
+
+    def refine_fully(self) -> bool:
+        """Compute b and the gradient again, as accurately as possible. Collective.
+
+        Returns:
+            True if b and the gradient were computed again; False if they are already exact.
+        """
+        return False
+
+    def refine(self, accuracy: float) -> None:
+        """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
+        return
+
+
+class InexactIterate(Iterate):
+    """The point and its gradient with an iterative solver for K.
+
+    The error of the gradient in the norm sqrt(e'A^-1 e) is limited to a part of the energy norm of
+    the steps. A product is the difference of two gradients, and contains the errors of both.
+    """
+
+    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
+        """Begin at zero, where no product is needed. The arguments are those of `Iterate`."""
+        super().__init__(problem, store)
+        self._length, self._least, self._part = 0.0, 0.0, FORCING
+
+    def _energy_norm(self, x: Array) -> float:
+        """Return the energy norm of x (size,), with the model in place of A. Collective."""
+        return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
+
+    def _wanted(self) -> float:
+        """Return the requested error of the next gradient."""
+        return max(self._part * self._length, self.finest)
+
+    def _gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
+        """Return a gradient and its error; record the error if the solver cannot reduce it."""
+        r, error = self._problem.response.gradient(x, accuracy, origin)
+        if error > SLACK * accuracy:
+            self._least = max(self._least, error)
+        return r, error
+
+    def step(self, direction: Array, c: Array) -> Step:
+        """Return the step along a direction and its product with A. Collective.
+
+        The direction is added to the store with its product.
+        """
+        if float(self._problem.inner(direction, direction)) == 0.0:
+            return Step(direction, 0.0 * direction, self.error, c)
+        self._length = self._energy_norm(direction)
+        r, error = self._gradient(self.x + direction, self._wanted(), self.x)
+        # the difference of gradients: errors of gradients do not accumulate over the steps
+        product = r - self.r
+        self.learned = self.store.add(direction, product, error + self.error)
+        if self.learned:
+            self._part = FORCING
+        return Step(direction, product, error, c)
+
+    def initial_gradient(self, x: Array, part: float) -> tuple[Array, float]:
+        """Return the gradient at an initial point, and its error. Collective."""
+        problem, b_error = self._problem, self._problem.response.b_error
+        if float(problem.inner(x, x)) == 0.0:
+            return -problem.b, b_error
+        known, error = self.store.product(x)
+        wanted = max(part * self._energy_norm(x), self.finest)
+        if error + b_error <= wanted:
+            return known - problem.b, error + b_error
+        # an accuracy below the error of b is useless: for tiny multipliers, the product would
+        # consist of the error of b only
+        r, error = problem.response.gradient(x, max(wanted, b_error))
+        self.store.add(x, r + problem.b, error + b_error)
+        return r, error
+
+    def increase_accuracy(self) -> bool:
+        """Compute the gradient and later products more accurately; return False if impossible."""
+        if self._part < FULL_ACCURACY:
+            return False
+        self._part *= FORCING
+        self.finest *= FORCING
+        self.learned = True
+        self.refine(self._wanted())
+        return True
+
+    def refine_fully(self) -> bool:
+        """Compute b and the gradient as accurately as possible. Collective."""
+        self._problem.response.refine_b()
+        self.move_to(self.x, *self.initial_gradient(self.x, 0.0))
+        return True
+
+    def refine(self, accuracy: float) -> None:
+        """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
+        if self.error > max(accuracy, SLACK * self._least):
+            self.r, self.error = self._gradient(self.x, accuracy)

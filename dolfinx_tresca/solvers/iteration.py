@@ -1,0 +1,352 @@
+"""The default method: Newton's method on a model of A that every product improves."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING, ROUGH
+from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers import near_model, paper
+from dolfinx_tresca.solvers.balance import balance
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.history import History, Observe
+from dolfinx_tresca.solvers.iterate import Iterate, Step
+from dolfinx_tresca.solvers.problem import (
+    DualProblem,
+    DualSolution,
+    FrictionDeficit,
+    KnownProducts,
+    Point,
+)
+from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
+from dolfinx_tresca.solvers.reductions import norm
+from dolfinx_tresca.solvers.residual import NaturalResidual
+from dolfinx_tresca.solvers.semismooth_newton import ModelSolution
+from dolfinx_tresca.status import ContactStatus
+
+#: Number of products of the near field D with b, D b, ... before the iteration. With two products,
+#: the largest Ritz value is near sigma_max, the largest eigenvalue of A.
+NEAR_POWERS = 2
+
+#: Limit on reductions of rho in one iteration, each of which takes a product with A.
+MOST_REDUCTIONS = 20
+
+#: If the residual is not halved in this number of iterations, the rest of A is computed, unless A
+#: is too large (`ContactCompliance.complete_products`).
+SLOW = 8
+
+#: A step is taken if the residual after the step is at most this multiple of the residual before.
+WORSE = 2.0
+
+#: The solve ends after this number of consecutive iterations in which friction, computed with the
+#: model in place of A, is too weak to hold a body. (For a bolted joint beyond its limit, friction
+#: is too weak from the first product on.)
+FAILURES = 2
+
+#: Factor that makes slip bounds practically infinite.
+LARGE = 1e100
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
+
+    The default method finds multipliers x that minimise q over the section of the friction cones at
+    their own pressures. For Tresca's law, this section is Lambda. For Coulomb's law, x is a fixed
+    point: the solution of Tresca's problem with the slip bounds at the pressures of x (Haslinger
+    1983, Approximation of the Signorini problem with friction, obeying the Coulomb law).
+
+    The model M (`near_model`) equals A on all vectors with known products. Newton's method
+    (`semismooth_newton`) solves the problem with M in place of A by small dense algebra; changes of
+    active sets, of directions of slip and of slip bounds need no products. Let d be the step to
+    this solution. The product A d is computed, the iteration takes the step, and M is updated with
+    the pair (d, A d). While the face does not change, the method is the conjugate gradient method
+    with M as the preconditioner.
+
+    For Tresca's law and bodies held by supports, the iteration goes to the minimiser of q along d.
+    The step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which is an upper
+    bound of q after the gradient projection step p = P_Lambda(x - rho r) - x; otherwise the
+    gradient projection step is taken first. This is sufficient for the proof of Theorem 38.1; part
+    (i) of the theorem holds with eta = 1 - rho sigma_min, where rho is the step length at the end.
+    Otherwise no quantity is guaranteed to decrease: the whole step is taken unless it more than
+    doubles the residual.
+
+    Collective.
+
+    Args:
+        problem: A, b, cones and constraints; the products of this solve are added to its store.
+        start: (size,) first multipliers; projected onto the cones.
+        options: tolerances.
+        observe: function that is called with each iterate, the first one included.
+
+    Raises:
+        InputError: a method of the paper, which is for slip bounds that are given, was chosen for
+            slip bounds that depend on the pressure.
+    """
+    if options.method in paper.ALGORITHMS:
+        if isinstance(problem.admissible, FeasibleSet):
+            return paper.ALGORITHMS[options.method](problem, start, options, observe)
+        raise InputError(
+            f"method={options.method!r} needs slip bounds that are given: here they depend on the "
+            "pressure. Leave out `method`, or give the friction as Tresca, Bonded or Frictionless."
+        )
+    return ModelNewton(problem, options, observe).run(start)
+
+
+class ModelNewton:
+    """The state of one solve: a point with its gradient, and the history.
+
+    Attributes:
+        problem: A, b, cones and constraints.
+        options: tolerances.
+        observe: function that is called with each iterate, the first one included.
+        has_given_bounds: whether slip bounds do not depend on pressures (Tresca's law).
+        largest: lower bound of sigma_max, kept when known products are dropped.
+        store: known products with A.
+        residual: natural residual and its scale.
+        history: residuals and energies of the iterates, and the criterion of convergence.
+        at: the present point.
+        failures: number of consecutive iterations in which friction on the model was too weak for
+            the constraints.
+        first_target: the solution of the model at the start; None after it was used.
+        deficit: deficit of friction in the last iteration; None if friction was strong enough.
+        completed_at: number of iterates when the rest of A was computed; 0 before.
+    """
+
+    store: KnownProducts
+    residual: NaturalResidual
+    history: History
+    at: Iterate
+    first_target: ModelSolution | None = None
+    deficit: FrictionDeficit | None = None
+
+    def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
+        """Keep the arguments; `run` solves. Not collective."""
+        self.problem, self.options, self.observe = problem, options, observe
+        self.has_given_bounds = isinstance(problem.admissible, FeasibleSet)
+        self.largest, self.failures, self.completed_at = 0.0, 0, 0
+
+    def run(self, start: Array) -> DualSolution:
+        """Iterate until a status ends the iteration. Collective."""
+        self.compute_first_products()
+        self.begin_at(start)
+        at = self.at
+        while (status := self.status()) is None:
+            target, self.first_target = self.first_target or self.target(), None
+            at.move(self.accepted(target))
+            if not (at.learned or self.residual.at(at.point) < PROGRESS * self.history.error):
+                at.increase_accuracy()
+        solution = self.history.solution(at.point, status, at.error)
+        if status is ContactStatus.NO_FIXED_POINT:
+            solution = dataclasses.replace(solution, deficit=self.deficit)
+        return solution
+
+    def compute_first_products(self) -> None:
+        """Compute first products to bound sigma_max, unless some are known. Collective.
+
+        For a new A, `known_products` computes a product with random signs, or all columns of A if A
+        is sparse. If no product is known after this call, b is multiplied by the near field if
+        there is one, and otherwise by A.
+        """
+        self.store = store = self.problem.known_products()
+        if isinstance(store, ProductStore):
+            store.drop_inaccurate_pairs()
+        if store.largest_ritz_value() != 0.0:
+            return
+        problem, near, x = self.problem, self.problem.near_products(), self.problem.b
+        if near is None:
+            product = problem.operator.apply(x)
+            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
+            store.add(x, product, problem.operator.product_error * length)
+            return
+        for _ in range(NEAR_POWERS):
+            product = problem.near_field(x)
+            near.add(x, product)
+            x = product
+
+    def begin_at(self, start: Array) -> None:
+        """Begin at the start, or at zero if the residual is larger at the start. Collective.
+
+        A load step with bounds that depend on the pressure always begins at the start. There may be
+        several fixed points, and a process continues with the nearest one. For example, friction
+        keeps a wedge in place after the force that pushed it in is removed, although zero tractions
+        satisfy the law of friction as well.
+        """
+        problem, constraints = self.problem, self.problem.constraints
+        self.at = at = Iterate.of(problem, self.store)
+        self.residual = residual = NaturalResidual(problem, self.proposed_rho())
+        if residual.zero_is_undecided(at.error) and at.refine_fully():
+            self.residual = residual = NaturalResidual(problem, residual.rho, at.error)
+        self.history = History(problem, self.options, self.observe, residual)
+        zero, start = at.x, problem.admissible.project(start)
+        if len(constraints) > 0:  # the nearest multipliers that balance the loads
+            shift = balance(constraints, problem.admissible, start=start).shift
+            start = problem.admissible.project(start + constraints.columns @ shift)
+        if norm(problem, start) > 0.0:
+            at.move_to(start, *at.initial_gradient(start, ROUGH))
+        self.find_constraint_multipliers()
+        if self.options.rtol:
+            at.finest = FORCING * self.history.residual_error
+        if residual.at(at.point) > residual.scale:
+            if problem.is_load_step and not self.has_given_bounds:
+                residual.count(at.r + problem.b)
+            else:
+                at.move_to(zero, -problem.b, problem.response.b_error)
+                self.find_constraint_multipliers()
+
+    def find_constraint_multipliers(self) -> None:
+        """Solve the model at the start for the motions of floating bodies: b is known up to G c.
+
+        The motions of the gradient projection step that balances the loads are the initial guess.
+        """
+        at, constraints, rho = self.at, self.problem.constraints, self.residual.rho
+        if len(constraints) > 0 and not self.residual.zero_is_solution:
+            lam, softness = self.problem.bounds(at.x, at.r), 1.0 / rho * constraints.softness
+            shift = balance(constraints, lam, at.x - rho * at.r, softness).shift
+            at.c = np.asarray(shift / rho)
+            self.first_target = self.target()
+            at.c = self.first_target.c
+            self.residual.set_constraint_multipliers(at.c)
+
+    def proposed_rho(self) -> float:
+        """Return the step length rho from the bound of sigma_max; any number without loads."""
+        stores = [self.store, self.problem.near_products()]
+        known = [store.largest_ritz_value() for store in stores if store is not None]
+        self.largest = max(self.largest, *known)
+        return self.options.step_factor / (self.largest or 1.0)
+
+    def status(self) -> ContactStatus | None:
+        """Return the status with which the iteration ends at the present point, or None.
+
+        Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
+        Collective.
+        """
+        at, history, residual = self.at, self.history, self.residual
+        if at.error > 0.0 and history.reached(at.point, 0.0)[2]:
+            at.refine(history.tolerable_error(at.point))
+        if (status := history.check_convergence(at.point, at.error)) is not None:
+            return status
+        lost = self.failures >= FAILURES
+        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error
+        stalls = (is_same and not at.learned) or history.is_idle(
+            PATIENCE, PROGRESS, self.completed_at
+        )
+        is_limited = residual.is_limited_by_rounding(history.error)
+        is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
+        if (lost or stalls or is_slow) and self.complete_products():
+            return None
+        if not (lost or stalls):
+            return None
+        if self.has_given_bounds or is_limited:
+            return ContactStatus.STAGNATED
+        return ContactStatus.NO_FIXED_POINT
+
+    def complete_products(self) -> bool:
+        """Compute the rest of A, unless it is known or too large; return whether it was computed.
+
+        Collective.
+        """
+        if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
+            return False
+        self.store, self.first_target = self.problem.known_products(), None
+        self.at.store = self.store
+        self.failures, self.completed_at = 0, len(self.history.residuals)
+        self.at.learned = True
+        return True
+
+    def target(self) -> ModelSolution:
+        """Return a solution with the model in place of A; record how much friction is missing."""
+        tolerance = self.options.r_tol * self.residual.at(self.at.point)
+        target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
+        if not (target.is_solved or self.has_given_bounds):
+            self.deficit = friction_deficit(self.problem, target)
+            self.failures = 0 if self.deficit is None else self.failures + 1
+        return target
+
+    def accepted(self, target: ModelSolution) -> Step:
+        """Return the step to take from the present point, given the solution of the model."""
+        at = self.at
+        step = at.step(target.x - at.x, target.c)
+        if (rho := self.proposed_rho()) < self.residual.rho:
+            self.residual.set_rho(rho)  # no step achieves the decrease that a large rho predicts
+        if self.has_given_bounds and len(target.c) == 0:
+            return self.descending(step)
+        if self.residual.at(at.point_after(step)) <= WORSE * self.history.error:
+            return step
+        at.increase_accuracy()
+        return at.zero_step()
+
+    def descending(self, whole: Step) -> Step:
+        """Return a step that decreases q as Theorem 38.1 requires, given the whole Newton step.
+
+        The step ends at the minimiser of q along the Newton step, or else at the minimiser between
+        the ends of the gradient projection step and of the Newton step. If the curvature of q along
+        the gradient projection step exceeds 1 / rho, rho is reduced first, for all later
+        iterations. Slip bounds must be given, and there must be no constraints. Collective.
+        """
+        at, residual, inner = self.at, self.residual, self.problem.inner
+        move = residual.projection(at.point) - at.x
+        promised = float(inner(move, at.r + 0.5 / residual.rho * move))
+        if -promised <= PRODUCT_ROUNDING * norm(self.problem, at.x) * norm(self.problem, at.r):
+            # changes of q are rounding, changes of the gradient are not: the residual decides
+            if residual.at(at.point_after(whole)) < self.history.error:
+                return whole
+            at.increase_accuracy()
+            return at.zero_step()
+        step = self.minimiser_between(at.zero_step(), whole)
+        if float(inner(step.direction, at.r + 0.5 * step.product)) <= promised:
+            return step
+        for _ in range(MOST_REDUCTIONS):
+            step = at.step(move, whole.c)
+            curvature, length = float(inner(move, step.product)), float(inner(move, move))
+            # the error of an inexact product does not count as curvature
+            noise = (step.error + at.error) * float(np.sqrt(max(curvature, 0.0)))
+            if (curvature - noise) * residual.rho <= length * (1.0 + 1e-10):
+                break
+            residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
+            move = residual.projection(at.point) - at.x
+        return self.minimiser_between(step, whole)
+
+    def minimiser_between(self, first: Step, last: Step) -> Step:
+        """Return the step to the minimiser of q between the ends of two steps."""
+        direction, product = last.direction - first.direction, last.product - first.product
+        curvature = float(self.problem.inner(direction, product))
+        slope = float(self.problem.inner(direction, self.at.r + first.product))
+        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        return Step(
+            first.direction + part * direction,
+            first.product + part * product,
+            (1.0 - part) * first.error + part * last.error,
+            first.c,
+        )
+
+
+def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
+    """Return the motion along which friction is too weak for the constraints. Collective.
+
+    Args:
+        problem: the dual problem, with friction cones and constraints.
+        point: multipliers whose pressures determine the slip bounds.
+
+    Returns:
+        the motion, with the work of the loads and of friction along it; None if some multipliers
+        with the slip bounds of the point satisfy the constraints.
+    """
+    constraints, section = problem.constraints, problem.bounds(point.x, point.r)
+    if len(constraints) == 0:  # no body floats
+        return None
+    found = balance(constraints, section)
+    if found.satisfied:
+        return None
+    motion = found.shift / np.linalg.norm(found.shift)
+    slip = constraints.columns @ motion
+    friction = section.project(LARGE * slip)
+    friction[section.normal] = 0.0
+    available = float(problem.inner(friction, slip))
+    return FrictionDeficit(motion, float(constraints.values @ motion), available)

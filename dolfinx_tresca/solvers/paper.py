@@ -1,0 +1,338 @@
+"""The algorithms of the paper, for Tresca's law: SSN, MSSN, IMSSN and GIMSSN.
+
+They are here for comparisons with the default method (docs/theory/algorithms.md). All have the same
+signature, and all are collective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.history import History, Observe
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
+from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
+from dolfinx_tresca.solvers.reductions import norm
+from dolfinx_tresca.solvers.residual import NaturalResidual
+from dolfinx_tresca.status import ContactStatus
+
+#: Inner residual of "exact" solves, divided by the outer residual at the start.
+INNER_RESIDUAL = 1e-12
+
+
+def ssn(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Solve lambda = P(lambda - rho r(lambda)) by Newton steps with the full slanting function.
+
+    The full derivative of the projection onto the circle makes the systems non-symmetric. Table
+    38.1 of the paper compares its methods with this variant. Convergence is not guaranteed.
+
+    Collective.
+    """
+    run = _Run(problem, start, options, observe)
+
+    def step(tolerance: float) -> tuple[Array, Array]:
+        rho, y = run.history.residual.rho, run.target
+        derivative = run.feasible_set.projection_derivative(y)
+        change = _bicgstab(
+            problem,
+            lambda v: v - derivative(v - rho * problem.operator.apply(v)),
+            run.feasible_set.project(y) - run.x,
+            rho * tolerance,
+        )
+        x = run.x + change
+        return x, gradient(problem, x)
+
+    return run.iterate(step, adaptive_precision(run.history, options))
+
+
+def mssn(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
+
+    The inner CG iterations end at 1e-12 times the residual at the start. The method converges fast
+    if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
+    there is one, is the solution. Collective.
+    """
+    run = _Run(problem, start, options, observe)
+    return run.iterate(run.symmetrized_step, lambda: INNER_RESIDUAL * run.history.errors[0])
+
+
+def imssn(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM IMSSN: MSSN with the precision control of (Step 3.1).
+
+    The method is fast if it converges, but may cycle if many nodes stick. Collective.
+    """
+    run = _Run(problem, start, options, observe)
+    return run.iterate(run.symmetrized_step, adaptive_precision(run.history, options))
+
+
+def gimssn(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
+
+    Each iteration takes a gradient projection step, which alone gives the R-linear rate of
+    Theorem 38.1, then CG steps on the free multipliers until one leaves Lambda. The method
+    converges from any start, but slowly if many nodes slip: CG does not change directions of slip.
+
+    Collective.
+    """
+    run = _Run(problem, start, options, observe)
+    feasible_set = run.feasible_set
+
+    def step(tolerance: float) -> tuple[Array, Array]:
+        residual = run.history.residual
+        while True:
+            move = feasible_set.project(run.target) - run.x
+            product = problem.operator.apply(move)
+            curvature = float(problem.inner(product, move) / problem.inner(move, move))
+            if curvature * residual.rho < 2.0:
+                break
+            # the Lanczos iteration missed an eigenvalue whose vector is almost orthogonal to b
+            residual.set_rho(options.step_factor / curvature)
+        projected = run.x + move
+
+        def feasible(change: Array) -> bool:
+            moved = projected + change
+            outside = moved - feasible_set.project(moved)
+            # rounding alone may move the traction of a slipping node off its circle
+            return bool(
+                problem.inner(outside, outside)
+                <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
+            )
+
+        active, r = feasible_set.face(run.target).active, run.r + product
+        change, image = conjugate_gradients(problem, active, r, tolerance, feasible=feasible)
+        return feasible_set.project(projected + change), r + image
+
+    return run.iterate(step, adaptive_precision(run.history, options))
+
+
+#: Name of a method in `SolverOptions` -> its function.
+ALGORITHMS = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
+
+
+class _Run:
+    """The state of a solve by an algorithm of the paper.
+
+    Attributes:
+        problem: the dual problem (38.4), without constraints.
+        feasible_set: Lambda.
+        history: the record, with rho from an estimate of sigma_max.
+        x: (size,) multipliers, maybe outside of Lambda.
+        r: (size,) gradient at x.
+    """
+
+    def __init__(
+        self, problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+    ) -> None:
+        """Begin at the projected start, or at zero if the residual is smaller there. Collective."""
+        problem.response.refine_b()  # every gradient contains b
+        residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
+        self.problem, self.history = problem, History(problem, options, observe, residual)
+        self.feasible_set = problem.bounds(start, -problem.b)
+        self.x = self.feasible_set.project(start)
+        self.r = gradient(problem, self.x)
+        if residual.at(self.point) > residual.scale:
+            self.x, self.r = np.zeros_like(start), -problem.b
+
+    @property
+    def point(self) -> Point:
+        """The present multipliers with their gradient."""
+        return Point(self.x, np.empty(0), self.r)
+
+    @property
+    def target(self) -> Array:
+        """The end of a gradient step, x - rho r, (size,)."""
+        return self.x - self.history.residual.rho * self.r
+
+    def iterate(
+        self,
+        step: Callable[[float], tuple[Array, Array]],
+        precision: Callable[[], float],
+    ) -> DualSolution:
+        """Take steps until a status ends the iteration, and return the solution. Collective.
+
+        The convergence of the projection of x onto Lambda is checked, which costs a product if x is
+        outside of Lambda.
+
+        Args:
+            step: function that returns the next multipliers (size,) and their gradient (size,),
+                given the tolerance of its inner iteration.
+            precision: function that returns the tolerance of the next inner iteration.
+        """
+        problem, history = self.problem, self.history
+        while True:
+            projected, r = self.feasible_set.project(self.x), self.r
+            # a slipping node that is outside its circle by rounding counts as inside
+            if norm(problem, self.x - projected) > PRODUCT_ROUNDING * norm(problem, self.x):
+                r = gradient(problem, projected)
+            point = Point(projected, np.empty(0), r)
+            status = history.check_convergence(point, error_of_product(problem, projected, r))
+            if status is None and history.is_idle(PATIENCE, PROGRESS):
+                status = ContactStatus.STAGNATED
+            if status is not None:
+                return history.solution(point, status, None)
+            self.x, self.r = step(precision())
+
+    def symmetrized_step(self, tolerance: float) -> tuple[Array, Array]:
+        """Return the result of Steps 2 and 3 of the paper's algorithm."""
+        problem, target = self.problem, self.target
+        face = self.feasible_set.face(target)
+        fixed = np.where(face.active, self.x, self.feasible_set.project(target))
+        r = self.r + problem.operator.apply(fixed - self.x)
+        change, product = conjugate_gradients(problem, face.active, r, tolerance)
+        return fixed + change, r + product
+
+
+def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
+    """Return an estimate of the error of r = A x - b if `apply` has computed A x. Collective.
+
+    The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
+    """
+    energy = float(problem.inner(x, r + problem.b))
+    return (
+        problem.operator.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
+    )
+
+
+def gradient(problem: DualProblem, x: Array) -> Array:
+    """Return r = A x - b, without a product if x is zero. Collective."""
+    if float(problem.inner(x, x)) == 0.0:
+        return -problem.b
+    return problem.operator.apply(x) - problem.b
+
+
+def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
+    """Return an estimate of sigma_max from products with b, A b, A A b, ... Collective.
+
+    The largest Ritz value is a lower bound, and is far too small if the eigenvector of the largest
+    eigenvalue is almost orthogonal to b; algorithms therefore check the curvature along their
+    steps. The products are counted.
+
+    Args:
+        problem: the dual problem (38.4), for A and b.
+        rtol: relative increase of the Ritz value at which the iteration ends.
+        most: limit on the number of products.
+    """
+    x: Array = problem.b if norm(problem, problem.b) > 0.0 else np.ones_like(problem.b)
+    store, value = ProductStore(problem.reductions, np.ones_like(x)), 0.0
+    for _ in range(most):
+        product = problem.operator.apply(x)
+        store.add(x, product)
+        before, value = value, store.largest_ritz_value()
+        if value <= (1.0 + rtol) * before:
+            break
+        x = np.asarray(product / norm(problem, product))
+    return value or 1.0
+
+
+def adaptive_precision(history: History, options: SolverOptions) -> Callable[[], float]:
+    """Return a function for the norm of the residual at which the next inner iteration ends.
+
+    This is the precision control of (Step 3.1): tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k)
+    with tol^0 = r_tol / c_fact. Here r_tol and c_fact are `SolverOptions`, and err^k is the
+    residual of outer iteration k. The paper does not define the reference value of the inner
+    residual. Here the reference is err^0: an inner iteration ends at the norm tol^{k+1} err^0,
+    which is at most r_tol times the outer residual err^k.
+    """
+    tolerance = options.r_tol / options.c_fact
+
+    def following() -> float:
+        nonlocal tolerance
+        relative = history.error / history.errors[0]
+        tolerance = min(options.r_tol * relative, options.c_fact * tolerance)
+        return tolerance * history.errors[0]
+
+    return following
+
+
+def conjugate_gradients(
+    problem: DualProblem,
+    free: Mask,
+    gradient: Array,
+    tolerance: float,
+    *,
+    feasible: Callable[[Array], bool] = lambda step: True,
+    most: int = 1000,
+) -> tuple[Array, Array]:
+    """Minimise q over steps s of the free multipliers, (38.14).
+
+    Collective. The result does not say which of the limits ended the iteration: the caller judges
+    the step.
+
+    Args:
+        problem: the dual problem (38.4), for A and the inner product.
+        free: (size,) True for multipliers that may change.
+        gradient: (size,) r at s = 0.
+        tolerance: norm of r + A s in the free rows at which the iteration ends.
+        feasible: function that returns whether the multipliers after a step s lie in Lambda, with
+            the same result on all ranks. The iteration ends before the first step that leaves
+            Lambda (CGM_feas).
+        most: limit on the number of products.
+
+    Returns:
+        s (size,), zero where multipliers are not free, and A s (size,) in all rows, from the
+        recurrence.
+    """
+    step, product, direction = (np.zeros_like(gradient) for _ in range(3))
+    residual, before = np.where(free, -gradient, 0.0), np.inf
+    for _ in range(most):
+        squared = float(problem.inner(residual, residual))
+        if np.sqrt(squared) <= tolerance:
+            break
+        direction, before = residual + (squared / before) * direction, squared
+        image = problem.operator.apply(direction)
+        curvature = float(problem.inner(direction, image))
+        # a curvature that is not positive is rounding: A is positive definite
+        if curvature <= 0.0 or not feasible(step + squared / curvature * direction):
+            break
+        step += squared / curvature * direction
+        product += squared / curvature * image
+        residual -= squared / curvature * np.where(free, image, 0.0)
+    return step, product
+
+
+def _bicgstab(
+    problem: DualProblem,
+    image: Callable[[Array], Array],
+    right: Array,
+    tolerance: float,
+    most: int = 500,
+) -> Array:
+    """Return x with |right - image(x)| <= tolerance, or the best x of `most` steps."""
+
+    def inner(x: Array, y: Array) -> float:
+        return float(problem.inner(x, y))
+
+    x: Array = np.zeros_like(right)
+    direction: Array = right
+    residual = shadow = right
+    best, least, before = x, norm(problem, right), inner(shadow, residual)
+    for _ in range(most):
+        v = image(direction)
+        if least <= tolerance or before == 0.0 or inner(shadow, v) == 0.0:
+            break
+        alpha = before / inner(shadow, v)
+        half = residual - alpha * v
+        t = image(half)
+        omega = inner(t, half) / (inner(t, t) or 1.0)
+        x, residual = x + alpha * direction + omega * half, half - omega * t
+        size = norm(problem, residual)
+        if size < least:
+            best, least = x, size
+        if omega == 0.0 or not np.isfinite(size):
+            break
+        after = inner(shadow, residual)
+        direction = residual + (after / before) * (alpha / omega) * (direction - omega * v)
+        before = after
+    return best

@@ -1,0 +1,235 @@
+"""Input and result of the algorithms: the dual problem as protocols, and its solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.solvers.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.products import ProductStore
+from dolfinx_tresca.solvers.reductions import InnerProduct, Reductions
+from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.status import ContactStatus
+
+#: Products with A that are known: single products, or A as a matrix. Both give a model of A.
+KnownProducts: TypeAlias = ProductStore | WholeModel
+
+#: A symmetric positive definite model of A.
+Model: TypeAlias = BlockBFGSModel | WholeModel
+
+
+class Operator(Protocol):
+    """The symmetric positive semidefinite matrix A, known by its products."""
+
+    @property
+    def products(self) -> int:
+        """Number of products with A."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether products are exact to rounding, for any requested accuracy."""
+
+    @property
+    def product_error(self) -> float:
+        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
+
+    def apply(self, x: Array) -> Array:
+        """Return A x (size,). Collective."""
+
+
+class Response(Protocol):
+    """Jump and energy of the displacement for the present load and given multipliers."""
+
+    @property
+    def b_error(self) -> float:
+        """Error of b, and of the gradient at zero multipliers, in the norm that `gradient` uses."""
+
+    def refine_b(self) -> None:
+        """Compute b to the highest accuracy of the solver for K. Collective."""
+
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
+                norm of the displacement's error. If the solver cannot reach this accuracy, e is
+                larger.
+            origin: (size,) multipliers at the start of a step to x, of which the caller may take a
+                part; None: there is no step.
+        """
+
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
+
+        Args:
+            x: (size,) multipliers in Lambda.
+            r: (size,) gradient at x.
+            error: error of r in the norm of `gradient`.
+        """
+
+    def energy_resolution(self) -> float:
+        """Return the energy norm below which displacements are rounding errors. Collective."""
+
+
+class DualProblem(InnerProduct, Protocol):
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
+
+    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
+    that minimises q over its own Lambda.
+    """
+
+    @property
+    def operator(self) -> Operator:
+        """A."""
+
+    @property
+    def b(self) -> Array:
+        """The linear term (size,)."""
+
+    @property
+    def response(self) -> Response:
+        """The displacement that belongs to multipliers."""
+
+    @property
+    def reductions(self) -> Reductions:
+        """Sums over all ranks, and values on which all ranks agree."""
+
+    @property
+    def admissible(self) -> FeasibleSet | FrictionCones:
+        """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
+
+    def bounds(self, x: Array, r: Array) -> FeasibleSet:
+        """Return Lambda with the slip bounds at the pressures and slips of a point.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) gradient at x, with the terms of the equality constraints.
+        """
+
+    @property
+    def is_load_step(self) -> bool:
+        """Whether this is a load step, whose solution continues the solution of the last step."""
+
+    @property
+    def constraints(self) -> EqualityConstraints:
+        """The equations that multipliers satisfy in addition to Lambda; there may be none."""
+
+    def known_products(self) -> KnownProducts:
+        """Return the store of known products; the first call may compute some. Collective."""
+
+    def complete_products(self) -> bool:
+        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
+
+    def near_products(self) -> ProductStore | None:
+        """Return known products with the near field; None if the near field is not used.
+
+        Collective.
+        """
+
+    def near_field(self, x: Array) -> Array:
+        """Return D x for a cheap operator D with 0 < D <= A, at least approximately. Collective.
+
+        The better D approximates A for x that oscillate between nodes, the fewer products with A
+        are needed.
+        """
+
+    def energy_bound(self, x: Array, r: Array, error: float) -> float:
+        """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
+
+        Here u* is the displacement of the exact solution.
+
+        Args:
+            x: (size,) multipliers in Lambda.
+            r: (size,) gradient at x.
+            error: error of r in the norm of `Response.gradient`.
+        """
+
+    def local_error(self, x: Array, r: Array) -> float:
+        """Return the largest distance of a node's traction from its local minimiser. Collective.
+
+        The local minimiser of a node minimises q with fixed displacements of its neighbours. The
+        distance is relative to the largest traction of all nodes.
+
+        Args:
+            x: (size,) multipliers in Lambda.
+            r: (size,) gradient at x.
+        """
+
+    def discretisation_error(self, x: Array, c: Array) -> float:
+        """Return an estimate of the relative error of the mesh in the energy norm. Collective.
+
+        Args:
+            x: (size,) multipliers; an approximate solution is sufficient.
+            c: (k,) multipliers of the equality constraints.
+        """
+
+
+@dataclass(frozen=True)
+class Point:
+    """Multipliers with their gradient.
+
+    Attributes:
+        x: (size,) multipliers.
+        c: (k,) multipliers of the equality constraints.
+        r: (size,) gradient A x - b - G c, or an approximation of it.
+    """
+
+    x: Array
+    c: Array
+    r: Array
+
+
+@dataclass(frozen=True)
+class FrictionDeficit:
+    """A rigid motion along which the load exceeds the friction.
+
+    Attributes:
+        motion: (k,) unit vector of the motion's components, one for each equality constraint.
+        load: work of the load along the motion, e'motion, with e of `EqualityConstraints`.
+        friction: largest work of friction along the motion: the sum of g |G motion|, with G of
+            `EqualityConstraints` and the slip bounds g.
+    """
+
+    motion: Array
+    load: float
+    friction: float
+
+
+@dataclass(frozen=True)
+class DualSolution:
+    """The result of an algorithm.
+
+    Attributes:
+        multipliers: (size,) lambda in Lambda.
+        c: (k,) multipliers of the equality constraints.
+        gradient: (size,) r = A lambda - b - G c at the multipliers.
+        status: reason for the end of the iteration.
+        iterations: number of outer iterations.
+        residuals: relative natural residual at the start and after each iteration.
+        q: q(lambda) at the start and after each iteration, with the energy of soft constraints.
+        rho: the step length at the end.
+        wanted: requested relative error in the energy norm; inf if residuals were the criterion.
+        accuracy: tolerable error of the displacement in the energy norm; None: determined by the
+            options of the solver for K.
+        deficit: motion along which friction is too weak for the constraints; None if friction is
+            not known to be too weak.
+    """
+
+    multipliers: Array
+    c: Array
+    gradient: Array
+    status: ContactStatus
+    iterations: int
+    residuals: tuple[float, ...]
+    q: tuple[float, ...]
+    rho: float
+    wanted: float
+    accuracy: float | None
+    deficit: FrictionDeficit | None = None

@@ -1,0 +1,223 @@
+"""The store of known products with A, as pairs (w, A w) of A-orthonormal vectors w."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import eigh
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca.solvers.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.solvers.reductions import Reductions
+
+#: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
+#: vectors with known products, has more than this fraction of the energy x'A x. When the new part
+#: is normalised, its rounding errors are divided by the root of the fraction that it has.
+NEW_ENERGY = 1e-10
+
+#: The Rayleigh quotient x'A x / x'x of the new part of a vector (see `NEW_ENERGY`) counts as
+#: rounding up to this multiple of the largest quotient so far. Quotients of this size occur if rows
+#: of B are linearly dependent, since A is then singular.
+NULL_ENERGY = 1e-12
+
+#: A product is kept if its new part, which known products do not give, has an energy norm above
+#: this multiple of the product's error.
+RESOLVED = 1.5
+
+#: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
+#: this fraction of its energy norm. Less accurate pairs spoil the model of A: with twice the limit,
+#: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half
+#: the limit, such steps take 18 products in place of 13, since more pairs must be found again.
+LASTING_ERROR = 0.15
+
+#: The part of a vector along the vectors w of known pairs (w, A w) counts as rounding if its norm
+#: is at most this multiple of the norm of the rest. With exact pairs, the Gram-Schmidt process
+#: reaches this limit in two passes.
+KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
+
+#: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
+#: |lambda| |r| (Euclidean norms). Doubling or halving this number changes no status and no number
+#: of products (benchmarks/ablation.py).
+PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
+
+
+class ProductStore:
+    """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
+
+    Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
+    same. After a change of the stiffness, the pairs are no longer valid, but they still approximate
+    the new A: see `successor`.
+
+    Attributes:
+        W: (size, k) vectors.
+        Y: (size, k) products A W.
+        errors: (k,) errors of Y in the norm |e| = sqrt(e'A^-1 e).
+        scale: factor on the estimate of diag(A), at most 1: the energy of the new part of the
+            newest pair, divided by the energy that this part has with diag(A) in place of A. The
+            factor decreases, since new parts oscillate more and more, and diag(A) is too large for
+            vectors that oscillate.
+        capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
+            capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
+    """
+
+    def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
+        """Create a store without pairs (w, A w).
+
+        Args:
+            reductions: sums over the ranks.
+            diagonal: (size,) estimate of diag(A) > 0, the same for all degrees of freedom of a
+                friction disc. It affects the number of products, not the result.
+            capacity: limit on the number of pairs.
+        """
+        self._reductions, self._diagonal = reductions, diagonal
+        self.capacity = capacity
+        self.W: Array = np.empty((len(diagonal), 0))
+        self.Y: Array = np.empty((len(diagonal), 0))
+        self.errors: Array = np.empty(0)
+        self.scale = 1.0
+        self._largest = 0.0  # largest Rayleigh quotient of new parts so far
+
+    @property
+    def diagonal(self) -> Array:
+        """The estimate of diag(A), with the factor `scale`."""
+        return self.scale * self._diagonal
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return int(self.W.shape[1])
+
+    def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
+        """Add a pair (x, A x), unless its new part is smaller than errors or rounding. Collective.
+
+        The new part is the part of the pair that does not follow from known pairs.
+
+        Args:
+            x: (size,) vector.
+            product: (size,) A x.
+            error: error of the product in the norm sqrt(e'A^-1 e), without rounding errors.
+
+        Returns:
+            True if the new part exceeds its error. The pair was then added, unless its new part is
+            so small that it may be rounding.
+        """
+        inner = self._reductions.inner
+        energy = float(inner(x, product))
+        error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
+        if energy <= 0.0:
+            return False
+        parts, new, new_product = self._without_known(x, product)
+        error = float(np.hypot(error, np.linalg.norm(self.errors * parts)))
+        rest = float(inner(new, new_product))
+        if rest <= (RESOLVED * error) ** 2:
+            return False
+        length = float(inner(new, new))
+        self._largest = max(self._largest, rest / length)
+        if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
+            self._append(new, new_product, error, rest)
+        return True
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
+        known = np.zeros_like(x)
+        for _ in range(2):  # the second pass removes rounding errors of the first
+            coefficients = self._reductions.inner(self.Y, x)
+            x = x - self.W @ coefficients
+            known = known + self.Y @ coefficients
+        return x, known
+
+    def empty(self, capacity: int) -> ProductStore:
+        """Return a store without pairs, of the given capacity and with the present scale."""
+        return ProductStore(self._reductions, self.diagonal, capacity)
+
+    def product(self, x: Array) -> tuple[Array, float]:
+        """Return an approximation of A x from the pairs, and its error. Collective.
+
+        Returns:
+            A times the part of x in the span of the pairs (size,), and the error in the norm
+            sqrt(e'A^-1 e). The error contains the errors of the pairs, and the energy of the other
+            part of x, computed with diag(A) in place of A.
+        """
+        new, known = self.split(x)
+        inner = self._reductions.inner
+        error = np.linalg.norm(self.errors * inner(self.Y, x))
+        energy = float(inner(new, self.diagonal * new))
+        return known, float(np.hypot(error, np.sqrt(energy)))
+
+    def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
+        """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
+
+        Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
+        errors of the first. Pairs with errors are not orthonormal and need more passes. If the
+        process always ended after two passes, parts along known pairs would remain and be added as
+        new pairs, until there are more pairs than unknowns.
+        """
+        inner = self._reductions.inner
+        parts: Array = np.zeros(len(self))
+        for number in range(MOST_STEPS):
+            c = inner(self.Y, x)
+            rest = max(float(inner(x, product)), 0.0)
+            if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(rest):
+                break
+            x, product, parts = x - self.W @ c, product - self.Y @ c, parts + c
+        return parts, x, product
+
+    def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
+        inner = self._reductions.inner
+        self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
+        length = np.sqrt(energy)
+        self.W = np.column_stack([self.W, x / length])
+        self.Y = np.column_stack([self.Y, product / length])
+        self.errors = np.append(self.errors, error / length)
+        self._limit_to_capacity()
+
+    def _limit_to_capacity(self) -> None:
+        """Reduce the number of pairs to half the capacity if it exceeds the capacity."""
+        if len(self) > self.capacity:
+            _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
+            kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
+            self.W, self.Y = self.W @ kept, self.Y @ kept
+            self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
+
+    def drop_inaccurate_pairs(self) -> None:
+        """Drop pairs with errors that are too large for later solves."""
+        kept = self.errors <= LASTING_ERROR
+        self.W, self.Y, self.errors = self.W[:, kept], self.Y[:, kept], self.errors[kept]
+
+    def largest_ritz_value(self) -> float:
+        """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
+        if len(self) == 0:
+            return 0.0
+        # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
+        values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
+        # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
+        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds
+        # are added
+        errors = self.errors @ np.abs(vectors)
+        least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
+        return float(least.max())
+
+    def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
+        """Return M x (size,), with M as in `updated_model` and D given as a function. Collective.
+
+        Args:
+            x: (size,) vector.
+            apply_base: function that applies D, the model of A without known pairs, to an array
+                (size,); it is called once.
+        """
+        new, known = self.split(x)
+        image = apply_base(new)
+        return known + image - self.Y @ self._reductions.inner(self.W, image)
+
+    def model(self) -> BlockBFGSModel:
+        """Return `updated_model` with the diagonal as base. Not collective."""
+        return self.updated_model()
+
+    def updated_model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A: the diagonal, updated with all pairs. Collective.
+
+        Args:
+            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
+        """
+        return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)

@@ -1,0 +1,289 @@
+"""Bounds that depend on the pressure: what is claimed is so, and is Tresca's solution."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from dense import clarabel_minimum
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from test_inexact import NoisyProblem
+
+from dolfinx_tresca import ContactStatus, InputError
+from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
+from dolfinx_tresca.solvers import iteration
+from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.problem import Point
+from dolfinx_tresca.solvers.residual import EXHAUSTED
+from scenes.dense import (
+    METHODS,
+    DenseProblem,
+    OneRank,
+    brute_projection,
+    cones_over,
+    random_balanced_problem,
+    random_cone_problem,
+    random_dry_problem,
+    run,
+)
+from scenes.scene import EPS
+
+RTOL = 1e-7
+FEW = settings(max_examples=30)
+
+
+@st.composite
+def cone_problems(draw, most: float = 1.0, most_decades: float = 3.0):
+    """Problems with coefficients of friction up to a number."""
+    return random_cone_problem(
+        draw(st.integers(0, 10**6)),
+        draw(st.integers(1, 12)),
+        draw(st.floats(0.0, most_decades)),
+        draw(st.floats(0.05, most)),
+    )
+
+
+def check_fixed_point(problem: DenseProblem, x: np.ndarray, rtol: float, rho: float) -> None:
+    """Check that x minimises q over the set with its own bounds, as a conic solver finds it.
+
+    By the strong monotonicity of Tresca's problem, |x - x*| <= (1 + rho L) residual / sigma_min.
+    """
+    values = np.linalg.eigvalsh(problem.A)
+    wanted = clarabel_minimum(problem.A, problem.b, problem.cones.section(x))
+    scale = np.linalg.norm(problem.b)
+    tolerance = (1.0 + rho * values[-1]) * rtol * scale / values[0]
+    # accuracy of the reference: 1e-10 in q
+    tolerance += 3 * np.sqrt(1e-9 * scale**2 / values[0] ** 2)
+    assert np.linalg.norm(x - wanted) <= tolerance
+
+
+@FEW
+@given(cone_problems())
+def test_the_default_method_finds_the_fixed_point(problem):
+    """At coefficients up to 1 always; and no product is paid for what the model can tell."""
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.CONVERGED
+    assert problem.natural_residual(found.multipliers, found.rho) <= 1.01 * RTOL
+    check_fixed_point(problem, found.multipliers, RTOL, found.rho)
+
+
+@pytest.mark.parametrize(
+    ("number", "least"), [(40, 3.0), pytest.param(300, 0.0, marks=pytest.mark.long)]
+)
+def test_fixed_points_that_exist_are_found(number, least):
+    """In at least 95 % of problems with F up to 3 at all nodes, and condition numbers up to 1e4.
+
+    A fixed point exists in all of them: Tresca's solution depends continuously on the bounds, and
+    its pressures are bounded whatever the bounds are, so that Brouwer's theorem applies.
+    """
+    rng = np.random.default_rng(7)
+    lost = []
+    for seed in range(number):
+        nodes, decades = int(rng.integers(1, 9)), float(rng.uniform(0.0, 4.0))
+        problem = random_dry_problem(seed, nodes, decades, float(rng.uniform(least, 3.0)))
+        found = run(problem, rtol=RTOL)
+        if found.status is not ContactStatus.CONVERGED:
+            lost.append(seed)
+        else:
+            assert problem.natural_residual(found.multipliers, found.rho) <= 1.01 * RTOL
+    assert len(lost) <= 0.05 * number, lost
+
+
+@FEW
+@given(cone_problems(most=30.0))
+def test_converged_means_what_it_says(problem):
+    """Whatever the coefficient: the status is that of the recomputed residual."""
+    found = run(problem, rtol=RTOL, max_iterations=60)
+    actual = problem.natural_residual(found.multipliers, found.rho)
+    assert actual == pytest.approx(found.residuals[-1], rel=1e-3, abs=1e4 * EPS)
+    if found.status is ContactStatus.CONVERGED:
+        assert actual <= 1.01 * RTOL
+    else:
+        assert actual > 0.99 * RTOL
+    inside = problem.cones.section(found.multipliers)
+    moved = brute_projection(inside, found.multipliers) - found.multipliers
+    assert np.linalg.norm(moved) <= 100 * EPS * np.linalg.norm(found.multipliers)
+
+
+def test_newton_systems_may_be_singular():
+    """The solve ends with a status, whatever the numbers in the system."""
+    problem = random_dry_problem(325, 3, 3.7915943179032503, 3.0)
+    found = run(problem, rtol=RTOL)
+    assert found.status in (ContactStatus.NO_FIXED_POINT, ContactStatus.CONVERGED)
+
+
+def test_methods_of_the_paper_are_refused():
+    """They are for slip bounds that are given."""
+    problem = random_cone_problem(3, 6, 0.5, 0.3)
+    for method in METHODS[1:]:
+        with pytest.raises(InputError, match=f"method='{method}' needs slip bounds that are given"):
+            run(problem, method)
+
+
+@pytest.mark.parametrize(
+    "seed, nodes, decades, most",
+    [(39, 3, 3.0, 0.5), (35, 3, 3.0, 0.5), (13, 5, 4.0, 1.0), (43, 3, 4.0, 3.0)],
+)
+def test_skewed_problems_with_one_fixed_point_far_from_zero(seed, nodes, decades, most):
+    """Newton's method needs shortened steps, and patience, in each of these problems."""
+    problem = random_cone_problem(seed, nodes, decades, most)
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.CONVERGED
+    check_fixed_point(problem, found.multipliers, RTOL, found.rho)
+
+
+def test_where_there_is_no_fixed_point_none_is_claimed():
+    """A node is pressed by 1 and pulled by 1, with a coefficient of friction of 0.5.
+
+    A pressure of 2 balances the loads, but nothing brings it about. The status does not blame a
+    lack of digits.
+    """
+    problem = wedge(0.5)
+    problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
+    problem.constraints = EqualityConstraints(
+        csr_array([[0.0], [1.0]]),
+        csr_array((1, 1)),
+        np.ones(1),
+        np.ones(1),
+        OneRank(),
+        np.array([0, 0]),
+    )
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.NO_FIXED_POINT
+    assert problem.products <= 40
+    # a step that leads nowhere and tells nothing of A ends it; rounding may let one more be tried
+    assert found.iterations <= 4 < iteration.PATIENCE
+
+
+def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
+    """That problem beside a node before a gap that leaves its loads eight digits.
+
+    Whether there is a fixed point is beyond double precision then; with a smaller gap it is not.
+    """
+    monkeypatch.setattr(iteration, "PATIENCE", 1)  # no more would find it
+    statuses = []
+    for gap in (1.0, 1e9):
+        problem = wedge(0.5)
+        lam = FeasibleSet(3, np.array([0, 2]), np.array([1]), np.array([0]), np.array([0.0]))
+        problem.feasible_set = lam
+        problem.cones = dataclasses.replace(problem.cones, discs=lam)
+        problem.A, problem.b = np.eye(3), np.array([1.0, 0.0, -gap])
+        problem.constraints = EqualityConstraints(
+            csr_array([[0.0], [1.0], [0.0]]),
+            csr_array((1, 1)),
+            np.ones(1),
+            np.ones(1),
+            OneRank(),
+            np.array([0, 0, 2]),
+        )
+        statuses.append(run(problem, rtol=RTOL).status)
+    assert statuses == [ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED]
+
+
+def test_a_tolerance_below_rounding_ends_as_stagnated():
+    problem = random_cone_problem(1, 20, 1.0, 0.3)
+    found = run(problem, rtol=1e-18)
+    assert found.status in (ContactStatus.STAGNATED, ContactStatus.CONVERGED)
+    assert problem.natural_residual(found.multipliers, found.rho) <= EXHAUSTED
+
+
+def wedge(coefficient: float) -> DenseProblem:
+    """One node in two dimensions that jams: pressure and traction of a skewed A."""
+    lam = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.array([0.0]))
+    A = np.array([[1.0, 0.9], [0.9, 1.0]])
+    values = (np.array([value]) for value in (0.0, coefficient, np.inf))
+    problem = DenseProblem(A, np.array([1.0, 2.0]), lam)
+    problem.cones = FrictionCones(lam, np.array([0]), *values)
+    return problem
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.1, 1.0, 5.0])
+def test_one_node(coefficient):
+    """It slips, along +1: p + 0.9 F p = 1, until the pressure vanishes or it sticks."""
+    problem = wedge(coefficient)
+    found = run(problem, rtol=1e-12)
+    assert found.status is ContactStatus.CONVERGED
+    p = 1.0 / (1.0 + 0.9 * coefficient)
+    traction = coefficient * p
+    free = np.linalg.solve(problem.A, problem.b)  # sticks, with tension here
+    assert free[0] < 0.0
+    assert 0.9 * p + traction <= 2.0
+    assert np.allclose(found.multipliers, [p, traction], atol=1e-10)
+
+
+@FEW
+@given(cone_problems())
+def test_warm_starts_find_it_again_without_a_product(problem):
+    """From the solution, with its products: only the gradient there is computed."""
+    first = run(problem, rtol=RTOL)
+    before = problem.products
+    again = run(problem, start=first.multipliers, keep=True, rtol=2 * RTOL)
+    assert again.status is ContactStatus.CONVERGED
+    assert again.iterations == 0
+    assert problem.products <= before + 1
+
+
+def test_bounds_that_change_keep_the_products():
+    """A does not know of them: a new coefficient costs less than a new problem."""
+    for seed in range(5):
+        problem = random_cone_problem(seed, 30, 2.0, 0.5)
+        first = run(problem, rtol=RTOL)
+        cold = problem.products
+        problem.cones = dataclasses.replace(
+            problem.cones, coefficient=1.1 * problem.cones.coefficient
+        )
+        again = run(problem, start=first.multipliers, keep=True, rtol=RTOL)
+        assert again.status is ContactStatus.CONVERGED
+        assert problem.natural_residual(again.multipliers, again.rho) <= 1.01 * RTOL
+        assert problem.products - cold <= cold
+
+
+@FEW
+@given(cone_problems(), st.integers(0, 100))
+def test_inexact_products(problem, seed):
+    """Errors of products are a tenth of what is wanted: the residual is reached in truth."""
+    rtol = 1e-5
+    inexact = NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
+    inexact.cones = problem.cones
+    found = run(inexact, rtol=rtol, max_iterations=1000)
+    assert found.status is ContactStatus.CONVERGED
+    # the residual is Lipschitz in r with constant 1
+    assert problem.natural_residual(found.multipliers, found.rho) <= 1.2 * rtol
+
+
+@pytest.mark.parametrize("softness", [0.0, 1e-3])
+@pytest.mark.parametrize("seed", range(6))
+def test_balanced_loads(seed, softness):
+    """Equations besides the cones, as for floating bodies: those of the conic solver, too."""
+    problem = random_balanced_problem(seed, 8, 2, 1.0, softness)
+    problem.cones = cones_over(problem.feasible_set, 0.3)
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.CONVERGED
+    x, constraints = found.multipliers, problem.constraints
+    assert np.abs(constraints.residual(x, found.c)).max() <= 1e-9 * np.linalg.norm(x)
+    section = problem.cones.section(x)
+    wanted = clarabel_minimum(problem.A, problem.b, section, constraints=constraints)
+    assert np.linalg.norm(x - wanted) <= 1e-4 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
+    """One node under a pressure of 1 resists 0.1 of the load 1, in whatever unit motions are."""
+    discs = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.zeros(1))
+    zero = np.zeros(1)
+    cones = FrictionCones(discs, np.array([0]), zero, zero + 0.1, zero + np.inf)
+    jump = csr_array([[0.0], [unit]])
+    constraints, _ = equilibrium_constraints(
+        cones, jump, csr_array([[0.0]]), zero + unit, zero + unit, zero.astype(int), OneRank(), str
+    )
+    problem = DenseProblem(np.eye(2), np.ones(2), discs, constraints=constraints, cones=cones)
+    found = iteration.friction_deficit(
+        problem, Point(np.array([1.0, 0.0]), np.zeros(1), np.zeros(2))
+    )
+    assert np.linalg.norm(found.motion) == pytest.approx(1.0, rel=4 * EPS)
+    assert found.load == pytest.approx(10.0 * found.friction, rel=4 * EPS)

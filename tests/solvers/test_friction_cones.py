@@ -1,0 +1,200 @@
+"""Cones of friction that grows with the pressure: projection, derivative, sections."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from scenes.dense import brute_projection, random_cone_problem
+from scenes.scene import EPS
+
+#: Rounding of some thirty operations on numbers, over the size of the largest of them.
+ROUNDING = 32 * EPS
+
+BOUNDED = settings(max_examples=60)
+
+
+@st.composite
+def cases(draw):
+    """Cones, and a generator for points."""
+    seed = draw(st.integers(0, 10**6))
+    cones = random_cone_problem(seed, draw(st.integers(1, 12)), 0.0, draw(st.floats(0.1, 10))).cones
+    return cones, np.random.default_rng(seed)
+
+
+def bound(cones: FrictionCones, disc: int, pressure: float) -> float:
+    """Return c + min(F p, l) of a node."""
+    grown = min(cones.coefficient[disc] * pressure, cones.limit[disc])
+    return float(cones.constant[disc] + (grown if cones.normal_of[disc] >= 0 else 0.0))
+
+
+def brute_nearest(cones: FrictionCones, y: np.ndarray) -> np.ndarray:
+    """The nearest point, node by node: over all pressures, the disc that belongs to it."""
+    z = y.copy()
+    z[cones.discs.normal] = np.maximum(y[cones.discs.normal], 0.0)
+    for disc, normal in enumerate(cones.normal_of):
+        rows = cones.discs.tangential[cones.discs.node == disc]
+        if len(rows) == 0:
+            continue
+        s = float(np.linalg.norm(y[rows]))
+        if normal < 0:
+            best = 0.0
+        else:
+
+            def distance(pressure: float, p=y[normal], s=s, disc=disc) -> float:
+                return (pressure - p) ** 2 + max(s - bound(cones, disc, pressure), 0.0) ** 2
+
+            # convex: the bound is concave
+            high = max(y[normal], 0.0) + s
+            found = minimize_scalar(
+                distance, bounds=(0.0, high), method="bounded", options={"xatol": 1e-14}
+            ).x
+            best = min((0.0, max(y[normal], 0.0), found), key=distance)
+            z[normal] = best
+        z[rows] *= min(1.0, bound(cones, disc, best) / s) if s > 0.0 else 1.0
+    return z
+
+
+@BOUNDED
+@given(cases())
+def test_projection_is_the_nearest_point(case):
+    """To the square root of rounding, with which a search for a minimum ends."""
+    cones, rng = case
+    y = rng.standard_normal(cones.size) * rng.choice([0.01, 1.0, 100.0])
+    found, wanted = cones.project(y), brute_nearest(cones, y)
+    size = np.linalg.norm(y)
+    assert np.linalg.norm(found - wanted) <= 10 * np.sqrt(EPS) * size
+    assert np.linalg.norm(y - found) <= np.linalg.norm(y - wanted) + ROUNDING * size
+
+
+@BOUNDED
+@given(cases())
+def test_a_projection_lies_in_its_own_section_and_moves_no_more(case):
+    cones, rng = case
+    y, z = 3 * rng.standard_normal((2, cones.size))
+    p, q = cones.project(y), cones.project(z)
+    assert np.linalg.norm(brute_projection(cones.section(p), p) - p) <= ROUNDING * np.linalg.norm(y)
+    assert np.linalg.norm(cones.project(p) - p) <= ROUNDING * np.linalg.norm(y)
+    rounding = ROUNDING * (np.linalg.norm(y) + np.linalg.norm(z))
+    assert np.linalg.norm(p - q) <= np.linalg.norm(y - z) + rounding
+    for _ in range(5):  # the set is convex
+        inside = cones.project(3 * rng.standard_normal(cones.size))
+        assert (y - p) @ (inside - p) <= ROUNDING * (y @ y + inside @ inside)
+
+
+@BOUNDED
+@given(cases())
+def test_derivative_of_the_projection_agrees_with_differences(case):
+    cones, rng = case
+    y = 2 * rng.standard_normal(cones.size)
+    v = rng.standard_normal(cones.size)
+    v /= np.linalg.norm(v)
+    h = 1e-6
+    ahead, here, behind = (cones.project(y + part * h * v) for part in (1.0, 0.0, -1.0))
+    shortest = cones.discs.norms(y)[cones.discs.node].min(initial=np.inf)
+    # rounding of the difference, and its curvature: that of circles
+    tolerance = 1e-8 + 10 * h / min(shortest, 1.0)
+    if np.linalg.norm(ahead - 2 * here + behind) / h > tolerance:
+        return  # a kink lies between
+    difference = (ahead - behind) / (2 * h)
+    derivative = cones.projection_derivative(y)
+    assert np.linalg.norm(derivative(v) - difference) <= tolerance
+    both = derivative(np.column_stack([v, 2 * v]))
+    assert np.allclose(both, np.column_stack([derivative(v), 2 * derivative(v)]), atol=10 * EPS)
+
+
+@BOUNDED
+@given(cases())
+def test_sections_have_the_bounds_of_the_law(case):
+    cones, rng = case
+    x = rng.standard_normal(cones.size)
+    section = cones.section(x)
+    for disc, normal in enumerate(cones.normal_of):
+        pressure = max(float(x[normal]), 0.0) if normal >= 0 else 0.0
+        assert section.radius[disc] == bound(cones, disc, pressure)
+    assert section.section(x) is section
+
+
+@BOUNDED
+@given(cases())
+def test_slipping_nodes_follow_their_pressures(case):
+    """I + Q is the derivative of points on their circles whose bounds grow with the pressure."""
+    cones, rng = case
+    x = rng.standard_normal(cones.size)
+    x[cones.discs.normal] = rng.uniform(0.1, 1.0, len(cones.discs.normal))
+    section = cones.section(x)
+    face = section.face(4 * x)
+    x = section.on_face(x, face)
+    v = face.project(rng.standard_normal(cones.size))
+    h, diagonal = 1e-7, np.ones(cones.size)
+    slip = face.slip & (cones.discs.norms(x) > 0.0)
+    near = np.abs(cones.coefficient * cones._pressures(x) - cones.limit) < 10 * h
+    moved, back = (
+        cones.section(x + sign * h * v).to_circle(x + sign * h * v, face) for sign in (1, -1)
+    )
+    change = cones.with_bound_change(x, face, diagonal)
+    wrong = cones.discs.norms(change(v, v) - (moved - back) / (2 * h))
+    # curvature of circles, and rounding of the difference
+    shortest = section.radius[slip].min(initial=1.0)
+    assert wrong[slip & ~near].max(initial=0.0) <= 1e-7 + 10 * (h / shortest) ** 2 * (v @ v)
+
+
+def cone(constant: float, coefficient: float, limit: float) -> FrictionCones:
+    """A node with the pressure first, and two tangential multipliers."""
+    lam = FeasibleSet(3, np.array([0]), np.array([1, 2]), np.array([0, 0]), np.array([np.inf]))
+    values = [np.array([value]) for value in (constant, coefficient, limit)]
+    return FrictionCones(lam, np.array([0]), *values)
+
+
+@pytest.mark.parametrize(
+    ("terms", "carries"),
+    [
+        ((0.0, 0.0, np.inf), False),
+        ((0.0, 0.3, 0.0), False),
+        ((0.0, 0.3, np.inf), True),
+        ((0.1, 0.0, np.inf), True),
+        ((np.inf, 0.0, np.inf), True),
+    ],
+)
+def test_carrying(terms, carries):
+    assert cone(*terms).carrying.tolist() == [True, carries, carries]
+
+
+@pytest.mark.parametrize(
+    ("terms", "y", "wanted"),
+    [
+        ((0.0, 1.0, np.inf), (0.0, 2.0, 0.0), (1.0, 1.0, 0.0)),  # on the slope
+        ((0.0, 1.0, np.inf), (-3.0, 2.0, 0.0), (0.0, 0.0, 0.0)),  # the polar cone
+        ((0.0, 1.0, 0.5), (2.0, 0.0, 3.0), (2.0, 0.0, 0.5)),  # the level
+        ((0.0, 1.0, 0.5), (0.4, 3.0, 0.0), (0.5, 0.5, 0.0)),  # the corner
+        ((1.0, 0.0, np.inf), (-1.0, 3.0, 4.0), (0.0, 0.6, 0.8)),  # Tresca
+        ((np.inf, 0.0, np.inf), (-1.0, 3.0, 4.0), (0.0, 3.0, 4.0)),
+        ((np.inf, 0.5, np.inf), (-1.0, 3.0, 4.0), (0.0, 3.0, 4.0)),
+        ((0.0, 0.0, np.inf), (1.0, 3.0, 4.0), (1.0, 0.0, 0.0)),
+        ((0.0, 0.5, 0.0), (1.0, 3.0, 4.0), (1.0, 0.0, 0.0)),
+        ((1.0, 1.0, np.inf), (-0.5, 0.5, 0.0), (0.0, 0.5, 0.0)),  # the axis
+    ],
+)
+def test_special_points(terms, y, wanted):
+    cones = cone(*terms)
+    assert np.allclose(cones.project(np.array(y)), wanted, atol=10 * EPS)
+    assert np.isfinite(cones.projection_derivative(np.array(y))(np.ones(3))).all()
+
+
+@pytest.mark.parametrize("nodes", [0, 2])
+def test_a_rank_without_multipliers(nodes):
+    """It may have nodes all the same: those where everything is prescribed."""
+    nothing, none = np.zeros(0, dtype=np.intp), np.zeros(nodes)
+    lam = FeasibleSet(0, nothing, nothing, nothing, none)
+    cones = FrictionCones(lam, np.full(nodes, -1), none, none + 0.3, none + np.inf)
+    x, columns = np.zeros(0), np.zeros((0, 3))
+    assert cones.project(x).shape == (0,)
+    assert cones.projection_derivative(x)(x).shape == (0,)
+    assert cones.projection_derivative(x)(columns).shape == (0, 3)
+    section = cones.section(x)
+    assert cones.with_bound_change(x, section.face(x), x)(columns, columns).shape == (0, 3)

@@ -1,0 +1,240 @@
+"""Products with errors: what the default method makes of gradients that are only so accurate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from dense import problems
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.solvers.iterate import Iterate
+from dolfinx_tresca.solvers.paper import error_of_product
+from dolfinx_tresca.solvers.products import LASTING_ERROR, ProductStore
+from scenes.dense import DenseProblem, random_problem, run
+from scenes.scene import EPS
+
+
+@dataclass
+class NoisyProblem(DenseProblem):
+    """Gradients with an error as large as is allowed, in a random direction."""
+
+    seed: int = 0
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._rng = np.random.default_rng(self.seed)
+        self._factor = np.linalg.cholesky(self.A)
+        self.asked: list[float] = []
+
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
+        """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
+        self.asked.append(accuracy)
+        error = self._rng.standard_normal(len(x))
+        error *= accuracy / np.linalg.norm(error)
+        return self.apply(x) - self.b + self._factor @ error, accuracy
+
+
+def noisy(problem: DenseProblem, seed: int) -> NoisyProblem:
+    return NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
+
+
+def check_residual(problem: DenseProblem, seed: int) -> None:
+    """Compare the true residual with the one that was asked for."""
+    rtol = 1e-5
+    solution = run(noisy(problem, seed), rtol=rtol, max_iterations=1000)
+    assert solution.status is ContactStatus.CONVERGED
+    # the residual is Lipschitz in r with constant 1
+    assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
+
+
+@settings(max_examples=60)
+@given(problems(), st.integers(0, 100))
+def test_the_residual_is_reached_in_truth(problem, seed):
+    """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
+    check_residual(problem, seed)
+
+
+def test_errors_cost_few_products():
+    """The accuracy follows the residual; with it convergence stays nearly the same."""
+    for seed in range(5):
+        problem = random_problem(seed, 40, 3.0)
+        exact = run(problem, rtol=1e-6)
+        inexact = noisy(problem, seed)
+        solution = run(inexact, rtol=1e-6)
+        assert solution.status is ContactStatus.CONVERGED
+        assert inexact.products <= 2.0 * problem.products
+        assert exact.status is ContactStatus.CONVERGED
+        # most of them need no more than a little of the final accuracy
+        assert np.median(inexact.asked) > 10 * inexact.asked[-1]
+
+
+def test_rough_pairs_are_no_more_than_there_are_unknowns():
+    """What errors leave of a vector along known pairs is not new, however well it is resolved."""
+    problem = random_problem(5, 4, 2.0)
+    size = len(problem.b)
+    for seed in range(20):
+        rough = noisy(problem, seed)
+        store = ProductStore(problem, problem.diagonal)
+        for x in np.random.default_rng(seed).standard_normal((5 * size, size)):
+            r, error = rough.gradient(x, 0.2 * float(np.sqrt(x @ problem.A @ x)))
+            store.add(x, r + problem.b, error)
+            assert len(store) <= size
+            orthogonal = np.tril(store.W.T @ store.Y, -1)
+            assert np.abs(orthogonal).max(initial=0.0) <= 1e3 * EPS
+
+
+def test_errors_that_pairs_have_in_common_are_no_stiffness():
+    """Each is smaller than its product; together they would be several times sigma_max."""
+    size = 20
+    problem = random_problem(3, size, 2.0)
+    values, vectors = np.linalg.eigh(problem.A)
+    store = ProductStore(problem, problem.diagonal)
+    common = 0.5 * np.sqrt(values[-1]) * vectors[:, -1]
+    for value, x in zip(values[:-1], vectors[:, :-1].T, strict=True):
+        assert store.add(x / np.sqrt(value), np.sqrt(value) * x + common, 0.5)
+    assert len(store) > 10
+    assert store.largest_ritz_value() <= values[-1]
+
+
+@dataclass
+class RoughLoadProblem(NoisyProblem):
+    """b is off by so much, and gradients are not."""
+
+    b_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._b = self.b
+        error = self._rng.standard_normal(len(self.b))
+        self.b = self._b + self._factor @ error * (self.b_error / np.linalg.norm(error))
+
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
+        """Return A x - b with the b that is right."""
+        r, error = super().gradient(x, accuracy, origin)
+        return r + self.b - self._b, error
+
+
+def test_what_b_lacks_is_no_product():
+    """Where it is all that a start differs from b by, sigma_max would be anything."""
+    problem = random_problem(3, 20, 2.0)
+    length = np.sqrt(problem.b @ np.linalg.solve(problem.A, problem.b))
+    rough = RoughLoadProblem(problem.A, problem.b, problem.feasible_set, b_error=1e-6 * length)
+    for seed in range(6):
+        start = 1e-15 * np.random.default_rng(seed).standard_normal(len(problem.b))
+        solution = run(rough, start=start, accuracy=1e-2)
+        assert solution.status is ContactStatus.CONVERGED
+        # a pair that is resolved is longer than its error
+        assert 2.0**2 * solution.rho * np.linalg.eigvalsh(problem.A)[-1] >= 1.0
+
+
+@pytest.mark.long
+def test_the_residual_is_reached_in_truth_by_many():
+    for seed in range(1500):
+        rng = np.random.default_rng(seed)
+        problem = random_problem(
+            seed, int(rng.integers(1, 13)), rng.uniform(0.0, 3.0), rng.choice([0.1, 1.0, 10.0])
+        )
+        check_residual(problem, seed)
+
+
+@dataclass
+class CoarseProblem(NoisyProblem):
+    """Gradients that cannot be more accurate than a part of |b|, and say so."""
+
+    finest: float = 1e-4
+
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
+        """Return A x - b with an error of at least `finest` times the norm of A^-1 b."""
+        least = self.finest * self.energy_norm(x, x)
+        return super().gradient(x, max(accuracy, least), origin)
+
+
+@pytest.mark.parametrize("asked", [{"rtol": 1e-8}, {"accuracy": 1e-6}])
+def test_an_accuracy_that_is_out_of_reach(asked):
+    """It ends, says that it failed, and has not computed for ever."""
+    most = 50
+    for seed in range(4):
+        dense = random_problem(seed, 20, 2.0)
+        problem = CoarseProblem(dense.A, dense.b, dense.feasible_set, seed=seed)
+        solution = run(problem, max_iterations=most, **asked)
+        assert solution.status in (ContactStatus.STAGNATED, ContactStatus.MAX_ITERATIONS)
+        # a step, a gradient step for safety's sake, and two sharper gradients
+        assert problem.products <= 4 * most
+
+
+def test_vague_pairs_serve_one_solve_only():
+    """A rough solve leaves nothing that would mislead the next one, which is exact."""
+    problem = random_problem(7, 20, 3.0)
+    inexact = noisy(problem, 0)
+    run(inexact, rtol=1e-2)
+    store = inexact.store
+    vague = store.errors > LASTING_ERROR
+    assert vague.any()
+    kept = store.W[:, ~vague].copy()
+    store.drop_inaccurate_pairs()
+    assert np.array_equal(store.W, kept)
+    cold = run(problem).iterations
+    problem.store = store
+    assert run(problem, keep=True).iterations <= cold
+
+
+def test_a_gradient_is_made_better_where_its_error_hides_the_step():
+    """And not where the step is longer than that."""
+    problem = noisy(random_problem(3, 12, 1.0), 0)
+    at = Iterate.of(problem, problem.store)
+    x, step = np.random.default_rng(0).standard_normal((2, len(problem.b)))
+    length = np.sqrt(step @ problem.store.model().apply(step))
+    at.move_to(x, *problem.gradient(x, 0.5 * length))
+    assert not at.refine_for_step(step)
+    assert problem.products == 1
+    assert at.refine_for_step(0.1 * step)
+    assert problem.products == 2
+    assert at.error < 0.1 * length
+    assert np.allclose(at.r, problem.A @ x - problem.b, atol=at.error * np.linalg.norm(problem.A))
+
+
+def test_the_product_of_a_start_is_kept():
+    """Where nothing else is known of A, the model is exact on it, but for its error."""
+    problem = noisy(random_problem(4, 12, 1.0), 0)
+    start = run(noisy(problem, 1)).multipliers
+    run(problem, start=start, keep=True, observe=lambda iteration: True)
+    product, error = problem.store.product(start)
+    missing = problem.A @ start - product
+    norm = np.sqrt(missing @ np.linalg.solve(problem.A, missing))
+    assert norm <= 1.1 * error
+    assert error <= 1.1 * max(problem.asked)
+
+
+def test_the_error_of_a_product_is_a_part_of_its_length(monkeypatch):
+    """In the energy norm, sqrt(x'A x), and that of b comes on top."""
+    problem = random_problem(2, 6, 1.0)
+    monkeypatch.setattr(DenseProblem, "product_error", 0.01)
+    monkeypatch.setattr(DenseProblem, "b_error", 0.5)
+    x = np.random.default_rng(3).standard_normal(len(problem.b))
+    found = error_of_product(problem, x, problem.A @ x - problem.b)
+    assert found == pytest.approx(0.01 * np.sqrt(x @ problem.A @ x) + 0.5, rel=100 * EPS)
+
+
+def test_the_error_of_a_gradient_from_known_products_has_that_of_b(monkeypatch):
+    """They are exact, and b is not."""
+    monkeypatch.setattr(DenseProblem, "b_error", 0.5)
+    plain = random_problem(2, 6, 1.0)
+    problem = NoisyProblem(plain.A, plain.b, plain.feasible_set)
+    x = np.random.default_rng(3).standard_normal(len(problem.b))
+    store = problem.known_products()
+    store.add(x, problem.A @ x)
+    length = np.sqrt(x @ problem.A @ x)
+    r, error = Iterate.of(problem, store).initial_gradient(x, 1.0 / length)
+    assert np.allclose(r, problem.A @ x - problem.b, atol=100 * EPS * np.abs(problem.b).max())
+    assert 0.5 <= error <= 0.5 + 1e-6 * length
