@@ -35,7 +35,7 @@ RUNS = {
     "cholesky": ("--sizes 2 --packages MUMPS", "solve"),
     "choice": ("--scenes hertz --degrees 1 --most 1000 --repeats 1", "ratio"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
-    "assemblies": ("--bricks 2", "push_products"),
+    "assemblies": ("--bricks 2", "weight_products"),
     "reports": ("--small", "seconds"),
     "holding_bodies": ("--bricks 2 --pushes 0.2", "springs_products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),

@@ -186,7 +186,7 @@ def test_a_line_is_no_longer_than_the_terminal_is_wide(terminal, monkeypatch):
 
 def test_as_a_context_manager_it_ends_its_line_after_a_failure(comm, terminal):
     with bricks_problem(comm, 4) as problem, ProgressBar() as bar:
-        solution = problem.solve(rtol=1e-9, max_iterations=2, observer=bar)
+        solution = problem.solve(method="gimssn", rtol=1e-9, max_iterations=2, observer=bar)
     assert solution.status is ContactStatus.MAX_ITERATIONS
     assert terminal.getvalue().endswith(" s\n")
 

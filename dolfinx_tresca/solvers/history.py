@@ -84,7 +84,8 @@ class History:
         self.residuals.append(residual.relative(value))
         self.q.append(dual_energy(problem, point))
         reached, wanted, done = self.reached(point, error)
-        if value <= residual.rounding and (self._options.rtol is None or residual.zero_is_solution):
+        is_asked = self._options.rtol is not None or not self._mesh_decides
+        if value <= residual.rounding and (residual.zero_is_solution or not is_asked):
             reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(

@@ -40,6 +40,10 @@ MOST_REDUCTIONS = 20
 #: is too large (`ContactCompliance.complete_products`).
 SLOW = 8
 
+#: A is also computed if Newton's method does not solve the model in this number of consecutive
+#: iterations. (Two strips of 400 cells that stick along their joint take 12 iterations without.)
+MISSES = 2
+
 #: A step is taken if the residual after the step is at most this multiple of the residual before.
 WORSE = 2.0
 
@@ -112,6 +116,7 @@ class ModelNewton:
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
         at: the present point.
+        misses: number of consecutive iterations in which Newton's method did not solve the model.
         failures: number of consecutive iterations in which friction on the model was too weak for
             the constraints.
         first_target: the solution of the model at the start; None after it was used.
@@ -130,7 +135,7 @@ class ModelNewton:
         """Keep the arguments; `run` solves. Not collective."""
         self.problem, self.options, self.observe = problem, options, observe
         self.has_given_bounds = isinstance(problem.admissible, FeasibleSet)
-        self.largest, self.failures, self.completed_at = 0.0, 0, 0
+        self.largest, self.misses, self.failures, self.completed_at = 0.0, 0, 0, 0
 
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
@@ -239,11 +244,11 @@ class ModelNewton:
         )
         is_limited = residual.is_limited_by_rounding(history.error)
         is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
-        if (lost or stalls or is_slow) and self.complete_products():
+        if (lost or stalls or is_slow or self.misses >= MISSES) and self.complete_products():
             return None
         if not (lost or stalls):
             return None
-        if self.has_given_bounds or is_limited:
+        if self.has_given_bounds or (is_limited and not lost):
             return ContactStatus.STAGNATED
         return ContactStatus.NO_FIXED_POINT
 
@@ -264,6 +269,7 @@ class ModelNewton:
         """Return a solution with the model in place of A; record how much friction is missing."""
         tolerance = self.options.r_tol * self.residual.at(self.at.point)
         target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
+        self.misses = 0 if target.is_solved else self.misses + 1
         if not (target.is_solved or self.has_given_bounds):
             self.deficit = friction_deficit(self.problem, target)
             self.failures = 0 if self.deficit is None else self.failures + 1

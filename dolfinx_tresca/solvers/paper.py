@@ -178,7 +178,7 @@ class _Run:
                 r = gradient(problem, projected)
             point = Point(projected, np.empty(0), r)
             status = history.check_convergence(point, error_of_product(problem, projected, r))
-            if status is None and history.is_idle(PATIENCE, PROGRESS):
+            if status is None and history.is_idle(2 * PATIENCE, PROGRESS):
                 status = ContactStatus.STAGNATED
             if status is not None:
                 return history.solution(point, status, None)

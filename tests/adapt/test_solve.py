@@ -36,6 +36,7 @@ from dolfinx_tresca.adapt import next_mesh
 from dolfinx_tresca.adapt.next_mesh import GROWTH, OVERSHOOT
 from dolfinx_tresca.adapt.refinement import cell_count, cut
 from dolfinx_tresca.adapt.solve import MOST_LOCAL
+from dolfinx_tresca.dual.products import compliance
 from dolfinx_tresca.solution.transfer import tractions_at
 from scenes.elasticity import elasticity, fixed
 from scenes.pressed_blocks import on_blocks, pressed_blocks
@@ -259,8 +260,9 @@ def test_the_last_mesh_costs_about_as_much_as_all_before(comm):
     assert result.error >= 0.7 * 0.05  # the last one is not much finer than need be
 
 
-def test_few_products_on_each_mesh(comm):
+def test_few_products_on_each_mesh(comm, monkeypatch):
     """What the mesh before says makes up for what seeds would; on the first nothing is known."""
+    monkeypatch.setattr(compliance, "FEW", 0)  # products, and not A as a matrix
     bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
     result = solve_adaptively(two_bricks, bricks, 0.01, max_levels=4)
     assert all(level.products <= 10 for level in result.levels[1:])
@@ -275,7 +277,7 @@ def test_the_last_mesh_is_solved_on_once(comm):
 
 
 def test_an_iteration_that_fails(comm):
-    options = SolverOptions(max_iterations=1)
+    options = SolverOptions(method="gimssn", max_iterations=1)
     result = solve_adaptively(lambda t: cantilever(t, options=options), sheet(comm), 0.01)
     assert result.status is AdaptiveStatus.FAILED
     with pytest.raises(ConvergenceError, match="iteration limit reached"):
@@ -306,7 +308,7 @@ def test_a_start_on_the_same_mesh_is_the_solution(comm, degree):
         )
         again = problem.solve(rtol=1e-6)
     assert again.iterations <= 1
-    assert again.products < solution.products
+    assert again.iterations < solution.iterations
 
 
 @pytest.mark.parallel

@@ -13,13 +13,13 @@ from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement, ImprovedDisplacement
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.response import DirectResponse, ElasticResponse, IterativeResponse
-from dolfinx_tresca.solvers.iterate import ExactIterate, InexactIterate
+from dolfinx_tresca.solvers.iterate import InexactIterate, Iterate
 from dolfinx_tresca.solvers.iteration import ModelNewton
 from scenes.assembled import dual_program
 from scenes.two_bricks import two_bricks
 
 POLICIES = {
-    "cholesky": (DirectResponse, FollowedDisplacement, ExactIterate),
+    "cholesky": (DirectResponse, FollowedDisplacement, Iterate),
     "multigrid": (IterativeResponse, ImprovedDisplacement, InexactIterate),
 }
 

@@ -189,21 +189,6 @@ def test_vague_pairs_serve_one_solve_only():
     assert run(problem, keep=True).iterations <= cold
 
 
-def test_a_gradient_is_made_better_where_its_error_hides_the_step():
-    """And not where the step is longer than that."""
-    problem = noisy(random_problem(3, 12, 1.0), 0)
-    at = Iterate.of(problem, problem.store)
-    x, step = np.random.default_rng(0).standard_normal((2, len(problem.b)))
-    length = np.sqrt(step @ problem.store.model().apply(step))
-    at.move_to(x, *problem.gradient(x, 0.5 * length))
-    assert not at.refine_for_step(step)
-    assert problem.products == 1
-    assert at.refine_for_step(0.1 * step)
-    assert problem.products == 2
-    assert at.error < 0.1 * length
-    assert np.allclose(at.r, problem.A @ x - problem.b, atol=at.error * np.linalg.norm(problem.A))
-
-
 def test_the_product_of_a_start_is_kept():
     """Where nothing else is known of A, the model is exact on it, but for its error."""
     problem = noisy(random_problem(4, 12, 1.0), 0)

@@ -7,6 +7,7 @@ import pytest
 from dense import problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.solvers.bfgs_model import BlockBFGSModel
@@ -146,9 +147,9 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
     basis = vectors[:, values > 0.5]
     system = basis.T @ (M + np.diag(C)) @ basis
     expected = basis @ np.linalg.solve(system, basis.T @ right)
-    none = np.empty((len(right), 0))
+    none = csr_array((len(right), 0))
     maps = NodalMaps.on_face(face, model.diagonal, C, unchanged)
-    found, _ = model.solve_between(maps, right, none, np.empty((0, 0)), np.empty(0))
+    found, _ = model.solve_between(maps, right, none, csr_array((0, 0)), np.empty(0))
     condition = np.linalg.cond(system) if len(system) else 1.0
     tolerance = 1e5 * EPS * max(condition, 1e3) * max(np.linalg.norm(expected), 1e-300)
     assert np.linalg.norm(found - expected) <= tolerance
@@ -287,9 +288,9 @@ def test_a_model_on_another_one():
     np.testing.assert_allclose(updated.apply(W), Y, atol=1e-10 * np.abs(Y).max())
     x, y = (stores[1].split(v)[0] for v in rng.standard_normal((2, len(problem.b))))
     assert y @ updated.apply(x) == pytest.approx(y @ base.apply(x), rel=1e-8)
-    none = np.empty((len(x), 0))
+    none = csr_array((len(x), 0))
     maps = NodalMaps.on_face(bonded_face(x), updated.diagonal, 0.0 * x, unchanged)
-    solved, _ = updated.solve_between(maps, x, none, np.empty((0, 0)), np.empty(0))
+    solved, _ = updated.solve_between(maps, x, none, csr_array((0, 0)), np.empty(0))
     np.testing.assert_allclose(updated.apply(solved), x, atol=1e-8 * np.abs(x).max())
 
 

@@ -26,8 +26,8 @@ def test_solutions_along_a_face(coefficient, matrix_type):
     cones = cones_over(lam, coefficient)
     local = rng.uniform(0.5, 1.0, size)
     model = WholeModel(problem, matrix_type(A), 0, cones.nodes(), local, spsolve)
-    M = A + SHIFT * np.diag(local)
-    assert np.allclose(model.apply(np.eye(size)), A, atol=16 * EPS * np.abs(A).max())
+    M = model.apply(np.eye(size))
+    assert np.allclose(M, A + SHIFT * np.diag(local), atol=16 * EPS * np.abs(A).max())
 
     x = rng.standard_normal(size)
     x[lam.normal] = np.abs(x[lam.normal]) * (rng.random(len(lam.normal)) < 0.7)

@@ -20,7 +20,7 @@ def test_strips_that_stick(comm, cells, degree):
     found = []
     for law in (Coulomb(FRICTION), Bonded()):
         with two_strips(comm, cells, degree, law).problem() as problem:
-            solution = problem.solve(rtol=1e-9)
+            solution = problem.solve(rtol=1e-11)
         solution.raise_if_failed()
         found.append((solution.normal_force, solution.pressure.x.array.copy()))
         far = solution.surface.points[:, 0] > 0.5 * LENGTH
