@@ -116,9 +116,9 @@ def test_a_solution_counts_every_product(comm, monkeypatch):
         calls.append(1)
         return product(self, x, *options)
 
-    def counting_all(self, X):
+    def counting_all(self, X, *options):
         calls.extend([1] * X.shape[1])
-        return apply_to_all(self, X)
+        return apply_to_all(self, X, *options)
 
     monkeypatch.setattr(DualOperator, "product", counting)
     monkeypatch.setattr(DualOperator, "apply_to_all", counting_all)
