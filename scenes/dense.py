@@ -68,7 +68,6 @@ class DenseProblem(OneRank):
     is_load_step: bool = False
     is_too_large: bool = False  # to compute A whole
     store: KnownProducts = field(init=False)
-    near_store: ProductStore | None = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin without products, and without constraints if none are given."""
@@ -112,14 +111,10 @@ class DenseProblem(OneRank):
             self.store = WholeModel(self, rows, 0, nodes, local, spsolve)
         return not self.is_too_large
 
-    def near_products(self) -> ProductStore | None:
-        """Return the store of known products with the near field of A."""
-        return self.near_store
-
     def forget(self) -> None:
         """Drop the products."""
-        store = ProductStore(self, self.diagonal)
-        self.store, self.near_store = store, store.empty(40)
+        diagonal = self.diagonal  # there is no better approximation of A
+        self.store = ProductStore(self, diagonal, apply_near=lambda x: diagonal * x)
 
     @property
     def products(self) -> int:
@@ -158,10 +153,6 @@ class DenseProblem(OneRank):
 
     def refine_b(self) -> None:
         """Do nothing, since b is exact."""
-
-    def near_field(self, x: np.ndarray) -> np.ndarray:
-        """Return diag(A) x, since there is no better approximation."""
-        return self.diagonal * x
 
     def gradient(
         self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None

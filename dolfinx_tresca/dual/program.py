@@ -28,7 +28,6 @@ from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.problem import KnownProducts
-from dolfinx_tresca.solvers.products import ProductStore
 
 
 @dataclass(frozen=True)
@@ -122,20 +121,6 @@ class DualProgram:
     def complete_products(self) -> bool:
         """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
         return self.compliance.complete_products()
-
-    def near_products(self) -> ProductStore | None:
-        """Return known products with the near field; None if the near field does not pay.
-
-        Collective.
-        """
-        return self.compliance.near_products()
-
-    def near_field(self, x: Array) -> Array:
-        """Return D x for the near field D, which clamps bodies some cells from the contact.
-
-        Collective.
-        """
-        return self.compliance.near_field.apply(x)
 
     @property
     def reductions(self) -> RankReductions:

@@ -160,19 +160,18 @@ class ModelNewton:
         there is one, and otherwise by A.
         """
         self.store = store = self.problem.known_products()
-        if isinstance(store, ProductStore):
-            store.drop_inaccurate_pairs()
+        if not isinstance(store, ProductStore):
+            return
+        store.drop_inaccurate_pairs()
         if store.largest_ritz_value() != 0.0:
             return
-        problem, near, x = self.problem, self.problem.near_products(), self.problem.b
-        if near is None:
-            product = problem.operator.apply(x)
-            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
-            store.add(x, product, problem.operator.product_error * length)
+        x = self.problem.b
+        if store.near is None or store.apply_near is None:
+            store.add(x, self.problem.operator.apply(x))
             return
         for _ in range(NEAR_POWERS):
-            product = problem.near_field(x)
-            near.add(x, product)
+            product = store.apply_near(x)
+            store.near.add(x, product)
             x = product
 
     def begin_at(self, start: Array) -> None:
@@ -221,9 +220,7 @@ class ModelNewton:
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
-        stores = [self.store, self.problem.near_products()]
-        known = [store.largest_ritz_value() for store in stores if store is not None]
-        self.largest = max(self.largest, *known)
+        self.largest = max(self.largest, self.store.largest_ritz_value())
         return self.options.step_factor / (self.largest or 1.0)
 
     def status(self) -> ContactStatus | None:

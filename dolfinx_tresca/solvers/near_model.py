@@ -34,12 +34,14 @@ def solve(
         residual: the natural residual, with its step length.
         tolerance: requested natural residual, with the model in place of A.
     """
-    store, near = problem.known_products(), problem.near_products()
-    if near is None or not isinstance(store, ProductStore):
+    store = problem.known_products()
+    if not isinstance(store, ProductStore) or store.near is None or store.apply_near is None:
         return solve_model(problem, store.model(), start)
 
+    near, apply = store.near, store.apply_near
+
     def apply_near(new: Array) -> Array:
-        product = problem.near_field(new)
+        product = apply(new)
         near.add(new, product)
         return product
 

@@ -127,19 +127,6 @@ class DualProblem(InnerProduct, Protocol):
     def complete_products(self) -> bool:
         """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
 
-    def near_products(self) -> ProductStore | None:
-        """Return known products with the near field; None if the near field is not used.
-
-        Collective.
-        """
-
-    def near_field(self, x: Array) -> Array:
-        """Return D x for a cheap operator D with 0 < D <= A, at least approximately. Collective.
-
-        The better D approximates A for x that oscillate between nodes, the fewer products with A
-        are needed.
-        """
-
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 

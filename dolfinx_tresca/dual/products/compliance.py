@@ -26,11 +26,6 @@ from dolfinx_tresca.solvers.products import ProductStore
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Largest number of products with the near field that are kept. Each product slows down all algebra
-#: with the model, and a larger number saves few products with A (slender strip: 4.3 instead of 4.6
-#: per load step).
-NEAR_CAPACITY = 40
-
 #: A is computed as a dense matrix if it has at most this number of rows, with a direct and with an
 #: iterative solver for K, which needs a solve for each column. With 3,000 rows, a step of Newton's
 #: method takes some seconds, and A takes 72 MB on each rank.
@@ -78,7 +73,6 @@ class ContactCompliance(PetscOwner):
                 _ = self.certificate  # now, since it raises errors of the scene
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
-        self._near_store: ProductStore | None = None
 
     @property
     def comm(self) -> Any:
@@ -142,8 +136,12 @@ class ContactCompliance(PetscOwner):
         if self._store is None:
             self._store = sparse_model(self.operator, self.nodal_compliance)
         if self._store is None:
-            self._store = ProductStore(self.jump.reductions, self.nodal_compliance)
-            if self.operator.exact and 0 < self.jump.matrix.getSize()[0] <= FEW:
+            jump, size = self.jump, self.jump.matrix.getSize()[0]
+            # in a mixed space, clamped nodes round the near field would fix its volume
+            has_near = size > 0 and jump.system.component is None
+            near = (lambda x: self.near_field.apply(x)) if has_near else None
+            self._store = ProductStore(jump.reductions, self.nodal_compliance, apply_near=near)
+            if self.operator.exact and 0 < size <= FEW:
                 self.complete_products()
         return self._store
 
@@ -157,24 +155,6 @@ class ContactCompliance(PetscOwner):
         if affordable and not isinstance(self._store, WholeModel):
             self._store = dense_model(self.operator, self.nodal_compliance)
         return isinstance(self._store, WholeModel)
-
-    def near_products(self) -> ProductStore | None:
-        """Return the store of products with the near field, to which solves add. Collective.
-
-        The first call computes the first products with A, if there are none.
-
-        Returns:
-            the store, empty at first; None if A is known whole, if there is no multiplier, or if u
-            is a part of a mixed space: the clamped nodes round an incompressible near field would
-            fix its volume.
-        """
-        store, jump = self.known_products(), self.jump
-        is_mixed = jump.system.component is not None
-        if not isinstance(store, ProductStore) or is_mixed or jump.matrix.getSize()[0] == 0:
-            return None
-        if self._near_store is None:
-            self._near_store = store.empty(NEAR_CAPACITY)
-        return self._near_store
 
     @cached_property
     def _local_stiffness(self) -> Array:
@@ -202,4 +182,4 @@ class ContactCompliance(PetscOwner):
 
     def forget(self) -> None:
         """Drop all products. Not collective."""
-        self._store = self._near_store = None
+        self._store = None
