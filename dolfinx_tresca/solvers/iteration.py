@@ -29,10 +29,6 @@ from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.solvers.semismooth_newton import ModelSolution
 from dolfinx_tresca.status import ContactStatus
 
-#: Number of products of the near field D with b, D b, ... before the iteration. With two products,
-#: the largest Ritz value is near sigma_max, the largest eigenvalue of A.
-NEAR_POWERS = 2
-
 #: Limit on reductions of rho in one iteration, each of which takes a product with A.
 MOST_REDUCTIONS = 20
 
@@ -153,26 +149,18 @@ class ModelNewton:
         return solution
 
     def compute_first_products(self) -> None:
-        """Compute first products to bound sigma_max, unless some are known. Collective.
+        """Compute a first product to bound sigma_max, unless some are known. Collective.
 
-        For a new A, `known_products` computes a product with random signs, or all columns of A if A
-        is sparse. If no product is known after this call, b is multiplied by the near field if
-        there is one, and otherwise by A.
+        The first product is that of b with the near field, if there is one, and otherwise with A.
         """
-        self.store = store = self.problem.known_products()
-        if not isinstance(store, ProductStore):
-            return
-        store.drop_inaccurate_pairs()
-        if store.largest_ritz_value() != 0.0:
-            return
-        x = self.problem.b
-        if store.near is None or store.apply_near is None:
-            store.add(x, self.problem.operator.apply(x))
-            return
-        for _ in range(NEAR_POWERS):
-            product = store.apply_near(x)
-            store.near.add(x, product)
-            x = product
+        self.store, b = self.problem.known_products(), self.problem.b
+        store = self.store
+        if isinstance(store, ProductStore):
+            store.drop_inaccurate_pairs()
+            if store.largest_ritz_value() == 0.0 and store.near is not None:
+                store.near.add(b, store.apply_near(b))
+            elif store.largest_ritz_value() == 0.0:
+                store.add(b, self.problem.operator.apply(b))
 
     def begin_at(self, start: Array) -> None:
         """Begin at the start, or at zero if the residual is larger at the start. Collective.

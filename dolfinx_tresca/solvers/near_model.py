@@ -35,7 +35,7 @@ def solve(
         tolerance: requested natural residual, with the model in place of A.
     """
     store = problem.known_products()
-    if not isinstance(store, ProductStore) or store.near is None or store.apply_near is None:
+    if not isinstance(store, ProductStore) or store.near is None:
         return solve_model(problem, store.model(), start)
 
     near, apply = store.near, store.apply_near

@@ -67,7 +67,7 @@ class ProductStore:
         near: store of products with the near field, a cheap operator D with 0 < D <= A, at least
             approximately; None: there is no near field. The better D approximates A for vectors
             that oscillate between nodes, the fewer products with A are needed.
-        apply_near: function that applies D to (size,); None: there is no near field.
+        apply_near: function that applies D to (size,), if there is a near field.
     """
 
     def __init__(
@@ -86,9 +86,13 @@ class ProductStore:
             capacity: limit on the number of pairs.
             apply_near: function that applies the near field D; None: there is none.
         """
-        self._reductions, self._diagonal, self.apply_near = reductions, diagonal, apply_near
-        near = None if apply_near is None else ProductStore(reductions, diagonal, NEAR_CAPACITY)
-        self.near: ProductStore | None = near
+        self._reductions, self._diagonal = reductions, diagonal
+        self.near: ProductStore | None = None
+        if apply_near is not None:
+            self.near, self.apply_near = (
+                ProductStore(reductions, diagonal, NEAR_CAPACITY),
+                apply_near,
+            )
         self.capacity = capacity
         self.W: Array = np.empty((len(diagonal), 0))
         self.Y: Array = np.empty((len(diagonal), 0))
