@@ -146,7 +146,8 @@ class LinearisedContact:
     def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
         """Return the maps of `NodalMaps`, for the adjoint or the tangent. Not collective.
 
-        P projects onto the face; Q is the change of slip bounds with the pressure.
+        P projects onto the face; Q is the change of slip bounds with the pressure. Solutions s
+        satisfy s = P s.
 
         Args:
             diagonal: (size,) diagonal D of the model of A.
@@ -164,13 +165,12 @@ class LinearisedContact:
             weighted = np.asarray((weight * test(v).T).T)
             return weighted if transpose else change(weighted)
 
-        return NodalMaps(
-            test=test,
-            trial=trial,
-            stiffness=self.curvature,
-            projector=project,
-            inverse=inverse,
-        )
+        def rest(v: Array) -> Array:
+            along = project(v)
+            curved = np.asarray((self.curvature * along.T).T)
+            return (test(curved) if transpose else curved) + ((v - along).T * diagonal).T
+
+        return NodalMaps(test=test, trial=trial, rest=rest, inverse=inverse)
 
 
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.solvers.feasible_set import Face
+from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
 #: multipliers. With this softness, the linear systems have a solution even if the constraints have
@@ -18,53 +19,64 @@ LEAST_SOFTNESS = 1e-10
 
 @dataclass(frozen=True)
 class NodalMaps:
-    """The maps T, V, C and P in the equations T (M + C) V s - T G c = T r and G'V s + S c = e.
+    """The maps T, V and R in the equations T M V s + R s - T G c = T r and G'V s + S c = e.
 
-    Here s = P s, M is the model of A, and G and S belong to equality constraints. Such equations
-    determine Newton steps on a face, and steps towards an adjoint solution. Each map couples only
-    multipliers of the same node. T, V and P are applied to arrays (size,) or (size, columns).
+    Here M is the model of A, and G and S belong to equality constraints. Such equations determine
+    Newton steps V s on a face, and steps towards an adjoint solution. Each map couples only
+    multipliers of the same node, and is applied to arrays (size,) or (size, columns).
 
     Attributes:
-        test: T, applied to both sides of the equation; P T = T.
-        trial: V, from s to the change of the multipliers; V P = V.
-        stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc, such as the
-            curvature of the circles of slipping nodes.
-        projector: P, such as the projector onto a face.
-        inverse: V (T (D + C) V)^-1 T on the range of P, with the diagonal D of the model.
+        test: T, applied to both sides of the equation.
+        trial: V, from s to the change of the multipliers.
+        rest: R, such as the curvature of the circles of slipping nodes, and the identity at
+            multipliers that do not change.
+        inverse: V (T D V + R)^-1 T with the diagonal D of the model.
     """
 
     test: Callable[[Array], Array]
     trial: Callable[[Array], Array]
-    stiffness: Array
-    projector: Callable[[Array], Array]
+    rest: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
 
     @classmethod
     def on_face(
         cls,
+        cones: FeasibleSet | FrictionCones,
+        x: Array,
         face: Face,
         diagonal: Array,
         stiffness: Array,
-        with_bound_change: Callable[[Array, Array], Array],
     ) -> NodalMaps:
-        """Return the maps along a face, with T = P and V = (I + Q) P. Not collective.
+        """Return the maps for Newton steps s on a face. Not collective.
 
-        Here Q is the change of slip bounds with the pressure.
+        With the projector P onto the face, the diagonal C of curvatures, the change Q of slip
+        bounds with the pressure and their change H with the slip, s solves
+
+            P (M s + C s - G c) = P r,  s - (I + Q) P s = H (r - M s + G c).
 
         Args:
-            face: face with the projector P.
+            cones: the friction cones, with the functions Q and H.
+            x: (size,) point on the face.
+            face: the face.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
-            stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc.
-            with_bound_change: function (P s, v) -> (I + Q) P s, plus a term in v if bounds depend
-                on the slip; see `FrictionCones.with_bound_change`.
+            stiffness: (size,) C >= 0, the same for all degrees of freedom of a disc.
         """
-        weight = 1.0 / (diagonal + stiffness)
+        project, weight = face.project, np.reciprocal(diagonal + stiffness)
+        follow = cones.with_bound_change(x, face, diagonal)
+        change = cones.with_bound_change(x, face, np.zeros_like(diagonal))
+
+        def scaled(factors: Array, v: Array) -> Array:
+            return np.asarray((factors * v.T).T)
+
+        def rest(v: Array) -> Array:
+            along = project(v)
+            return scaled(stiffness, along) + scaled(diagonal, v - change(along, np.zeros_like(v)))
+
         return cls(
-            test=face.project,
-            trial=lambda v: with_bound_change(face.project(v), np.zeros_like(v)),
-            stiffness=stiffness,
-            projector=face.project,
-            inverse=lambda v: with_bound_change(np.asarray((weight * face.project(v).T).T), v),
+            test=lambda v: project(v) + scaled(diagonal, change(np.zeros_like(v), v)),
+            trial=lambda v: v,
+            rest=rest,
+            inverse=lambda v: follow(scaled(weight, project(v)), v),
         )
 
 

@@ -143,9 +143,8 @@ class SemismoothNewton:
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
         diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
-        follow = admissible.with_bound_change(settled, face, diagonal)
         change, change_c = self.model.solve_between(
-            NodalMaps.on_face(face, diagonal, stiffness, follow),
+            NodalMaps.on_face(admissible, settled, face, diagonal, stiffness),
             -r - admissible.slip_along(face),
             constraints.columns,
             constraints.softness_with(softness),
@@ -234,12 +233,11 @@ class ConvexNewton(SemismoothNewton):
         """
         constraints, z = self.problem.constraints, point.x - self.rho * (point.r + self.opening)
         derivative, settled = self.cones.projection_derivative(z), self.cones.project(z)
-        residual, scale = point.x - settled, 1.0 / (self.model.unit * self.rho)
+        residual = point.x - settled
         maps = NodalMaps(
             test=derivative,
             trial=lambda v: v,
-            stiffness=np.zeros_like(z),
-            projector=lambda v: v - (scale * (v - derivative(v)).T).T,
+            rest=lambda v: np.asarray(((v - derivative(v)).T / self.rho).T),
             inverse=lambda v: v,
         )
         change, change_c = self.model.solve_between(

@@ -32,9 +32,8 @@ class WholeModel:
     1976): its solution is the solution for A, and the error falls by the factor s / (s + sigma) in
     each iteration, where sigma is the least positive eigenvalue of A.
 
-    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Its matrix neglects that slip
-    bounds may depend on the slip; for such bounds, Newton's method converges linearly. Every rank
-    has the whole matrix.
+    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Every rank has the whole
+    matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
@@ -124,9 +123,8 @@ class WholeModel:
         equations have a solution even if the constraints have none.
         """
         unit, k = self.unit, len(missing)
-        T, V, P = (self._whole(nodal) for nodal in (maps.test, maps.trial, maps.projector))
-        C = diags_array(self._gathered(maps.stiffness), format="csr")
-        matrix = T @ ((self._shifted + C) / unit) @ V + (eye_array(len(self)) - P)
+        T, V, R = (self._whole(nodal) for nodal in (maps.test, maps.trial, maps.rest))
+        matrix = (T @ self._shifted @ V + R) / unit
         if k:
             G = self._reductions.stacked(G)
             soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
@@ -140,8 +138,8 @@ class WholeModel:
         if issparse(matrix):
             solution = self._solve(csr_array(matrix), right)
         else:
-            free = abs(P).sum(axis=1) > 0.0
-            moving = np.flatnonzero(np.append(free, np.ones(k, dtype=np.bool_)))
+            coupled = abs(T).sum(axis=1) + abs(R - diags_array(R.diagonal())).sum(axis=1)
+            moving = np.flatnonzero(np.append(coupled > 0.0, np.ones(k, dtype=np.bool_)))
             solution = np.zeros(len(right))
             solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], right[moving])
         solution = self._reductions.from_first_rank(solution)

@@ -125,11 +125,6 @@ def bonded_face(x: np.ndarray) -> Face:
     return FeasibleSet(len(x), *(np.empty(0, dtype=np.intp),) * 3, np.empty(0)).face(x)
 
 
-def unchanged(step, vector):
-    """Return a step whose slip bounds do not change."""
-    return step
-
-
 @BOUNDED
 @given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(0, 12))
 def test_the_model_is_inverted_on_any_face(problem, seed, number):
@@ -148,7 +143,7 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
     system = basis.T @ (M + np.diag(C)) @ basis
     expected = basis @ np.linalg.solve(system, basis.T @ right)
     none = csr_array((len(right), 0))
-    maps = NodalMaps.on_face(face, model.diagonal, C, unchanged)
+    maps = NodalMaps.on_face(lam, right, face, model.diagonal, C)
     found, _ = model.solve_between(maps, right, none, csr_array((0, 0)), np.empty(0))
     condition = np.linalg.cond(system) if len(system) else 1.0
     tolerance = 1e5 * EPS * max(condition, 1e3) * max(np.linalg.norm(expected), 1e-300)
@@ -289,7 +284,8 @@ def test_a_model_on_another_one():
     x, y = (stores[1].split(v)[0] for v in rng.standard_normal((2, len(problem.b))))
     assert y @ updated.apply(x) == pytest.approx(y @ base.apply(x), rel=1e-8)
     none = csr_array((len(x), 0))
-    maps = NodalMaps.on_face(bonded_face(x), updated.diagonal, 0.0 * x, unchanged)
+    face = bonded_face(x)
+    maps = NodalMaps.on_face(face.discs, x, face, updated.diagonal, 0.0 * x)
     solved, _ = updated.solve_between(maps, x, none, csr_array((0, 0)), np.empty(0))
     np.testing.assert_allclose(updated.apply(solved), x, atol=1e-8 * np.abs(x).max())
 

@@ -38,7 +38,7 @@ def test_solutions_along_a_face(coefficient, matrix_type):
     follow = cones.with_bound_change(x, face, model.diagonal)
     G = np.linalg.qr(rng.standard_normal((size, 2)))[0]
     right, missing, softness = rng.standard_normal(size), rng.standard_normal(2), 0.1 * np.eye(2)
-    maps = NodalMaps.on_face(face, model.diagonal, stiffness, follow)
+    maps = NodalMaps.on_face(cones, x, face, model.diagonal, stiffness)
     s, c = model.solve_between(maps, right, G, softness, missing)
 
     P = face.project(np.eye(size))
