@@ -151,6 +151,11 @@ class DenseProblem(OneRank):
         """Error of b: none."""
         return 0.0
 
+    @property
+    def b_terms(self) -> np.ndarray:
+        """The absolute values of b, which has one term."""
+        return np.abs(self.b)
+
     def refine_b(self) -> None:
         """Do nothing, since b is exact."""
 

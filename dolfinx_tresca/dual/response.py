@@ -99,6 +99,12 @@ class ElasticResponse(ABC):
         self.b = self._jump.of(u) - self.offset
         u.destroy()
 
+    @property
+    def b_terms(self) -> Array:
+        """The sums (size,) of the absolute values of the terms of b, which may cancel."""
+        terms: Array = np.abs(self.b + self.offset) + np.abs(self.offset)
+        return terms
+
     @abstractmethod
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K, once. Collective."""

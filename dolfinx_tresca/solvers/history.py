@@ -84,9 +84,6 @@ class History:
         self.residuals.append(residual.relative(value))
         self.q.append(dual_energy(problem, point))
         reached, wanted, done = self.reached(point, error)
-        is_asked = self._options.rtol is not None or not self._mesh_decides
-        if value <= residual.rounding and (residual.zero_is_solution or not is_asked):
-            reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(
             Iteration(
@@ -149,7 +146,7 @@ class History:
             error: error of the gradient in the norm sqrt(e'A^-1 e).
         """
         residual = self.residual.at(point)
-        reached, wanted = np.inf, 1.0
+        reached, wanted = 0.0, 1.0
         for reached, wanted in self.measures(point, error, self.residual.relative(residual)):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0
@@ -161,6 +158,8 @@ class History:
         """Yield the reached and the requested value of each criterion in turn. Collective.
 
         A criterion is computed only if the caller asks for it, after the earlier criteria are met.
+        If the residual is rounding, there is no criterion with the default accuracy, or if zero is
+        the solution.
 
         Args:
             point: multipliers in Lambda, with their gradient.
@@ -168,7 +167,11 @@ class History:
             residual: natural residual, divided by its scale.
         """
         problem, x, r = self._problem, point.x, point.r
-        if self.residual.at(point) > self.residual.rounding:
+        is_asked = self._options.rtol is not None or not self._mesh_decides
+        is_rounding = self.residual.at(point) <= self.residual.rounding
+        if is_rounding and (self.residual.zero_is_solution or not is_asked):
+            return
+        if not is_rounding:
             yield problem.constraints.imbalance(x, point.c), BALANCED
         if self._options.rtol is not None:
             yield residual, self._options.rtol

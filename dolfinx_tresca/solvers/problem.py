@@ -48,6 +48,10 @@ class Response(Protocol):
     def b_error(self) -> float:
         """Error of b, and of the gradient at zero multipliers, in the norm that `gradient` uses."""
 
+    @property
+    def b_terms(self) -> Array:
+        """The sums (size,) of the absolute values of the terms of b, which may cancel."""
+
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
 

@@ -55,7 +55,7 @@ class NaturalResidual:
         self.scale = self.at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
-        size = norm(self._problem, self._problem.b) + norm(self._problem, moved)
+        size = norm(self._problem, self._problem.response.b_terms) + norm(self._problem, moved)
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = self.scale <= self.rounding
         self.scale = max(0.0 if self.zero_is_solution else self.scale, self._counted)
