@@ -198,7 +198,8 @@ class ModelNewton:
         The motions of the gradient projection step that balances the loads are the initial guess.
         """
         at, constraints, rho = self.at, self.problem.constraints, self.residual.rho
-        if len(constraints) > 0 and not self.residual.zero_is_solution:
+        is_at_rest = self.residual.zero_is_solution and norm(self.problem, at.x) == 0.0
+        if len(constraints) > 0 and not is_at_rest:
             lam, softness = self.problem.bounds(at.x, at.r), 1.0 / rho * constraints.softness
             shift = balance(constraints, lam, at.x - rho * at.r, softness).shift
             at.c = np.asarray(shift / rho)

@@ -17,6 +17,12 @@ from dolfinx_tresca.solvers.friction_cones import FrictionCones
 LEAST_SOFTNESS = 1e-10
 
 
+#: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
+#: where a bound of friction is nearly zero, would hide the other equations of its node. With 1e150,
+#: a slip bound of 1e-300 overflows.
+STIFFEST = 1e8
+
+
 @dataclass(frozen=True)
 class NodalMaps:
     """The maps T, V and R in the equations T M V s + R s - T G c = T r and G'V s + S c = e.
@@ -61,6 +67,7 @@ class NodalMaps:
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
             stiffness: (size,) C >= 0, the same for all degrees of freedom of a disc.
         """
+        stiffness = np.minimum(stiffness, STIFFEST * diagonal)
         project, weight = face.project, np.reciprocal(diagonal + stiffness)
         follow = cones.with_bound_change(x, face, diagonal)
         change = cones.with_bound_change(x, face, np.zeros_like(diagonal))

@@ -208,10 +208,16 @@ class ConvexNewton(SemismoothNewton):
 
     model: WholeModel
 
-    def __init__(self, problem: DualProblem, model: WholeModel, x: Array, r: Array) -> None:
-        """Prepare steps with the slips at a point x (size,) with the gradient r (size,)."""
+    def __init__(
+        self, problem: DualProblem, model: WholeModel, x: Array, r: Array, given: bool
+    ) -> None:
+        """Prepare steps with the slips at a point x (size,) with the gradient r (size,).
+
+        With `given`, slip bounds are those at x: the problem is Tresca's.
+        """
         super().__init__(problem, model)
         cones = problem.admissible.at(x, r, self.rho)
+        cones = cones.section(x) if given else cones
         nodes = problem.constraints.nodes
         largest = np.zeros(nodes.max(initial=-1) + 1)
         np.maximum.at(largest, nodes, self.size)
@@ -294,7 +300,7 @@ def solve_from_other_guesses(
     pressed = start.x
     for number, softer in enumerate(OTHER_GUESSES):
         if number > 0:
-            convex = ConvexNewton(newton.problem, model, pressed, slip)
+            convex = ConvexNewton(newton.problem, model, pressed, slip, given=softer != 1.0)
             solution = convex.solve(convex.point(x, c, r), tolerance)
             x, c, r = solution.x, solution.c, solution.r
             pressed, slip = x, r
