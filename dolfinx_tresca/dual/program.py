@@ -116,7 +116,7 @@ class DualProgram:
         return self.response.b
 
     def known_products(self) -> KnownProducts:
-        """Return all known products with A; the first call for a K computes some. Collective."""
+        """Return all known products with A; the first call may compute A whole. Collective."""
         return self.compliance.known_products()
 
     def complete_products(self) -> bool:
@@ -124,7 +124,7 @@ class DualProgram:
         return self.compliance.complete_products()
 
     def near_products(self) -> ProductStore | None:
-        """Return known products with the near field; None if the near field does not pay.
+        """Return known products with the near field; None if the near field is not used.
 
         Collective.
         """
