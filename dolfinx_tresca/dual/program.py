@@ -124,7 +124,7 @@ class DualProgram:
         return self.compliance.complete_products()
 
     def near_products(self) -> ProductStore | None:
-        """Return known products with the near field; None if the near field is not used.
+        """Return known products with the near field; None if the near field does not pay.
 
         Collective.
         """
