@@ -166,8 +166,8 @@ if comm.rank == 0:
 #
 # Computed: `solution.resultants` has sums over nodes of force and moment on the foot. (Integrals of
 # the fields in ParaView take the pressure as linear between the nodes, which moves the centre by
-# some centimetres here, since the pressure peaks at the edges.) The two agree to rounding, whatever
-# the mesh and the accuracy of the solution.
+# some centimetres here, since the pressure peaks at the edges.) The two agree to nine digits,
+# whatever the mesh and the accuracy of the solution.
 
 
 # %%

@@ -40,10 +40,11 @@ class Iteration:
         number: number of the iteration, from 0 on.
         products: number of applications of A so far.
         residual: natural residual, relative to its value at lambda = 0.
-        reached: value of the stopping criterion: the residual or the bound of the relative energy
-            error.
-        wanted: value of `reached` at which the solver stops: `rtol`, `accuracy`, or by default a
-            fraction of the estimated error of the mesh.
+        reached: value of the first stopping criterion that is not met: the imbalance of forces on
+            floating bodies, the residual, the bound of the relative energy error, or
+            `ContactSolution.local_error`.
+        wanted: value of `reached` at which the criterion is met: 1e-10, `rtol`, `accuracy` (by
+            default a fraction of the estimated error of the mesh), or `local_accuracy`.
         q: the dual energy q(lambda) [energy].
         newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
         configuration: number of the configuration in which the surfaces of linear bodies are

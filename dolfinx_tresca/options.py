@@ -39,14 +39,16 @@ class SolverOptions:
             `ContactSolution.counts.undecided`.
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
             surface and relative to its value at lambda = 0; in (0, 1). Here P projects onto the
-            feasible set, and r is the gradient of the dual energy. If a value is given, the solve
-            stops when this criterion and the criteria of "balanced" are met. Nodal pressures and
-            tractions that are exact to several digits need a small value, such as 1e-6. None:
+            feasible set, and r is the gradient of the dual energy. If bodies float, the residual of
+            their equilibrium, divided by rho, is a further component. If a value is given, the
+            solve stops when this criterion and the criteria of "balanced" are met. Nodal pressures
+            and tractions that are exact to several digits need a small value, such as 1e-6. None:
             `accuracy` alone decides.
         max_iterations: largest number of outer (Newton) iterations.
         rho_sigma: step length rho of the projection times the estimated largest eigenvalue of A.
-            GIMSSN and projected Newton converge for values in (0, 2); the other methods take any
-            positive value. None: 1 for projected Newton, 1.9 for GIMSSN, 3 for the others.
+            GIMSSN and projected Newton take values in (0, 2), for which they converge if slip
+            bounds are given and supports hold all bodies; the other methods take any positive
+            value. None: 1 for projected Newton, 1.9 for GIMSSN, 3 for the others.
         r_tol: ratio of the tolerance of an inner iteration to the outer residual (Step 3.1 of the
             paper), in (0, 1).
         c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1 of the paper), in

@@ -115,7 +115,7 @@ class DualProgram:
         return self.response.b
 
     def known_products(self) -> KnownProducts:
-        """Return all known products with A; the first call for a K computes some. Collective."""
+        """Return all known products with A; the first call may compute A whole. Collective."""
         return self.compliance.known_products()
 
     def complete_products(self) -> bool:

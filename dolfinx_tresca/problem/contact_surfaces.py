@@ -223,8 +223,8 @@ class ContactSurfaces(PetscOwner):
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
 
-        If the axes differ from the axes of the last solve, A becomes another matrix, and only the
-        far field of the known products is kept.
+        If the axes differ from the axes of the last solve, A becomes another matrix, and the known
+        products are dropped.
 
         Raises:
             InputError: the direction of orthotropic friction is normal to the surface.

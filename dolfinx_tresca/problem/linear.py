@@ -55,8 +55,8 @@ class ContactProblem(ContactProcess):
     coefficients of the form `a`, call `update_stiffness()`; until then, solves use the K that was
     factored last, and the log warns. Each solve starts from the multipliers of the last solve (with
     Coulomb friction, after an accepted step, from the multipliers of this step), and uses the
-    products with A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed,
-    but their values may change.
+    products with A of earlier solves as long as neither K nor the pairing changes. The set of
+    degrees of freedom that `bcs` prescribe is fixed, but their values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
     static load. For a sequence of loads, call `accept()` after each `solve()`. Friction then
@@ -212,8 +212,8 @@ class ContactProblem(ContactProcess):
         the surfaces in the configuration of its solution automatically. For an iteration of your
         own, repeat `solve` and `update_geometry` within a load step until the forces do not change
         any more, and then accept the step; with one call per step, the normals lag one step behind.
-        Slip, accepted steps, multipliers and the far field of products with A are kept, and K is
-        not factored again. Bonded pairs do not change.
+        Slip, accepted steps and multipliers are kept, and K is not factored again; products with A
+        are dropped, since A changes. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space, usually the `u` of a solution.
@@ -228,6 +228,8 @@ class ContactProblem(ContactProcess):
     @collective(comm_of_self, extra_values=_values_to_agree)
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of coefficients of the form `a`. Collective.
+
+        Slip, accepted steps and multipliers are kept; products with A are dropped.
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.

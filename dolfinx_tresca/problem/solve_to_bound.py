@@ -38,10 +38,10 @@ def solve_to_bound(
 ) -> tuple[DualSolution, Evaluation, SlipHistory]:
     """Return multipliers and fields with the requested bound of the energy error. Collective.
 
-    The fields of floating bodies are made to satisfy the equilibrium to rounding, and so differ
-    from the iterate that the iteration has accepted. If the error bound of the fields is too large,
-    the iteration runs again from its last multipliers with a smaller requested bound. After
-    `MAX_ATTEMPTS` runs, the status is STAGNATED. A run that ends for another reason than the
+    The fields are computed from the last multipliers anew, and their error bound may differ from
+    the bound of the iterate that the iteration has accepted. If the error bound of the fields is
+    too large, the iteration runs again from its last multipliers with a smaller requested bound.
+    After `MAX_ATTEMPTS` runs, the status is STAGNATED. A run that ends for another reason than the
     observer, but with the requested accuracy, has the status CONVERGED: the reason then prevented
     only the accuracy of `options`, or of the iterates.
 

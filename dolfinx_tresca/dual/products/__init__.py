@@ -1,1 +1,1 @@
-"""The dual operator A, cheap approximations of it, and its first products."""
+"""The dual operator A, its near field, and A as a matrix."""
