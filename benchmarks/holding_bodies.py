@@ -168,7 +168,8 @@ def largest_eigenvalue(hessian: Callable[[np.ndarray], np.ndarray], size: int) -
 def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tuple[np.ndarray, Row]:
     """Solve by augmented Lagrangians; for Coulomb's law in sweeps with fixed slip bounds."""
     at = AugmentedLagrangian(program, residual, springs)
-    admissible, bounds, tolerance, sweeps = program.admissible, program.feasible_set, RTOL, 0
+    admissible, tolerance, sweeps = program.admissible, RTOL, 0
+    bounds = admissible.section(at.x)
     if not isinstance(admissible, FeasibleSet):  # in the first sweep all nodes stick
         bounds = dataclasses.replace(bounds, radius=np.full_like(bounds.radius, np.inf))
         tolerance = SWEEP**2
@@ -219,7 +220,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         forces = program.jump.contact_force
         expected = forces(x).array.copy()
         if case["law"] == "given":
-            program = program.section(x)
+            program = dataclasses.replace(program, admissible=program.admissible.section(x))
         rho = 1.0 / program.known_products().largest_ritz_value()
         softness = program.constraints.softness / rho
         residual = NaturalResidual(program, rho)
