@@ -311,9 +311,8 @@ def without_gradient_steps(state: iteration.ModelNewton, step: iterate.Step) -> 
 
 
 def first_rho(residual: NaturalResidual, rho: float) -> None:
-    """Set the rho of a residual only once: later values are ignored."""
-    if not hasattr(residual, "rho"):
-        set_rho(residual, rho)
+    """Keep the first step length of a residual."""
+    set_rho(residual, residual.rho)
 
 
 set_rho = NaturalResidual.set_rho
