@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/ablation.py --here \
         --json benchmarks/data/ablation.json
 
-For each row a fixed set of small scenes is solved with one part of `optimise/` or `dual/` switched
+For each row a fixed set of small scenes is solved with one part of `solvers/` or `dual/` switched
 off, or with one constant doubled or halved. (For fractions close to 1 the distance from 1 is
 doubled or halved.) A failure is a solve that does not converge; "status" counts the solves whose
 status is not the same as by default. The number of products in all scenes is divided by the number
@@ -12,8 +12,9 @@ scenes, with set-up and refinement. Many changes of constants change no number b
 rows and the rows of the default, which runs first and last, do the same work: their median time is
 taken as 1, and the range of their times shows how far time varies by chance. Of the constants that
 say what counts as rounding, only the constants shared by several files are included. Constants for
-scenes that do not occur here, such as scenes with several pairs, change nothing. With `--here` one
-process runs all rows, which saves the start of a process for each row.
+scenes that do not occur here, such as scenes with several pairs, change nothing. A is computed at
+once in the scenes "few rows" only: the others are small, but stand for larger ones. With `--here`
+one process runs all rows, which saves the start of a process for each row.
 """
 
 from __future__ import annotations
@@ -35,7 +36,6 @@ from mpi4py import MPI
 import numpy as np
 from adaptive import ACCURACY, STUDIES
 from changed_stiffness import IN_A_ROW, form
-from dolfinx_tresca.dual.products.first_products import rademacher_vector
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 from harness.timing import timed
 
@@ -50,9 +50,16 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca.dual.initial_guess import InitialGuess
-from dolfinx_tresca.dual.products import compliance, first_products
-from dolfinx_tresca.solvers import fixed_point, iterate, near_model, products, semismooth_newton
-from dolfinx_tresca.solvers import projected_newton as newton
+from dolfinx_tresca.dual.products import compliance
+from dolfinx_tresca.solvers import (
+    iterate,
+    iteration,
+    near_model,
+    products,
+    semismooth_newton,
+    whole_model,
+)
+from dolfinx_tresca.solvers.balance import Balance, balance
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.residual import NaturalResidual
@@ -242,16 +249,33 @@ def dense_problems(solves: Solves) -> None:
         solves.add(lambda p=problem: dense.run(p, rtol=RTOL), lambda found, p=problem: p.products)
 
 
+def large(scene: Callable[[Solves], None]) -> Callable[[Solves], None]:
+    """Return a scene in which A is not computed at once, as for surfaces with more rows."""
+
+    def solve(solves: Solves) -> None:
+        with patch.object(compliance, "FEW", 0):
+            scene(solves)
+
+    return solve
+
+
+def few_rows(solves: Solves) -> None:
+    """Solve small problems, in which A is computed at once."""
+    cold(solves)
+    steps(solves, N=6, loads=CYCLES[:10])
+
+
 SCENES: dict[str, Callable[[Solves], None]] = {
-    "cold": cold,
-    "steps": steps,
-    "100 steps": partial(steps, N=6, laws=["Coulomb"], loads=CYCLES),
+    "few rows": few_rows,
+    "cold": large(cold),
+    "steps": large(steps),
+    "100 steps": large(partial(steps, N=6, laws=["Coulomb"], loads=CYCLES)),
     "cold, multigrid": lambda solves: cold(solves, "multigrid", 5),
     "steps, multigrid": lambda solves: steps(solves, "multigrid", 5),
-    "changes of K": changes,
-    "adaptive": refined,
-    "floating": floating,
-    "blocks": blocks,
+    "changes of K": large(changes),
+    "adaptive": large(refined),
+    "floating": large(floating),
+    "blocks": large(blocks),
     "dense": dense_problems,
 }
 
@@ -263,49 +287,48 @@ def no_lasting_pairs(store: products.ProductStore) -> None:
     store.has_served = True
 
 
-def no_first_product(operator: Any, local: Any, near: Any) -> Any:
-    """Return a store without products; its diagonal is for nodes that move one at a time."""
-    return products.ProductStore(operator.jump.reductions, local)
-
-
 def no_scale(store: products.ProductStore, *arguments: Any) -> None:
     """Append a product without changing the scale of the diagonal."""
     append(store, *arguments)
     store.scale = 1.0
 
 
-def no_far_field(store: products.ProductStore, *arguments: Any) -> products.ProductStore:
-    """Return a store for another A that begins without a far field."""
-    result = successor(store, *arguments)
-    result.far = None
-    return result
+def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> Balance:
+    """Balance the loads, but leave the first multipliers of a solve as they are."""
+    if start:
+        return Balance(np.zeros(len(constraints)), constraints.values, satisfied=False)
+    return balance(constraints, cones, *arguments)
 
 
-def from_here(state: newton.ProjectedNewton, step: iterate.Step) -> iterate.Step:
+def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> None:
+    """Begin at zero."""
+    begin_at(state, np.zeros_like(start))
+
+
+def without_gradient_steps(state: iteration.ModelNewton, step: iterate.Step) -> iterate.Step:
     """Return the best part of the Newton step, without a gradient projection step."""
     return state.minimiser_between(state.at.zero_step(), step)
 
 
 def first_rho(residual: NaturalResidual, rho: float) -> None:
-    """Set the rho of a residual only once: later values are ignored."""
-    if not hasattr(residual, "rho"):
-        set_rho(residual, rho)
+    """Keep the first step length of a residual."""
+    set_rho(residual, residual.rho)
 
 
 set_rho = NaturalResidual.set_rho
-append, successor = products.ProductStore._append, products.ProductStore.successor
+append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
 COMPLIANCE = compliance.ContactCompliance
-ITERATE, NEWTON, STORE = iterate.Iterate, newton.ProjectedNewton, products.ProductStore
+INEXACT, NEWTON, STORE = iterate.InexactIterate, iteration.ModelNewton, products.ProductStore
 
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
     "near field": [(COMPLIANCE, "near_products", lambda self: None)],
-    "limit of the near field": [(compliance, "NEAR_SHARE", 1.0)],
     "iteration on the near model": [(near_model, "MOST", 1)],
-    "far field": [(STORE, "successor", no_far_field)],
-    "scale of the far field": [(STORE, "fit_far", lambda self, base=None: None)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
-    "A known whole": [(NEWTON, "complete_products", lambda self: False)],
+    "A at once where it has few rows": [(compliance, "FEW", 0)],
+    "A completed after misses": [(iteration, "MISSES", 10**9)],
+    "A completed": [(NEWTON, "complete_products", lambda self: False)],
+    "shift of A": [(whole_model, "SHIFT", 0.0)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
     "other initial guesses": [(semismooth_newton, "OTHER_GUESSES", ())],
@@ -315,50 +338,37 @@ PARTS: dict[str, Patches] = {
     "bounds that follow pressures": [
         (FrictionCones, "with_bound_change", FeasibleSet.with_bound_change)
     ],
-    "safeguard": [(NEWTON, "safeguard", from_here)],
+    "gradient projection steps": [(NEWTON, "descending", without_gradient_steps)],
     "reductions of rho": [(NaturalResidual, "set_rho", first_rho)],
-    "tighten": [(iterate.InexactIterate, "increase_accuracy", lambda self: False)],
-    "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
-    "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
-    "tighten where unresolved": [(newton, "PROGRESS", math.inf)],
-    "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
+    "limit of a larger residual": [(iteration, "WORSE", math.inf)],
+    "higher accuracy where it stalls": [(INEXACT, "increase_accuracy", lambda self: False)],
+    "refined gradients": [(INEXACT, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
-    "start at the last multipliers": [
-        (NEWTON, "is_useful_start", lambda self, start, r: False),
-        (fixed_point._FixedPointNewton, "is_useful_start", lambda self, start, r: False),
+    "start at the last multipliers": [(NEWTON, "begin_at", from_zero)],
+    "balanced initial multipliers": [(iteration, "balance", unbalanced)],
+    "initial motions of floating bodies": [
+        (NEWTON, "find_constraint_multipliers", lambda self: None)
     ],
     "first guess of displacements": [(InitialGuess, "near", lambda self, x: self.load.copy())],
-    "first product": [(compliance, "first_products", no_first_product)],
-    "random signs of the probe": [
-        (first_products, "rademacher_vector", lambda jump: np.ones_like(rademacher_vector(jump)))
-    ],
-    "fit of the diagonal": [
-        (first_products, "rescaled_diagonal", lambda jump, local, *estimate: local)
-    ],
-    "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
-    "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
+    "undecided zero": [(NaturalResidual, "zero_is_undecided", lambda self, error: False)],
 }
 
 #: Module -> names of its constants. Constants in NEAR_ONE are fractions close to 1, whose distance
 #: from 1 is changed.
 CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
-    "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
-    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS PROXIMAL "
-    "SOFTER SOLVED",
-    "solvers.whole_model": "SHIFT",
+    "_base.patience": "PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
+    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_STEPS MOST_HALVINGS "
+    "PROXIMAL SOFTER SOLVED",
+    "solvers.whole_model": "SHIFT",
     "solvers.near_model": "MOST",
-    "optimise.newton.projected_newton": "NEAR_POWERS MOST_REDUCTIONS SLOW",
-    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
-    "PRODUCT_ROUNDING",
-    "optimise.models.far_field": "FAR_ENERGY",
-    "solvers.bfgs_model": "LEAST_SOFTNESS",
-    "optimise.newton.fixed_point": "WORSE FAILURES",
-    "optimise.sets.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
-    "solvers.constraints": "LARGEST_REACTION",
-    "dual.products.compliance": "NEAR_CAPACITY NEAR_SHARE LARGEST_DENSE",
+    "solvers.iteration": "NEAR_POWERS MOST_REDUCTIONS SLOW MISSES WORSE FAILURES",
+    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
+    "solvers.nodal_maps": "LEAST_SOFTNESS",
+    "solvers.balance": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
+    "dual.products.compliance": "FEW NEAR_CAPACITY LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
     "dual.initial_guess": "KEPT",
     "dual.response": "LOAD_ACCURACY",

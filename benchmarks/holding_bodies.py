@@ -33,7 +33,6 @@ from functools import partial
 
 import numpy as np
 from assemblies import SIZES
-from dolfinx_tresca.solvers.models.known_products import WholeProducts
 from harness import Benchmark, Column, Comm, Row, Table
 from harness.timing import timed
 from peer_solvers.gradients import proportioning
@@ -42,10 +41,12 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.solvers import methods
+from dolfinx_tresca.solvers import iteration
+from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.positive_definite import factored
 from dolfinx_tresca.solvers.residual import NaturalResidual
+from dolfinx_tresca.solvers.whole_model import WholeModel
 from scenes.wall import HEIGHT, wall
 
 #: Relative residual; and residual of a sweep, divided by the residual of Coulomb's law before it.
@@ -75,7 +76,7 @@ class AugmentedLagrangian:
             residual: step length and scale of natural residuals.
             springs: whether springs are used in place of projectors.
         """
-        store, G = program.known_products(), csr_array(program.constraints.columns)
+        store, G = program.known_products(), program.constraints.columns
         e, transposed = program.constraints.values, csr_array(G.T)
         inverse = factored(csr_array(transposed @ G))
         assert inverse is not None
@@ -84,9 +85,7 @@ class AugmentedLagrangian:
         def apply(x: np.ndarray) -> np.ndarray:
             self.products += 1
             return (
-                store.product(x)[0]
-                if isinstance(store, WholeProducts)
-                else program.operator.apply(x)
+                store.product(x)[0] if isinstance(store, WholeModel) else program.operator.apply(x)
             )
 
         def Q(x: np.ndarray) -> np.ndarray:
@@ -169,7 +168,8 @@ def largest_eigenvalue(hessian: Callable[[np.ndarray], np.ndarray], size: int) -
 def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tuple[np.ndarray, Row]:
     """Solve by augmented Lagrangians; for Coulomb's law in sweeps with fixed slip bounds."""
     at = AugmentedLagrangian(program, residual, springs)
-    admissible, bounds, tolerance, sweeps = program.admissible, program.feasible_set, RTOL, 0
+    admissible, tolerance, sweeps = program.admissible, RTOL, 0
+    bounds = admissible.section(at.x)
     if not isinstance(admissible, FeasibleSet):  # in the first sweep all nodes stick
         bounds = dataclasses.replace(bounds, radius=np.full_like(bounds.radius, np.inf))
         tolerance = SWEEP**2
@@ -188,7 +188,7 @@ def solve(program: DualProgram, residual: NaturalResidual, springs: bool) -> tup
 def newton(program: DualProgram, residual: NaturalResidual) -> tuple[np.ndarray, Row]:
     """Solve by the package's method."""
     products, start = program.operator.products, np.zeros_like(program.b)
-    found = methods.solve(program, start, SolverOptions(rtol=RTOL), lambda iteration: False)
+    found = iteration.solve(program, start, SolverOptions(rtol=RTOL), lambda point: False)
     figures = {"outer": found.iterations, "products": program.operator.products - products}
     return found.multipliers, {**figures, "converged": found.status.name == "CONVERGED"}
 
@@ -220,12 +220,12 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         forces = program.jump.contact_force
         expected = forces(x).array.copy()
         if case["law"] == "given":
-            program = program.section(x)
+            program = dataclasses.replace(program, admissible=program.admissible.section(x))
         rho = 1.0 / program.known_products().largest_ritz_value()
-        origin = program.constraints.project(
-            program.admissible, np.zeros_like(x), np.zeros(len(program.constraints)), rho
-        )[0]
-        residual = NaturalResidual(program, rho, origin, program.operator.apply(origin) - program.b)
+        softness = program.constraints.softness / rho
+        residual = NaturalResidual(program, rho)
+        balanced = balance(program.constraints, program.admissible, rho * program.b, softness)
+        residual.set_constraint_multipliers(balanced.shift / rho)
         row: Row = {}
         for name, way in WAYS.items():
             program.compliance.forget()

@@ -2,7 +2,7 @@
 
     tools/fenicsx python3 benchmarks/mutation.py --here --reach .coverage
 
-For each row one operator or number in `optimise/`, `dual/` or `pairing/` is changed in a copy of
+For each row one operator or number in `solvers/`, `dual/` or `pairing/` is changed in a copy of
 the last commit, and tests run in this copy until a test fails: first the tests of the same folder,
 then of the other two folders, then all other tests. Constants that `ablation.py` doubles and
 halves, types, and texts of errors are not changed. Only tests that execute the changed line need to
@@ -33,7 +33,7 @@ from ablation import CONSTANTS
 from harness import Benchmark, Column, Comm, Row
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("optimise", "dual", "pairing")
+FOLDERS = ("solvers", "dual", "pairing")
 TUNED = set(" ".join(CONSTANTS.values()).split())
 #: Limit for the tests of a change [processor seconds]. A change with which they take longer counts
 #: as noticed.

@@ -144,6 +144,7 @@ class Meter:
         steps, names = self.steps, ("seconds", "linear", "with_K", "estimate", "solves")
         seconds, linear, with_K, estimate, solves = (sum(s[name] for s in steps) for name in names)
         products = sum(step["in_products"] for step in steps)
+        computed = any(step["products"] for step in steps)  # else these seconds are noise
         failed = [s["status"] for s in steps if s["status"] != ContactStatus.CONVERGED.name]
         return {
             "unknowns": self.unknowns,
@@ -156,7 +157,7 @@ class Meter:
             "seconds_of_step": seconds / len(steps),
             "ratio": seconds / linear,
             "largest_ratio": max(step["seconds"] / step["linear"] for step in steps),
-            "iteration": sum(s["iteration"] for s in steps) / products if products else None,
+            "iteration": sum(s["iteration"] for s in steps) / products if computed else None,
             "percent": [round(100.0 * s / seconds) for s in (with_K, estimate)],
             "status": (failed or [ContactStatus.CONVERGED.name])[0],
         }

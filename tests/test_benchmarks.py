@@ -61,7 +61,7 @@ RUNS = {
     "published": ("--cases shrink_fit incline --meshes 1", "value"),
     "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
     "mutation": ("--number 1 --tests tests/solvers/test_stopping.py", "tests"),
-    "ablation": ("--scenes dense --parts safeguard _base.forcing.FORCING", "total"),
+    "ablation": ("--scenes dense --parts solvers.whole_model.SHIFT _base.forcing.FORCING", "total"),
     "embedding": ("--models impact", "lines"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }

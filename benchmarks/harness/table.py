@@ -104,7 +104,7 @@ class Table:
         ]
         table = ["| " + " | ".join(text) + " |" for text in texts]
         table[1] = "|" + "---|" * len(self.columns)
-        return "\n".join([*table, "", self._sources(lines)])
+        return "\n".join([*table, "", self._sources(lines)] if lines else table)
 
     def _sources(self, lines: list[list[Row]]) -> str:
         """Return a text that says which run measured which lines and columns."""

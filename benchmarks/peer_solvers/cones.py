@@ -67,7 +67,7 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
     """Solve the dense form."""
     with dual_program(scene) as problem:
         A, E = _dense(problem), scene.data.modulus
-        b, bounds = problem.b, problem.feasible_set
+        b, bounds = problem.b, problem.admissible
         nodes = len(bounds.radius)
         order, first = _cone_order(bounds.node, nodes)
         identity = eye_array(bounds.size, format="csr")

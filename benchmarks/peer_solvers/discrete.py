@@ -19,6 +19,7 @@ from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.solvers.paper import largest_eigenvalue
+from dolfinx_tresca.solvers.problem import Point
 from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import dual_program
@@ -132,8 +133,8 @@ def primal_problem(scene: Any) -> Primal:
 def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.ndarray], float]]:
     """Return rho, and the relative natural residual as a function of lambda and its gradient."""
     rho = 1.0 / largest_eigenvalue(dual)
-    residual = NaturalResidual(dual, rho, np.zeros_like(dual.b), -dual.b)
-    return rho, lambda x, r: residual.relative(residual.at(x, r))
+    residual = NaturalResidual(dual, rho)
+    return rho, lambda x, r: residual.relative(residual.at(Point(x, np.empty(0), r)))
 
 
 def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
