@@ -34,11 +34,13 @@ PROXIMAL, SOFTER = 1e-4, 3.0
 #: the contact problems are solved by other tractions.)
 SOLVED = 1e-6
 
-#: Factor on `PROXIMAL` in each run of Newton's method from another initial guess: zero, and the
-#: solutions of convex problems (`ConvexNewton`). With 1 alone, two of 216 standing piles of stones
-#: are not solved, with these factors one (`tests/validation/test_random_piles.py`). Without zero,
-#: two strips that stick along their joint are not solved.
+#: Factor on `PROXIMAL` in each run of Newton's method from another initial guess: zero, the
+#: solutions of convex problems (`ConvexNewton`), and then those of Tresca problems. Without factors
+#: of 10, more standing piles of stones are not solved (`tests/validation/test_random_piles.py`).
+#: Without zero, two strips that stick along their joint are not solved; without Tresca problems, a
+#: sheet whose bounds of friction reach their limit at a tenth of the largest pressure.
 OTHER_GUESSES = (1.0, 1.0, 10.0, 1.0, 10.0, 1.0, 10.0, 1.0, 10.0)
+TRESCA_GUESSES = (1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -298,9 +300,10 @@ def solve_from_other_guesses(
     x, c, slip = np.zeros_like(start.x), np.zeros_like(start.c), np.zeros_like(start.r)
     r = start.r - model.apply(start.x) + newton.problem.constraints.columns @ start.c
     pressed = start.x
-    for number, softer in enumerate(OTHER_GUESSES):
+    for number, softer in enumerate((*OTHER_GUESSES, *TRESCA_GUESSES)):
         if number > 0:
-            convex = ConvexNewton(newton.problem, model, pressed, slip, given=softer != 1.0)
+            given = number >= len(OTHER_GUESSES)
+            convex = ConvexNewton(newton.problem, model, pressed, slip, given)
             solution = convex.solve(convex.point(x, c, r), tolerance)
             x, c, r = solution.x, solution.c, solution.r
             pressed, slip = x, r
