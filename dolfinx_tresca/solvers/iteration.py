@@ -255,10 +255,10 @@ class ModelNewton:
         """Return a solution with the model in place of A; record how much friction is missing."""
         tolerance = self.options.r_tol * self.residual.at(self.at.point)
         target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
-        self.misses = 0 if target.is_solved else self.misses + 1
+        self.misses, self.deficit = 0 if target.is_solved else self.misses + 1, None
         if not (target.is_solved or self.has_given_bounds):
             self.deficit = friction_deficit(self.problem, target)
-            self.failures = 0 if self.deficit is None else self.failures + 1
+        self.failures = 0 if self.deficit is None else self.failures + 1
         return target
 
     def accepted(self, target: ModelSolution) -> Step:
