@@ -190,6 +190,8 @@ class ModelNewton:
                 residual.count(at.r + problem.b)
             else:
                 at.move_to(zero, -problem.b, problem.response.b_error)
+                at.c, self.first_target = np.zeros_like(at.c), None
+                residual.set_constraint_multipliers(at.c)
                 self.find_constraint_multipliers()
 
     def find_constraint_multipliers(self) -> None:

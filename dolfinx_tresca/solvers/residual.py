@@ -55,7 +55,8 @@ class NaturalResidual:
         self.scale = self.at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
-        size = norm(self._problem, self._problem.response.b_terms) + norm(self._problem, moved)
+        self._terms = norm(self._problem, self._problem.response.b_terms)
+        size = self._terms + norm(self._problem, moved)
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = self.scale <= self.rounding
         self.scale = max(0.0 if self.zero_is_solution else self.scale, self._counted)
@@ -95,8 +96,7 @@ class NaturalResidual:
         matters if the loads move the bodies much less than the width of a gap: then the scale
         follows from the loads, but rounding errors follow from the gap.
         """
-        size = max(self.scale, self.rounding / ROUNDING)
-        return residual <= EXHAUSTED * size
+        return residual <= EXHAUSTED * max(self.scale, self._terms)
 
     def relative(self, residual: float) -> float:
         """Return a natural residual divided by its scale. Not collective."""
