@@ -119,7 +119,14 @@ class Iterate:
             part: sufficient error of the gradient, divided by the energy norm of x; it is used for
                 inexact products only.
         """
+        known, error = self.store.product(x)
+        if error <= FULL_ACCURACY * self._energy_norm(x):
+            return known - self._problem.b, 0.0
         return self._product(x) - self._problem.b, 0.0
+
+    def _energy_norm(self, x: Array) -> float:
+        """Return the energy norm of x (size,), with the model in place of A. Collective."""
+        return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
     def increase_accuracy(self) -> bool:
         """Compute the gradient and later products more accurately; return False if impossible."""
@@ -149,10 +156,6 @@ class InexactIterate(Iterate):
         """Begin at zero, where no product is needed. The arguments are those of `Iterate`."""
         super().__init__(problem, store)
         self._length, self._least, self._part = 0.0, 0.0, FORCING
-
-    def _energy_norm(self, x: Array) -> float:
-        """Return the energy norm of x (size,), with the model in place of A. Collective."""
-        return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
     def _wanted(self) -> float:
         """Return the requested error of the next gradient."""
