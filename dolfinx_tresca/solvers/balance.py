@@ -31,7 +31,6 @@ RELAXATION, MORE_DAMPING = 1e-3, 10.0
 #: at parts of any order of magnitude.
 PART_ACCURACY, LEAST_PART = 1e-6, 1e-30
 
-
 #: The search ends without a solution if all multipliers that satisfy the equations have a norm
 #: above this multiple of the norm of `EqualityConstraints.sizes`.
 LARGEST_REACTION = 1e4
@@ -92,6 +91,7 @@ def balance(
     y = np.zeros(constraints.columns.shape[0]) if start is None else start
     agreed = constraints.reductions.from_first_rank
     scale = 1.0 / np.sqrt((constraints.hessian(lambda v: v) + C).diagonal())
+    scaling = diags_array(scale)
 
     def excess(z: Array) -> Array:
         """Return the gradient of phi."""
@@ -118,7 +118,6 @@ def balance(
             return Balance(z, gradient, satisfied=False, unbounded=True)
         derivative = feasible_set.projection_derivative(y + constraints.columns @ z)
         hessian = constraints.hessian(derivative) + C
-        scaling = diags_array(scale)
         step = -agreed(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
         )
@@ -127,7 +126,7 @@ def balance(
             return _dot(step, excess(z + part * step))
 
         part = 1.0
-        if slope(1.0) > 0.0 > slope(0.0):
+        if slope(1.0) > 0.0 > _dot(step, gradient):
             part = brentq(slope, 0.0, 1.0, xtol=LEAST_PART, rtol=PART_ACCURACY, maxiter=1000)
         z = z + part * step
         damping = RELAXATION * damping if part == 1.0 else damping / part

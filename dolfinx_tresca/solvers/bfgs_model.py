@@ -83,7 +83,7 @@ class BlockBFGSModel:
         so that the system has a solution even if the second equation has none.
 
         Args:
-            maps: T, V, C and P.
+            maps: T, V and R.
             right: (size,) r.
             G: (size, k) columns of length 1.
             softness: (k, k) S.

@@ -31,7 +31,6 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: method takes some seconds, and A takes 72 MB on each rank.
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
-
 #: With a direct solver, A is computed at once if it has at most this number of rows.
 FEW = 400
 
