@@ -91,13 +91,13 @@ class DenseProblem(OneRank):
         return self
 
     @property
-    def admissible(self) -> FeasibleSet | FrictionCones:
+    def admissible(self) -> FeasibleSet:
         """The cones, if bounds depend on the pressure."""
         return self.feasible_set if self.cones is None else self.cones
 
     def bounds(self, x: np.ndarray, r: np.ndarray) -> FeasibleSet:
         """Return Lambda with the slip bounds at a point."""
-        return self.admissible.at(x, r, 1.0 / self.diagonal).section(x)
+        return self.admissible.at(x, r).section(x)
 
     def known_products(self) -> KnownProducts:
         """Return the store of known products."""
@@ -275,10 +275,10 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
     owner = rng.permutation(nodes)[: len(lam.normal)]
     normal_of[owner] = lam.normal[: len(owner)]
     rubs = rng.random(nodes)
+    constant = np.where(rubs < 0.2, rng.uniform(0.0, 1.0, nodes), 0.0)
     problem.cones = FrictionCones(
-        discs=lam,
+        **vars(dataclasses.replace(lam, radius=constant)),
         normal_of=normal_of,
-        constant=np.where(rubs < 0.2, rng.uniform(0.0, 1.0, nodes), 0.0),
         coefficient=np.where(rubs < 0.9, rng.uniform(0.0, coefficient, nodes), 0.0),
         limit=np.where(rng.random(nodes) < 0.3, rng.uniform(0.0, 1.0, nodes), np.inf),
     )
@@ -295,7 +295,7 @@ def cones_over(lam: FeasibleSet, coefficient: float) -> FrictionCones:
     normal_of = np.full(count, -1)
     normal_of[: len(lam.normal)] = lam.normal[:count]
     coefficients, infinite = np.full(count, coefficient), np.full(count, np.inf)
-    return FrictionCones(lam, normal_of, lam.radius, coefficients, infinite)
+    return FrictionCones(**vars(lam), normal_of=normal_of, coefficient=coefficients, limit=infinite)
 
 
 def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float) -> DenseProblem:
@@ -304,7 +304,7 @@ def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float
     still = np.zeros(nodes)
     assert problem.cones is not None
     cones = dataclasses.replace(
-        problem.cones, constant=still, coefficient=still + coefficient, limit=still + np.inf
+        problem.cones, radius=still, coefficient=still + coefficient, limit=still + np.inf
     )
     problem.cones, problem.feasible_set = cones, cones.section(np.zeros(cones.size))
     return problem

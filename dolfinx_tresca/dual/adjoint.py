@@ -29,13 +29,13 @@ way in which contact forces balance the load: y satisfies the equations of equil
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx import fem
 
@@ -48,6 +48,7 @@ from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps
+from dolfinx_tresca.solvers.nodal_matrix import NodalPattern
 from dolfinx_tresca.solvers.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
@@ -83,15 +84,12 @@ class LinearisedContact:
     Attributes:
         face: states of the nodes.
         curvature: (size,) diagonal of C, the curvature of the circles of slipping nodes.
-        with_bound_change: function that applies I + Q, with the change Q of slip bounds with the
-            pressure.
-        with_bound_change_transpose: function that applies I + Q'.
+        with_bound_change: (size, size) I + Q, with the change Q of slip bounds with the pressure.
     """
 
     face: Face
     curvature: Array
-    with_bound_change: Callable[[Array], Array]
-    with_bound_change_transpose: Callable[[Array], Array]
+    with_bound_change: csr_array
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array, edge: EdgeState = None) -> LinearisedContact:
@@ -106,7 +104,7 @@ class LinearisedContact:
         Raises:
             InputError: a slip bound depends on the slip.
         """
-        cones = dual.admissible.at(x, r, dual.compliance.nodal_stiffness)
+        cones = dual.admissible.at(x, r)
         target = dual.decoupled_minimiser(x, r)
         if edge is not None:
             rows, discs = at_edge(dual, x, r)
@@ -129,19 +127,15 @@ class LinearisedContact:
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
         change = cones.with_bound_change(x, face, np.ones_like(x))
-        return cls(
-            face,
-            lam.circle_stiffness(r, face),
-            lambda v: change(v, v),
-            cones.with_bound_change_transpose(x, face),
-        )
+        matrix = NodalPattern(cones.nodes()).matrix(lambda v: change(v, v))
+        return cls(face, lam.circle_stiffness(r, face), matrix)
 
     def projected(self, v: Array) -> Array:
         """Return P (I + Q') v, with P and Q as in `maps`, for (size,) or (size, columns).
 
         Not collective.
         """
-        return self.face.project(self.with_bound_change_transpose(v))
+        return self.face.project(self.with_bound_change.T @ v)
 
     def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
         """Return the maps of `NodalMaps`, for the adjoint or the tangent. Not collective.
@@ -159,11 +153,11 @@ class LinearisedContact:
         test = self.projected if transpose else project
 
         def trial(v: Array) -> Array:
-            return project(v) if transpose else change(project(v))
+            return project(v) if transpose else change @ project(v)
 
         def inverse(v: Array) -> Array:
             weighted = np.asarray((weight * test(v).T).T)
-            return weighted if transpose else change(weighted)
+            return weighted if transpose else change @ weighted
 
         def rest(v: Array) -> Array:
             along = project(v)

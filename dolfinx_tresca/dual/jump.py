@@ -150,7 +150,7 @@ class JumpOperator(PetscOwner):
             self.unbounded, node=node, radius=np.full(nodes + len(rows), np.inf)
         )
 
-    def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet | FrictionCones:
+    def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet:
         """Return Lambda for slip bounds at each pair's nodes. Collective.
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
@@ -166,8 +166,9 @@ class JumpOperator(PetscOwner):
                 ("limit", radius * roots),
             )
         )
+        lam = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
-            return dataclasses.replace(self.discs, radius=constant)
+            return lam
         normal_of = np.full(count, -1)
         first = 0
         curves: list[tuple[slice, Curve]] = []
@@ -180,7 +181,9 @@ class JumpOperator(PetscOwner):
             first += len(pair.nodes)
         root = np.append(np.where(roots > 0.0, roots, 1.0), np.ones(count - len(roots)))
         functions = NodalCurves(curves, root) if curves else None
-        return FrictionCones(self.discs, normal_of, constant, coefficient, limit, functions)
+        return FrictionCones(
+            **vars(lam), normal_of=normal_of, coefficient=coefficient, limit=limit, curves=functions
+        )
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of each node's friction ellipse. Collective.

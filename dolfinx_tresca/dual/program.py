@@ -26,7 +26,6 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.problem import KnownProducts
 
 
@@ -47,7 +46,7 @@ class DualProgram:
 
     compliance: ContactCompliance
     response: ElasticResponse
-    admissible: FeasibleSet | FrictionCones
+    admissible: FeasibleSet
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
     history: SlipHistory
@@ -92,7 +91,7 @@ class DualProgram:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
         """
-        return self.admissible.at(x, r, self.compliance.nodal_stiffness).section(x)
+        return self.admissible.at(x, r).section(x)
 
     @property
     def is_load_step(self) -> bool:

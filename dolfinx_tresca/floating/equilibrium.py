@@ -19,7 +19,6 @@ from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.block_eigenpairs import eigenpairs
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.positive_definite import is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
 from dolfinx_tresca.solvers.reductions import Reductions
@@ -127,9 +126,7 @@ class FloatingBodies:
         self._response = response
         self._jumps = jump(response.displacements)
 
-    def under(
-        self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
-    ) -> Equilibrium:
+    def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
         """Return the equilibrium under a load, after a check that contact can hold the bodies.
 
         Collective.
@@ -162,7 +159,7 @@ class FloatingBodies:
 
 
 def equilibrium_constraints(
-    feasible_set: FeasibleSet | FrictionCones,
+    feasible_set: FeasibleSet,
     jumps: csr_array,
     stiffness: csr_array,
     resultants: Array,

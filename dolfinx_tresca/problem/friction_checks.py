@@ -43,8 +43,8 @@ def check_curves(
         InputError: F is negative, NaN or infinite at a node under pressure.
     """
     x = found.multipliers
-    cones = dual.admissible.at(x, found.gradient, found.rho)
-    if not isinstance(cones, FrictionCones) or not cones.has_curves:
+    cones = dual.admissible.at(x, found.gradient)
+    if not isinstance(cones, FrictionCones) or cones.curves is None:
         return []
     arguments = cones.curve_arguments(x)
     for one in arguments:

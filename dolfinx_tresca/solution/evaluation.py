@@ -130,7 +130,7 @@ def evaluate(
     jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
     target = dual.decoupled_minimiser(found.multipliers, r)
-    cones = dual.admissible.at(found.multipliers, r, dual.compliance.nodal_stiffness)
+    cones = dual.admissible.at(found.multipliers, r)
     moved = cones.section(target)
     stick = moved.face(target).stick
     change, _ = dual.local_change(found.multipliers, r)

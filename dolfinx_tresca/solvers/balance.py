@@ -12,7 +12,6 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.positive_definite import factored
 
 #: The search ends without a solution if the rounding error of G z, relative to the terms of the
@@ -57,7 +56,7 @@ class Balance:
 
 def balance(
     constraints: EqualityConstraints,
-    feasible_set: FeasibleSet | FrictionCones,
+    feasible_set: FeasibleSet,
     start: Array | None = None,
     softness: csr_array | None = None,
     reserve: float = 0.0,

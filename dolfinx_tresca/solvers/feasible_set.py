@@ -105,12 +105,7 @@ class FeasibleSet:
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
-    @property
-    def has_curves(self) -> bool:
-        """Whether coefficients depend on pressure and slip: False, there are no coefficients."""
-        return False
-
-    def at(self, x: Array, r: Array, rho: float | Array) -> FeasibleSet:
+    def at(self, x: Array, r: Array, target: Array | None = None) -> FeasibleSet:
         """Return the set itself: its bounds depend neither on pressures nor on slips."""
         return self
 
@@ -124,9 +119,9 @@ class FeasibleSet:
         """Return the function (s, v) -> s: slip bounds do not change with steps s."""
         return lambda step, v: step
 
-    def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the transpose of `with_bound_change`: the identity."""
-        return lambda v: v
+    def dilation(self, x: Array, r: Array) -> Array:
+        """Return zeros (size,): slip bounds do not grow with pressures."""
+        return np.zeros(self.size)
 
     def sums(self, v: Array) -> Array:
         """Return the sum of the tangential entries of v in each disc, (n_discs,) or (n_discs, k).
@@ -142,10 +137,15 @@ class FeasibleSet:
         return np.asarray(total @ parts)
 
     @property
+    def movable(self) -> Mask:
+        """Which discs (n_discs,) may have nonzero multipliers."""
+        return np.asarray(self.radius > 0.0)
+
+    @property
     def carrying(self) -> Mask:
         """Which multipliers (size,) can be nonzero."""
         result = np.ones(self.size, dtype=np.bool_)
-        result[self.tangential] = self.radius[self.node] > 0.0
+        result[self.tangential] = self.movable[self.node]
         return result
 
     def section(self, x: Array) -> FeasibleSet:
@@ -181,14 +181,13 @@ class FeasibleSet:
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
         norms = self.norms(y)
-        movable = self.radius > 0.0
-        stick = (norms <= self.radius) & movable
-        slip = ~stick & movable
+        stick = (norms <= self.radius) & self.movable
+        slip = ~stick & self.movable
         active = np.ones(self.size, dtype=np.bool_)
         active[self.normal] = y[self.normal] >= 0.0
         active[self.tangential] = stick[self.node]
         free = active.copy()
-        free[self.tangential] = movable[self.node]
+        free[self.tangential] = self.movable[self.node]
 
         radial = np.zeros(self.size)
         factor = np.zeros_like(norms)

@@ -12,14 +12,13 @@ from functools import cached_property
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
-from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.solvers.friction_curves import CurveAtNodes, NodalCurves
 
 
 @dataclass(frozen=True)
-class FrictionCones:
+class FrictionCones(FeasibleSet):
     """The convex set lambda_nu >= 0, |lambda_tau| <= c + min(F lambda_nu, l) of each node.
 
     For c = 0 and without limit l, each node has a second-order cone. The section of the set at
@@ -31,10 +30,9 @@ class FrictionCones:
     single point, which `at` sets; they serve to move nearby points into the set.
 
     Attributes:
-        discs: Lambda with arbitrary radii, for the positions of normal and tangential multipliers.
+        radius: (n_discs,) c >= 0, maybe infinite.
         normal_of: (n_discs,) position of the normal multiplier with which each bound grows; -1 for
             bounds that do not depend on a pressure.
-        constant: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip; None: there are none.
@@ -42,63 +40,44 @@ class FrictionCones:
             zeros.
     """
 
-    discs: FeasibleSet
     normal_of: Indices
-    constant: Array
     coefficient: Array
     limit: Array
     curves: NodalCurves | None = None
     slip: Array | None = None
 
     @property
-    def size(self) -> int:
-        """Number of multipliers on this rank."""
-        return self.discs.size
-
-    @property
-    def carrying(self) -> Mask:
-        """Which multipliers (size,) can be nonzero."""
+    def movable(self) -> Mask:
+        """Which discs (n_discs,) may have nonzero multipliers."""
         pressed = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
-        has_friction = (self.constant > 0.0) | pressed
-        return dataclasses.replace(self.discs, radius=has_friction.astype(np.float64)).carrying
+        return (self.radius > 0.0) | pressed
 
-    @property
-    def has_curves(self) -> bool:
-        """Whether coefficients of friction are functions of pressure and slip."""
-        return self.curves is not None
-
-    def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
+    def at(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
-
-        Where the bound g(v) decreases with the slip v, it is evaluated at v = |r|. Elsewhere, g is
-        evaluated at the v >= 0 with g(v) + rho v = |x - rho r|, which means: x - rho r has the
-        distance rho v from the circle with radius g(v). At a solution of the problem, this v equals
-        |r|. At other points, this v depends less on r than |r| does, so that bounds that grow
-        steeply with the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints; its tangential
                 part is minus the slip.
-            rho: step length of the projection: a number, or (size,) a number for each multiplier.
+            target: (size,) end of a gradient step from x. A node that friction at rest would hold
+                there counts as sticking, with the slip zero, unless friction decreases at the
+                present slip. Bodies are at rest before they slide: for a coefficient that falls
+                steeply, Newton's method would else find the solution in which they slide.
         """
         if self.curves is None:
             return self
-        steps = np.broadcast_to(rho, x.shape)
-        rho = self.discs.disc_means(steps)
-        pressure, slip = self._pressures(x), self.discs.norms(r)
-        weakens = dataclasses.replace(self, slip=slip)._slopes(pressure)[1] < 0.0
-        if not weakens.all():
-            slips = self._slips(pressure, self.discs.norms(x - steps * r), rho)
-            slip = np.where(weakens, slip, slips)
-        moved = dataclasses.replace(self, slip=slip)
+        pressure, moved = self._pressures(x), dataclasses.replace(self, slip=self.norms(r))
+        if target is not None:
+            at_rest = dataclasses.replace(self, slip=np.zeros_like(self.radius)).section(x).radius
+            sticks = (self.norms(target) <= at_rest) & (moved._slopes(pressure)[1] >= 0.0)
+            moved = dataclasses.replace(self, slip=np.where(sticks, 0.0, moved.slip))
         return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
 
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,)."""
         pressure = self._pressures(x)
         radius = self._bound(pressure, self._coefficients(pressure))
-        return dataclasses.replace(self.discs, radius=radius)
+        return FeasibleSet(self.size, self.normal, self.tangential, self.node, radius)
 
     def slip_along(self, face: Face) -> Array:
         """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
@@ -125,7 +104,7 @@ class FrictionCones:
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
         """
         slope, by_slip = self.slopes(x, face)
-        damping = 1.0 + by_slip * self.discs.disc_means(diagonal)
+        damping = 1.0 + by_slip * self.disc_means(diagonal)
         damping[damping == 0.0] = 1.0
         slope, by_slip = slope / damping, by_slip / damping
         follows = bool(by_slip.any())
@@ -138,26 +117,11 @@ class FrictionCones:
 
         return change
 
-    def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the function v -> (I + Q') v, with the Q of `with_bound_change`.
-
-        The function is the transpose of I + Q if no bound depends on the slip.
-        """
-        slope, _ = self.slopes(x, face)
-
-        def follow(v: Array) -> Array:
-            result, grows = v.copy(), slope != 0.0
-            parts = (face.radial_parts(v)[grows].T * slope[grows]).T
-            np.add.at(result, self.normal_of[grows], parts)
-            return result
-
-        return follow
-
     def project(self, y: Array) -> Array:
         """Return the point of the set nearest to y (size,)."""
         nearest = self._nearest(y)
-        result: Array = self.discs.scaled_discs(y, nearest.ratio)
-        result[self.discs.normal] = np.maximum(y[self.discs.normal], 0.0)
+        result: Array = self.scaled_discs(y, nearest.ratio)
+        result[self.normal] = np.maximum(y[self.normal], 0.0)
         has = self.normal_of >= 0
         result[self.normal_of[has]] = nearest.pressure[has]
         return result
@@ -165,26 +129,26 @@ class FrictionCones:
     def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
         """Return a slant derivative of `project` at y: a map of (size,) or (size, k)."""
         nearest = self._nearest(y)
-        discs, has = self.discs, self.normal_of >= 0
+        has = self.normal_of >= 0
         direction = np.zeros_like(y)
-        norms = discs.norms(y)
-        direction[discs.tangential] = y[discs.tangential]
-        direction = discs.scaled_discs(direction, 1.0 / np.where(norms > 0.0, norms, 1.0))
+        norms = self.norms(y)
+        direction[self.tangential] = y[self.tangential]
+        direction = self.scaled_discs(direction, 1.0 / np.where(norms > 0.0, norms, 1.0))
         pressed = np.ones(self.size)
-        pressed[discs.normal] = y[discs.normal] > 0.0
+        pressed[self.normal] = y[self.normal] > 0.0
 
         def derivative(v: Array) -> Array:
             if self.size == 0:  # reshape cannot infer a number of columns
                 return v
             columns = v.reshape(self.size, -1)
-            radial = discs.sums(direction[:, None] * columns)
+            radial = self.sums(direction[:, None] * columns)
             pressure = np.where(has[:, None], columns[self.normal_of], 0.0)
             jacobian = nearest.jacobian
             along = jacobian[:, 1, 0, None] * pressure + jacobian[:, 1, 1, None] * radial
-            result: Array = discs.scaled_discs(columns * pressed[:, None], nearest.ratio)
+            result: Array = self.scaled_discs(columns * pressed[:, None], nearest.ratio)
             turned = along - nearest.ratio[:, None] * radial
-            t = discs.tangential
-            result[t] += direction[t, None] * turned[discs.node]
+            t = self.tangential
+            result[t] += direction[t, None] * turned[self.node]
             moved = jacobian[:, 0, 0, None] * pressure + jacobian[:, 0, 1, None] * radial
             result[self.normal_of[has]] = moved[has]
             return result.reshape(v.shape)
@@ -193,10 +157,10 @@ class FrictionCones:
 
     def nodes(self) -> Indices:
         """Return a number (size,) for each multiplier, equal for the multipliers of one cone."""
-        result = self.discs.nodes()
-        normal_of = self.normal_of[self.discs.node]
+        result = super().nodes()
+        normal_of = self.normal_of[self.node]
         has = normal_of >= 0
-        result[self.discs.tangential[has]] = normal_of[has]
+        result[self.tangential[has]] = normal_of[has]
         return result
 
     def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
@@ -223,7 +187,7 @@ class FrictionCones:
             r: (size,) gradient at x; its tangential part is minus the slip.
         """
         result, has = np.zeros_like(x), self.normal_of >= 0
-        opening = self._slopes(self._pressures(x))[0] * self.discs.norms(r)
+        opening = self._slopes(self._pressures(x))[0] * self.norms(r)
         result[self.normal_of[has]] = opening[has]
         return result
 
@@ -245,37 +209,6 @@ class FrictionCones:
         slip = np.zeros_like(pressure) if self.slip is None else self.slip
         found = self.curves.coefficients(np.zeros_like(pressure), pressure, slip)
         return np.where(self.has_curve, found, self.coefficient)
-
-    def _slips(self, pressure: Array, length: Array, rho: Array) -> Array:
-        """Return v >= 0 (n_discs,) with g(v) + rho v = length, or 0 if g(0) >= length.
-
-        The method is Newton's, with bisection where a step leaves the interval that contains v.
-
-        Args:
-            pressure: (n_discs,) normal multiplier, on which g depends as well.
-            length: (n_discs,) norm of a tangential vector.
-            rho: (n_discs,) step length, positive.
-        """
-        has = self.has_curve & (rho > 0.0)
-        rho = np.where(has, rho, 1.0)
-
-        def excess(slip: Array) -> tuple[Array, Array]:
-            at = dataclasses.replace(self, slip=slip)
-            bound = at._bound(pressure, at._coefficients(pressure))
-            return bound + rho * slip - length, at._slopes(pressure)[1]
-
-        low, high = np.zeros_like(length), np.where(has, length / rho, 0.0)
-        slip = low
-        for _ in range(MOST_STEPS):
-            value, slope = excess(slip)
-            low, high = np.where(value < 0.0, slip, low), np.where(value < 0.0, high, slip)
-            if (np.minimum(np.abs(value), rho * (high - low)) <= ROUNDING * length).all():
-                break
-            with np.errstate(all="ignore"):
-                newton = slip - value / (rho + slope)
-            inside = (newton >= low) & (newton <= high)
-            slip = np.where(inside, newton, 0.5 * (low + high))
-        return slip
 
     @cached_property
     def has_curve(self) -> Mask:
@@ -301,7 +234,7 @@ class FrictionCones:
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:
         grown = coefficient * np.maximum(pressure, 0.0)
-        result: Array = self.constant + np.minimum(grown, self.limit)
+        result: Array = self.radius + np.minimum(grown, self.limit)
         return result
 
     def _nearest(self, y: Array) -> _Nearest:
@@ -310,39 +243,28 @@ class FrictionCones:
         The boundary of the set in this plane has three edges: on the axis of zero pressure up to
         the radius c, along a slope up to the radius c + l, and from there with constant radius.
         """
-        p, s = self._pressures(y), self.discs.norms(y)
-        c, grows = self.constant, (self.normal_of >= 0) & np.isfinite(self.constant)
-        F = np.where(grows, self.coefficient, 0.0)
-        end = np.full_like(F, np.inf)  # pressure at which the slope ends
+        given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
+        grows = (self.normal_of >= 0) & np.isfinite(self.radius)
+        zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
+        F = np.where(grows, self.coefficient, zero)
+        secant, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
         np.divide(self.limit, F, out=end, where=F > 0.0)
-        above = np.where(F > 0.0, s - np.where(np.isfinite(c), c, 0.0), 0.0)
-        square = 1.0 + F**2
-        foot = (p + F * above) / square
-        on_slope = np.clip(foot, 0.0, end)
-        edges = (
-            (np.zeros_like(p), np.minimum(s, c)),
-            (on_slope, c + F * on_slope),
-            (np.maximum(p, end), np.where(np.isfinite(end), c + self.limit, np.inf)),
-        )
+        origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
+        directions = np.array([[zero, unit], [unit / secant, F / secant], [unit, zero]])
+        lengths = np.array([self.radius, end * secant, np.inf * unit])
         with np.errstate(invalid="ignore"):  # edges at infinity
-            distances = [np.hypot(p - a, s - b) for a, b in edges]
-        which = np.argmin(np.where(np.isnan(distances), np.inf, distances), axis=0)
-        inside = (p >= 0.0) & (s <= self._bound(p, self.coefficient))
-        pressure = np.where(inside, p, np.choose(which, [a for a, _ in edges]))
-        radius = np.where(inside, s, np.choose(which, [b for _, b in edges]))
-        ratio = np.ones_like(s)
-        np.divide(radius, s, out=ratio, where=s > 0.0)
-
-        jacobian = np.zeros((len(p), 2, 2))
-        jacobian[inside] = np.eye(2)
-        axis = ~inside & (which == 0)
-        jacobian[axis, 1, 1] = s[axis] < c[axis]
-        slope = ~inside & (which == 1) & (foot > 0.0) & (foot < end)
-        edge = np.stack([np.ones_like(F), F], axis=1) / np.sqrt(square)[:, None]
-        jacobian[slope] = edge[slope, :, None] * edge[slope, None, :]
-        level = ~inside & (which == 2)
-        jacobian[level, 0, 0] = p[level] > end[level]
-        return _Nearest(pressure, ratio, jacobian)
+            along = np.clip(((given - origins) * directions).sum(axis=1), 0.0, lengths)
+            feet = origins + along[:, None] * directions
+            distances = np.linalg.norm(given - feet, axis=1)
+        edge = np.argmin(np.where(np.isnan(distances), np.inf, distances), axis=0)
+        inside = (given[0] >= 0.0) & (given[1] <= self._bound(given[0], self.coefficient))
+        pressure, radius = np.where(inside, given, feet[edge, :, nodes].T)
+        ratio = np.ones_like(radius)
+        np.divide(radius, given[1], out=ratio, where=given[1] > 0.0)
+        moves = ((along > 0.0) & (along < lengths))[edge, nodes]
+        direction = np.where(moves, directions[edge, :, nodes].T, 0.0)
+        jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)
+        return _Nearest(pressure, ratio, jacobian.transpose(2, 0, 1))
 
 
 @dataclass(frozen=True)

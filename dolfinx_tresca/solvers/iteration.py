@@ -13,7 +13,7 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import near_model, paper
 from dolfinx_tresca.solvers.balance import balance
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.history import History, Observe
 from dolfinx_tresca.solvers.iterate import Iterate, Step
 from dolfinx_tresca.solvers.problem import (
@@ -90,7 +90,7 @@ def solve(
             slip bounds that depend on the pressure.
     """
     if options.method in paper.ALGORITHMS:
-        if isinstance(problem.admissible, FeasibleSet):
+        if not isinstance(problem.admissible, FrictionCones):
             return paper.ALGORITHMS[options.method](problem, start, options, observe)
         raise InputError(
             f"method={options.method!r} needs slip bounds that are given: here they depend on the "
@@ -130,7 +130,7 @@ class ModelNewton:
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
         """Keep the arguments; `run` solves. Not collective."""
         self.problem, self.options, self.observe = problem, options, observe
-        self.has_given_bounds = isinstance(problem.admissible, FeasibleSet)
+        self.has_given_bounds = not isinstance(problem.admissible, FrictionCones)
         self.largest, self.misses, self.failures, self.completed_at = 0.0, 0, 0, 0
 
     def run(self, start: Array) -> DualSolution:

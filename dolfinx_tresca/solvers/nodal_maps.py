@@ -9,7 +9,6 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
 #: multipliers. With this softness, the linear systems have a solution even if the constraints have
@@ -47,7 +46,7 @@ class NodalMaps:
     @classmethod
     def on_face(
         cls,
-        cones: FeasibleSet | FrictionCones,
+        cones: FeasibleSet,
         x: Array,
         face: Face,
         diagonal: Array,

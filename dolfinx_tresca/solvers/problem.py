@@ -9,7 +9,6 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.solvers.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.products import ProductStore
 from dolfinx_tresca.solvers.reductions import InnerProduct, Reductions
 from dolfinx_tresca.solvers.whole_model import WholeModel
@@ -106,7 +105,7 @@ class DualProblem(InnerProduct, Protocol):
         """Sums over all ranks, and values on which all ranks agree."""
 
     @property
-    def admissible(self) -> FeasibleSet | FrictionCones:
+    def admissible(self) -> FeasibleSet:
         """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
 
     def bounds(self, x: Array, r: Array) -> FeasibleSet:

@@ -80,7 +80,7 @@ class NaturalResidual:
 
     def projection(self, point: Point) -> Array:
         """Return the gradient projection P(x - rho r) (size,) with the bounds at a point."""
-        cones = self._problem.admissible.at(point.x, point.r, self.rho)
+        cones = self._problem.admissible.at(point.x, point.r)
         return cones.section(point.x).project(point.x - self.rho * point.r)
 
     def at(self, point: Point) -> float:

@@ -8,7 +8,6 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.whole_model import WholeModel
@@ -123,10 +122,11 @@ class SemismoothNewton:
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
         """Return a point with the residual of its projection onto the friction cones."""
         admissible, rho = self.problem.admissible, self.rho
-        projected = admissible.at(x, r, rho).project(x)
+        projected = admissible.at(x, r).project(x)
         gradient = r + self.model.apply(projected - x)
-        section = admissible.at(projected, gradient, rho).section(projected)
-        change = projected - section.project(projected - rho * gradient)
+        target = projected - rho * gradient
+        section = admissible.at(projected, gradient, target).section(projected)
+        change = projected - section.project(target)
         unbalanced = self.problem.constraints.residual(projected, c)
         return NewtonPoint(x, c, r, self.energy(change, unbalanced))
 
@@ -139,9 +139,10 @@ class SemismoothNewton:
                 method: solutions of the problem remain solutions.
         """
         constraints, x, c, r = self.problem.constraints, point.x, point.c, point.r
-        admissible = self.problem.admissible.at(x, r, self.rho)
+        target = x - self.rho * r
+        admissible = self.problem.admissible.at(x, r, target)
         section = admissible.section(x)
-        face = section.face(x - self.rho * r)
+        face = section.face(target)
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
         diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
@@ -218,14 +219,14 @@ class ConvexNewton(SemismoothNewton):
         With `given`, slip bounds are those at x: the problem is Tresca's.
         """
         super().__init__(problem, model)
-        cones = problem.admissible.at(x, r, self.rho)
+        cones = problem.admissible.at(x, r)
         cones = cones.section(x) if given else cones
         nodes = problem.constraints.nodes
         largest = np.zeros(nodes.max(initial=-1) + 1)
         np.maximum.at(largest, nodes, self.size)
         self.rho = RHO_DIAGONAL_CONVEX / largest[nodes]
         self.cones = cones
-        self.opening = np.zeros_like(x) if isinstance(cones, FeasibleSet) else cones.dilation(x, r)
+        self.opening = cones.dilation(x, r)
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
         """Return a point with its residual."""
@@ -274,7 +275,7 @@ def solve_model(problem: DualProblem, model: Model, start: Point) -> ModelSoluti
     point = newton.solve(first, tolerance)
     if point.residual > tolerance and isinstance(model, WholeModel):
         point = solve_from_other_guesses(newton, model, first, point, tolerance)
-    x = problem.admissible.at(point.x, point.r, newton.rho).project(point.x)
+    x = problem.admissible.at(point.x, point.r).project(point.x)
     r = point.r + model.apply(x - point.x)
     return ModelSolution(x, point.c, r, point.residual <= tolerance)
 

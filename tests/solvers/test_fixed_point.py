@@ -171,9 +171,9 @@ def wedge(coefficient: float) -> DenseProblem:
     """One node in two dimensions that jams: pressure and traction of a skewed A."""
     lam = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.array([0.0]))
     A = np.array([[1.0, 0.9], [0.9, 1.0]])
-    values = (np.array([value]) for value in (0.0, coefficient, np.inf))
+    values = np.array([0]), np.array([coefficient]), np.array([np.inf])
     problem = DenseProblem(A, np.array([1.0, 2.0]), lam)
-    problem.cones = FrictionCones(lam, np.array([0]), *values)
+    problem.cones = FrictionCones(*vars(lam).values(), *values)
     return problem
 
 
@@ -251,7 +251,7 @@ def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
     """One node under a pressure of 1 resists 0.1 of the load 1, in whatever unit motions are."""
     discs = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.zeros(1))
     zero = np.zeros(1)
-    cones = FrictionCones(discs, np.array([0]), zero, zero + 0.1, zero + np.inf)
+    cones = FrictionCones(*vars(discs).values(), np.array([0]), zero + 0.1, zero + np.inf)
     jump = csr_array([[0.0], [unit]])
     constraints, _ = equilibrium_constraints(
         cones, jump, csr_array([[0.0]]), zero + unit, zero + unit, zero.astype(int), OneRank(), str

@@ -30,15 +30,15 @@ def cases(draw):
 def bound(cones: FrictionCones, disc: int, pressure: float) -> float:
     """Return c + min(F p, l) of a node."""
     grown = min(cones.coefficient[disc] * pressure, cones.limit[disc])
-    return float(cones.constant[disc] + (grown if cones.normal_of[disc] >= 0 else 0.0))
+    return float(cones.radius[disc] + (grown if cones.normal_of[disc] >= 0 else 0.0))
 
 
 def brute_nearest(cones: FrictionCones, y: np.ndarray) -> np.ndarray:
     """The nearest point, node by node: over all pressures, the disc that belongs to it."""
     z = y.copy()
-    z[cones.discs.normal] = np.maximum(y[cones.discs.normal], 0.0)
+    z[cones.normal] = np.maximum(y[cones.normal], 0.0)
     for disc, normal in enumerate(cones.normal_of):
-        rows = cones.discs.tangential[cones.discs.node == disc]
+        rows = cones.tangential[cones.node == disc]
         if len(rows) == 0:
             continue
         s = float(np.linalg.norm(y[rows]))
@@ -96,7 +96,7 @@ def test_derivative_of_the_projection_agrees_with_differences(case):
     v /= np.linalg.norm(v)
     h = 1e-6
     ahead, here, behind = (cones.project(y + part * h * v) for part in (1.0, 0.0, -1.0))
-    shortest = cones.discs.norms(y)[cones.discs.node].min(initial=np.inf)
+    shortest = cones.norms(y)[cones.node].min(initial=np.inf)
     # rounding of the difference, and its curvature: that of circles
     tolerance = 1e-8 + 10 * h / min(shortest, 1.0)
     if np.linalg.norm(ahead - 2 * here + behind) / h > tolerance:
@@ -126,19 +126,19 @@ def test_slipping_nodes_follow_their_pressures(case):
     """I + Q is the derivative of points on their circles whose bounds grow with the pressure."""
     cones, rng = case
     x = rng.standard_normal(cones.size)
-    x[cones.discs.normal] = rng.uniform(0.1, 1.0, len(cones.discs.normal))
+    x[cones.normal] = rng.uniform(0.1, 1.0, len(cones.normal))
     section = cones.section(x)
     face = section.face(4 * x)
     x = section.on_face(x, face)
     v = face.project(rng.standard_normal(cones.size))
     h, diagonal = 1e-7, np.ones(cones.size)
-    slip = face.slip & (cones.discs.norms(x) > 0.0)
+    slip = face.slip & (cones.norms(x) > 0.0)
     near = np.abs(cones.coefficient * cones._pressures(x) - cones.limit) < 10 * h
     moved, back = (
         cones.section(x + sign * h * v).to_circle(x + sign * h * v, face) for sign in (1, -1)
     )
     change = cones.with_bound_change(x, face, diagonal)
-    wrong = cones.discs.norms(change(v, v) - (moved - back) / (2 * h))
+    wrong = cones.norms(change(v, v) - (moved - back) / (2 * h))
     # curvature of circles, and rounding of the difference
     shortest = section.radius[slip].min(initial=1.0)
     assert wrong[slip & ~near].max(initial=0.0) <= 1e-7 + 10 * (h / shortest) ** 2 * (v @ v)
@@ -146,9 +146,9 @@ def test_slipping_nodes_follow_their_pressures(case):
 
 def cone(constant: float, coefficient: float, limit: float) -> FrictionCones:
     """A node with the pressure first, and two tangential multipliers."""
-    lam = FeasibleSet(3, np.array([0]), np.array([1, 2]), np.array([0, 0]), np.array([np.inf]))
-    values = [np.array([value]) for value in (constant, coefficient, limit)]
-    return FrictionCones(lam, np.array([0]), *values)
+    values = [np.array([value]) for value in (coefficient, limit)]
+    rows = 3, np.array([0]), np.array([1, 2]), np.array([0, 0])
+    return FrictionCones(*rows, np.array([constant]), np.array([0]), *values)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,9 @@ def test_a_rank_without_multipliers(nodes):
     """It may have nodes all the same: those where everything is prescribed."""
     nothing, none = np.zeros(0, dtype=np.intp), np.zeros(nodes)
     lam = FeasibleSet(0, nothing, nothing, nothing, none)
-    cones = FrictionCones(lam, np.full(nodes, -1), none, none + 0.3, none + np.inf)
+    cones = FrictionCones(
+        **vars(lam), normal_of=np.full(nodes, -1), coefficient=none + 0.3, limit=none + np.inf
+    )
     x, columns = np.zeros(0), np.zeros((0, 3))
     assert cones.project(x).shape == (0,)
     assert cones.projection_derivative(x)(x).shape == (0,)
