@@ -364,7 +364,7 @@ CONSTANTS = {
     "PROXIMAL SOFTER SOLVED",
     "solvers.whole_model": "SHIFT",
     "solvers.near_model": "MOST",
-    "solvers.iteration": "NEAR_POWERS MOST_REDUCTIONS SLOW MISSES WORSE FAILURES",
+    "solvers.iteration": "NEAR_POWERS MOST_REDUCTIONS SLOW MISSES WORSE",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
     "solvers.nodal_maps": "LEAST_SOFTNESS",
     "solvers.balance": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -207,16 +206,7 @@ class FrictionCones(FeasibleSet):
         if self.curves is None:
             return self.coefficient
         slip = np.zeros_like(pressure) if self.slip is None else self.slip
-        found = self.curves.coefficients(np.zeros_like(pressure), pressure, slip)
-        return np.where(self.has_curve, found, self.coefficient)
-
-    @cached_property
-    def has_curve(self) -> Mask:
-        """Which discs (n_discs,) have a coefficient that is a function of pressure and slip."""
-        result = np.zeros(len(self.coefficient), dtype=np.bool_)
-        for part, _ in () if self.curves is None else self.curves.parts:
-            result[part] = True
-        return result
+        return self.curves.coefficients(self.coefficient, pressure, slip)
 
     def _pressures(self, x: Array) -> Array:
         """Return the normal multiplier on which each bound depends; 0 if there is none.

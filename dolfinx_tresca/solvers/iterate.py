@@ -54,11 +54,6 @@ class Iterate:
         self.c: Array = np.zeros(len(problem.constraints))
         self.move_to(np.zeros_like(problem.b), -problem.b, problem.response.b_error)
 
-    @classmethod
-    def of(cls, problem: DualProblem, store: KnownProducts) -> Iterate:
-        """Return an iterate at zero for exact or inexact products. Arguments as in `__init__`."""
-        return (Iterate if problem.operator.exact else InexactIterate)(problem, store)
-
     @property
     def point(self) -> Point:
         """The point with its gradient, which includes the terms of the constraints."""
@@ -132,14 +127,6 @@ class Iterate:
         """Compute the gradient and later products more accurately; return False if impossible."""
         return False
 
-    def refine_fully(self) -> bool:
-        """Compute b and the gradient again, as accurately as possible. Collective.
-
-        Returns:
-            True if b and the gradient were computed again; False if they are already exact.
-        """
-        return False
-
     def refine(self, accuracy: float) -> None:
         """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
         return
@@ -209,12 +196,6 @@ class InexactIterate(Iterate):
         self.finest *= FORCING
         self.learned = True
         self.refine(self._wanted())
-        return True
-
-    def refine_fully(self) -> bool:
-        """Compute b and the gradient as accurately as possible. Collective."""
-        self._problem.response.refine_b()
-        self.move_to(self.x, *self.initial_gradient(self.x, 0.0))
         return True
 
     def refine(self, accuracy: float) -> None:

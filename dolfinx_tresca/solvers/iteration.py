@@ -15,7 +15,7 @@ from dolfinx_tresca.solvers import near_model, paper
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.history import History, Observe
-from dolfinx_tresca.solvers.iterate import Iterate, Step
+from dolfinx_tresca.solvers.iterate import InexactIterate, Iterate, Step
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
@@ -27,6 +27,7 @@ from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.solvers.reductions import norm
 from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.solvers.semismooth_newton import ModelSolution
+from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus
 
 #: Limit on reductions of rho in one iteration, each of which takes a product with A.
@@ -42,11 +43,6 @@ MISSES = 2
 
 #: A step is taken if the residual after the step is at most this multiple of the residual before.
 WORSE = 2.0
-
-#: The solve ends after this number of consecutive iterations in which friction, computed with the
-#: model in place of A, is too weak to hold a body. (For a bolted joint beyond its limit, friction
-#: is too weak from the first product on.)
-FAILURES = 2
 
 #: Factor that makes slip bounds practically infinite.
 LARGE = 1e100
@@ -113,10 +109,9 @@ class ModelNewton:
         history: residuals and energies of the iterates, and the criterion of convergence.
         at: the present point.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
-        failures: number of consecutive iterations in which friction on the model was too weak for
-            the constraints.
         first_target: the solution of the model at the start; None after it was used.
-        deficit: deficit of friction in the last iteration; None if friction was strong enough.
+        deficit: deficit of friction with which the iteration ends; None if friction is strong
+            enough.
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
@@ -131,22 +126,20 @@ class ModelNewton:
         """Keep the arguments; `run` solves. Not collective."""
         self.problem, self.options, self.observe = problem, options, observe
         self.has_given_bounds = not isinstance(problem.admissible, FrictionCones)
-        self.largest, self.misses, self.failures, self.completed_at = 0.0, 0, 0, 0
+        self.largest, self.misses, self.completed_at = 0.0, 0, 0
 
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
         self.compute_first_products()
         self.begin_at(start)
-        at = self.at
-        while (status := self.status()) is None:
+        at, target = self.at, self.first_target
+        while (status := self.status(target or at.point)) is None:
             target, self.first_target = self.first_target or self.target(), None
             at.move(self.accepted(target))
             if not (at.learned or self.residual.at(at.point) < PROGRESS * self.history.error):
                 at.increase_accuracy()
         solution = self.history.solution(at.point, status, at.error)
-        if status is ContactStatus.NO_FIXED_POINT:
-            solution = dataclasses.replace(solution, deficit=self.deficit)
-        return solution
+        return dataclasses.replace(solution, deficit=self.deficit)
 
     def compute_first_products(self) -> None:
         """Compute a first product to bound sigma_max, unless some are known. Collective.
@@ -171,9 +164,12 @@ class ModelNewton:
         satisfy the law of friction as well.
         """
         problem, constraints = self.problem, self.problem.constraints
-        self.at = at = Iterate.of(problem, self.store)
+        iterate = Iterate if problem.operator.exact else InexactIterate
+        self.at = at = iterate(problem, self.store)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
-        if residual.zero_is_undecided(at.error) and at.refine_fully():
+        if residual.zero_is_undecided(at.error):
+            problem.response.refine_b()
+            at.move_to(at.x, -problem.b, problem.response.b_error)
             self.residual = residual = NaturalResidual(problem, residual.rho, at.error)
         self.history = History(problem, self.options, self.observe, residual)
         zero, start = at.x, problem.admissible.project(start)
@@ -214,29 +210,34 @@ class ModelNewton:
         self.largest = max(self.largest, self.store.largest_ritz_value())
         return self.options.step_factor / (self.largest or 1.0)
 
-    def status(self) -> ContactStatus | None:
+    def status(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
 
         Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
         Collective.
+
+        Args:
+            target: newest solution of the model, at whose pressures friction may be too weak.
         """
         at, history, residual = self.at, self.history, self.residual
         if at.error > 0.0 and history.reached(at.point, 0.0)[2]:
             at.refine(history.tolerable_error(at.point))
         if (status := history.check_convergence(at.point, at.error)) is not None:
             return status
-        lost = self.failures >= FAILURES
         is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error
         stalls = (is_same and not at.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
         is_limited = residual.is_limited_by_rounding(history.error)
         is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
-        if (lost or stalls or is_slow or self.misses >= MISSES) and self.complete_products():
+        misses = self.misses >= MISSES
+        if (stalls or is_slow or misses) and self.complete_products():
             return None
-        if not (lost or stalls):
+        if not stalls and not (misses and isinstance(self.store, WholeModel)):
             return None
-        if self.has_given_bounds or (is_limited and not lost):
+        if not self.has_given_bounds:
+            self.deficit = friction_deficit(self.problem, target)
+        if self.has_given_bounds or (is_limited and self.deficit is None):
             return ContactStatus.STAGNATED
         return ContactStatus.NO_FIXED_POINT
 
@@ -249,18 +250,15 @@ class ModelNewton:
             return False
         self.store, self.first_target = self.problem.known_products(), None
         self.at.store = self.store
-        self.failures, self.completed_at = 0, len(self.history.residuals)
+        self.misses, self.completed_at = 0, len(self.history.residuals)
         self.at.learned = True
         return True
 
     def target(self) -> ModelSolution:
-        """Return a solution with the model in place of A; record how much friction is missing."""
+        """Return a solution with the model in place of A."""
         tolerance = self.options.r_tol * self.residual.at(self.at.point)
         target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
-        self.misses, self.deficit = 0 if target.is_solved else self.misses + 1, None
-        if not (target.is_solved or self.has_given_bounds):
-            self.deficit = friction_deficit(self.problem, target)
-        self.failures = 0 if self.deficit is None else self.failures + 1
+        self.misses = 0 if target.is_solved else self.misses + 1
         return target
 
     def accepted(self, target: ModelSolution) -> Step:
