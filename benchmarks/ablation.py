@@ -54,7 +54,6 @@ from dolfinx_tresca.dual.products import compliance
 from dolfinx_tresca.solvers import (
     iterate,
     iteration,
-    near_model,
     products,
     semismooth_newton,
     whole_model,
@@ -323,7 +322,7 @@ INEXACT, NEWTON, STORE = iterate.InexactIterate, iteration.ModelNewton, products
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
     "near field": [(COMPLIANCE, "near_products", lambda self: None)],
-    "iteration on the near model": [(near_model, "MOST", 1)],
+    "iteration on the near model": [(semismooth_newton, "MOST_NEAR_PRODUCTS", 1)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
     "A at once where it has few rows": [(compliance, "FEW", 0)],
     "A completed after misses": [(iteration, "MISSES", 10**9)],
@@ -361,9 +360,8 @@ CONSTANTS = {
     "_base.patience": "PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
     "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_STEPS MOST_HALVINGS "
-    "PROXIMAL SOFTER SOLVED",
+    "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
     "solvers.whole_model": "SHIFT",
-    "solvers.near_model": "MOST",
     "solvers.iteration": "NEAR_POWERS MOST_REDUCTIONS SLOW MISSES WORSE",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
     "solvers.nodal_maps": "LEAST_SOFTNESS",

@@ -44,8 +44,8 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.solvers import iteration
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.positive_definite import factored
 from dolfinx_tresca.solvers.residual import NaturalResidual
+from dolfinx_tresca.solvers.sparse_factors import factored
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from scenes.wall import HEIGHT, wall
 

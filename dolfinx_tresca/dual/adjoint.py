@@ -47,8 +47,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps
-from dolfinx_tresca.solvers.nodal_matrix import NodalPattern
+from dolfinx_tresca.solvers.nodal_maps import NodalMaps, NodalPattern
 from dolfinx_tresca.solvers.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the

@@ -24,8 +24,7 @@ from dolfinx_tresca.pairing.discs import FrictionDiscs
 from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, assemble_B, multiplier_slices
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.friction_curves import Curve, NodalCurves
+from dolfinx_tresca.solvers.friction_cones import Curve, FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 

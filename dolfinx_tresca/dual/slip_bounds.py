@@ -24,7 +24,7 @@ from dolfinx_tresca.scene.friction import (
     Friction,
 )
 from dolfinx_tresca.scene.scalar_field import ScalarField, invalid
-from dolfinx_tresca.solvers.friction_curves import Curve
+from dolfinx_tresca.solvers.friction_cones import Curve
 
 #: A negative slip bound counts as rounding, and means zero, if its absolute value is at most this
 #: fraction of the largest finite bound of the pair.

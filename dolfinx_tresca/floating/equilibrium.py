@@ -16,12 +16,11 @@ from dolfinx_tresca._base.arrays import Array, Indices, dense, scaled_rows
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.fixing import SpringResponse
 from dolfinx_tresca.solvers.balance import balance
-from dolfinx_tresca.solvers.block_eigenpairs import eigenpairs
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.positive_definite import is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
 from dolfinx_tresca.solvers.reductions import Reductions
+from dolfinx_tresca.solvers.sparse_factors import eigenpairs, is_positive_definite
 
 #: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
 UNBALANCED_PART = 1e-8

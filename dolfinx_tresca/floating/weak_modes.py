@@ -14,7 +14,7 @@ from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
-from dolfinx_tresca.solvers.block_eigenpairs import eigenpairs
+from dolfinx_tresca.solvers.sparse_factors import eigenpairs
 from dolfinx_tresca.stiffness.solver import not_positive_definite
 
 #: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the

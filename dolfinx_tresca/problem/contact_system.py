@@ -37,7 +37,7 @@ from dolfinx_tresca.solution.theory import (
     reason_outside,
     slips_of_pairs,
 )
-from dolfinx_tresca.solvers.friction_curves import CurveAtNodes, pressed_values
+from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, pressed_values
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
 from dolfinx_tresca.stiffness.choice import StiffnessMethod

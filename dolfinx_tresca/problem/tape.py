@@ -44,7 +44,7 @@ from dolfinx_tresca.solution.gradient import (
     sum_of_known,
 )
 from dolfinx_tresca.solution.solved_step import SolvedStep
-from dolfinx_tresca.solvers.friction_curves import CurveAtNodes
+from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"

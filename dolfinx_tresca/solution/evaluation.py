@@ -30,8 +30,8 @@ from dolfinx_tresca.solution.resultants import (
     resultants_on,
     shares_of_bodies,
 )
-from dolfinx_tresca.solvers.energy import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.history import energy_norm, relative_error
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 
 

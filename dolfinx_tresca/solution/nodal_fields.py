@@ -17,8 +17,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.solved_step import SolvedStep
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.friction_curves import pressed_values
+from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
 
 
 @dataclass(frozen=True)

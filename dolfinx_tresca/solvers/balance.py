@@ -12,7 +12,7 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.positive_definite import factored
+from dolfinx_tresca.solvers.sparse_factors import factored
 
 #: The search ends without a solution if the rounding error of G z, relative to the terms of the
 #: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices
-from dolfinx_tresca.solvers.block_eigenpairs import eigenpairs
-from dolfinx_tresca.solvers.nodal_matrix import NodalPattern
+from dolfinx_tresca.solvers.nodal_maps import NodalPattern
 from dolfinx_tresca.solvers.reductions import Reductions
+from dolfinx_tresca.solvers.sparse_factors import eigenpairs
 
 
 @dataclass(frozen=True)

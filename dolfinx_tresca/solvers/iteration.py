@@ -11,7 +11,7 @@ from dolfinx_tresca._base.forcing import FORCING, ROUGH
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers import near_model, paper
+from dolfinx_tresca.solvers import paper
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.history import History, Observe
@@ -26,7 +26,7 @@ from dolfinx_tresca.solvers.problem import (
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.solvers.reductions import norm
 from dolfinx_tresca.solvers.residual import NaturalResidual
-from dolfinx_tresca.solvers.semismooth_newton import ModelSolution
+from dolfinx_tresca.solvers.semismooth_newton import ModelSolution, solve_model
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus
 
@@ -58,7 +58,7 @@ def solve(
     point: the solution of Tresca's problem with the slip bounds at the pressures of x (Haslinger
     1983, Approximation of the Signorini problem with friction, obeying the Coulomb law).
 
-    The model M (`near_model`) equals A on all vectors with known products. Newton's method
+    The model M (`solve_model`) equals A on all vectors with known products. Newton's method
     (`semismooth_newton`) solves the problem with M in place of A by small dense algebra; changes of
     active sets, of directions of slip and of slip bounds need no products. Let d be the step to
     this solution. The product A d is computed, the iteration takes the step, and M is updated with
@@ -151,7 +151,7 @@ class ModelNewton:
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
             if store.largest_ritz_value() == 0.0 and store.near is not None:
-                store.near.add(b, store.apply_near(b))
+                store.near_product(b)
             elif store.largest_ritz_value() == 0.0:
                 store.add(b, self.problem.operator.apply(b))
 
@@ -257,7 +257,7 @@ class ModelNewton:
     def target(self) -> ModelSolution:
         """Return a solution with the model in place of A."""
         tolerance = self.options.r_tol * self.residual.at(self.at.point)
-        target = near_model.solve(self.problem, self.at.point, self.residual, tolerance)
+        target = solve_model(self.problem, self.at.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
         return target
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.solvers.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.products import ProductStore
+from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore
 from dolfinx_tresca.solvers.reductions import InnerProduct, Reductions
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
+from dolfinx_tresca.solvers.products import ProductStore
+from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.solvers.whole_model import WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
@@ -21,6 +24,9 @@ RHO_DIAGONAL, RHO_DIAGONAL_CONVEX = 0.2, 1.0
 #: Limits on the number of Newton steps, and on the number of halvings of a step that does not
 #: reduce the residual. With 10 halvings, a scene of `tests/extremes` is not solved.
 MOST_STEPS, MOST_HALVINGS = 200, 6
+
+#: Limit on products with the near field in one iteration.
+MOST_NEAR_PRODUCTS = 8
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that fails to reduce the residual, and divided
@@ -259,7 +265,7 @@ class ConvexNewton(SemismoothNewton):
         return change - residual, change_c
 
 
-def solve_model(problem: DualProblem, model: Model, start: Point) -> ModelSolution:
+def newton_solution(problem: DualProblem, model: Model, start: Point) -> ModelSolution:
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
     Needs no product with A.
@@ -313,3 +319,45 @@ def solve_from_other_guesses(
         if best.residual <= tolerance:
             break
     return best
+
+
+def solve_model(
+    problem: DualProblem, start: Point, residual: NaturalResidual, tolerance: float
+) -> ModelSolution:
+    """Return an approximate solution of the dual problem with the model M in place of A.
+
+    With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
+    the basic model has a diagonal. The error of M is then smaller by an order of magnitude, but
+    there is no formula for the inverse of M on a face. Hence D is itself approximated by D~, a
+    low-rank model made of known products with D. Each iteration solves the problem for M with D~ in
+    place of D. It then computes a product with D, which gives the residual for M and improves D~. A
+    product with D costs one solve with a small matrix, and no solve with K. Products with D are
+    kept until the products with A are dropped. Collective.
+
+    Args:
+        problem: the cones, D, and the known products with D and A.
+        start: point in the cones.
+        residual: the natural residual, with its step length.
+        tolerance: requested natural residual, with the model in place of A.
+    """
+    store = problem.known_products()
+    if not isinstance(store, ProductStore) or store.near is None:
+        return newton_solution(problem, store.model(), start)
+    # a smaller tolerance costs no product with A, and saves some, since the model is accurate
+    tolerance *= FORCING
+    G, initial = problem.constraints.columns, residual.at(start)
+    best, least = None, float("inf")
+    for _ in range(MOST_NEAR_PRODUCTS):
+        point = best if best is not None and least < initial else start
+        target = newton_solution(problem, store.updated_model(store.near.updated_model()), point)
+        step = target.x - point.x
+        if float(problem.inner(step, step)) == 0.0:
+            break
+        r = point.r + store.apply(step, store.near_product) - G @ (target.c - point.c)
+        target = replace(target, r=r)
+        if (reached := residual.at(target)) < least:
+            best, least = target, reached
+        if least <= tolerance:
+            break
+    # without a step, the diagonal is the base; a product with A then checks the step
+    return best or newton_solution(problem, store.model(), start)

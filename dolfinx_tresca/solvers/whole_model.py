@@ -10,8 +10,7 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, isspars
 from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix, dense
-from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, solve_or_fit
-from dolfinx_tresca.solvers.nodal_matrix import NodalPattern
+from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, NodalPattern, solve_or_fit
 from dolfinx_tresca.solvers.reductions import Reductions
 
 #: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose

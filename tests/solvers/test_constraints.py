@@ -15,10 +15,10 @@ from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
-from dolfinx_tresca.solvers.energy import energy_norm
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.positive_definite import is_positive_definite
+from dolfinx_tresca.solvers.history import energy_norm
 from dolfinx_tresca.solvers.problem import Point
+from dolfinx_tresca.solvers.sparse_factors import is_positive_definite
 from scenes.dense import (
     DenseProblem,
     OneRank,

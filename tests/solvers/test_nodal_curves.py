@@ -10,8 +10,7 @@ from dense import clarabel_minimum
 
 from dolfinx_tresca import ContactStatus, FrictionCurve
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.friction_curves import NodalCurves
+from dolfinx_tresca.solvers.friction_cones import FrictionCones, NodalCurves
 from scenes.dense import DenseProblem, random_cone_problem, run
 from scenes.scene import EPS
 

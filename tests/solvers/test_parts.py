@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from dolfinx_tresca import SolverOptions
-from dolfinx_tresca.solvers.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.solvers.history import History
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps
@@ -20,7 +19,7 @@ from dolfinx_tresca.solvers.paper import (
     largest_eigenvalue,
 )
 from dolfinx_tresca.solvers.problem import Point
-from dolfinx_tresca.solvers.products import ProductStore
+from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore
 from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
