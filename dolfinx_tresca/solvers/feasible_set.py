@@ -201,11 +201,6 @@ class FeasibleSet:
         result: Array = np.where(face.active, v, 0.0) + face.along_radius(radius)
         return result
 
-    def to_circle(self, v: Array, face: Face) -> Array:
-        """Return v with slipping nodes moved to their circles; other nodes stay, even outside."""
-        norms = self.norms(v)
-        return self._scale_to_radius(v, norms, where=face.slip & (norms > 0.0))
-
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
         """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.
 

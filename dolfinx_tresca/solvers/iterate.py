@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, SLACK
+from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.solvers.problem import DualProblem, KnownProducts, Point
 
 
@@ -39,9 +39,13 @@ class Iterate:
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
+        initial_part: sufficient error of the first gradient, relative to the energy norm of its
+            multipliers.
         learned: whether the last step has changed the model of A, or the accuracy of gradients.
         store: known products with A, to which new products are added.
     """
+
+    initial_part = FULL_ACCURACY
 
     def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
         """Begin at zero, where no product is needed.
@@ -103,21 +107,22 @@ class Iterate:
         self.store.add(new, product)
         return known + product
 
-    def initial_gradient(self, x: Array, part: float) -> tuple[Array, float]:
+    def initial_gradient(self, x: Array) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective.
 
         Known products may determine the gradient, for example if a solve with another load has
         ended at these multipliers.
-
-        Args:
-            x: (size,) the point.
-            part: sufficient error of the gradient, divided by the energy norm of x; it is used for
-                inexact products only.
         """
+        response, b = self._problem.response, self._problem.b
         known, error = self.store.product(x)
-        if error <= FULL_ACCURACY * self._energy_norm(x):
-            return known - self._problem.b, 0.0
-        return self._product(x) - self._problem.b, 0.0
+        wanted = max(self.initial_part * self._energy_norm(x), self.finest)
+        if error + response.b_error <= wanted:
+            return known - b, error + response.b_error
+        # an accuracy below the error of b is useless: for tiny multipliers, the product would
+        # consist of the error of b only
+        r, error = response.gradient(x, max(wanted, response.b_error))
+        self.store.add(x, r + b, error + response.b_error)
+        return r, error
 
     def _energy_norm(self, x: Array) -> float:
         """Return the energy norm of x (size,), with the model in place of A. Collective."""
@@ -138,6 +143,8 @@ class InexactIterate(Iterate):
     The error of the gradient in the norm sqrt(e'A^-1 e) is limited to a part of the energy norm of
     the steps. A product is the difference of two gradients, and contains the errors of both.
     """
+
+    initial_part = ROUGH
 
     def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
         """Begin at zero, where no product is needed. The arguments are those of `Iterate`."""
@@ -172,21 +179,6 @@ class InexactIterate(Iterate):
         if self.learned:
             self._part = FORCING
         return Step(direction, product, error, c)
-
-    def initial_gradient(self, x: Array, part: float) -> tuple[Array, float]:
-        """Return the gradient at an initial point, and its error. Collective."""
-        problem, b_error = self._problem, self._problem.response.b_error
-        if float(problem.inner(x, x)) == 0.0:
-            return -problem.b, b_error
-        known, error = self.store.product(x)
-        wanted = max(part * self._energy_norm(x), self.finest)
-        if error + b_error <= wanted:
-            return known - problem.b, error + b_error
-        # an accuracy below the error of b is useless: for tiny multipliers, the product would
-        # consist of the error of b only
-        r, error = problem.response.gradient(x, max(wanted, b_error))
-        self.store.add(x, r + problem.b, error + b_error)
-        return r, error
 
     def increase_accuracy(self) -> bool:
         """Compute the gradient and later products more accurately; return False if impossible."""

@@ -177,7 +177,7 @@ class ModelNewton:
             shift = balance(constraints, problem.admissible, start=start).shift
             start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
-            at.move_to(start, *at.initial_gradient(start, ROUGH))
+            at.move_to(start, *at.initial_gradient(start))
         self.find_constraint_multipliers()
         if self.options.rtol:
             at.finest = FORCING * self.history.residual_error

@@ -36,6 +36,7 @@ class WholeModel:
 
     Attributes:
         diagonal: (size,) diag(A).
+        size: (size,) diag(A), too: diag(M) without the small shift.
         unit: mean of diag(A) over all ranks.
     """
 
@@ -63,6 +64,7 @@ class WholeModel:
         size, n = rows.shape
         self._mine, self._count = slice(first, first + size), n
         self.diagonal: Array = rows[:, self._mine].diagonal()
+        self.size = self.diagonal
         self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
         self._pattern = NodalPattern(nodes)
         self._matrix = reductions.stacked(rows) if issparse(rows) else self._gathered(rows)
@@ -72,11 +74,6 @@ class WholeModel:
     def __len__(self) -> int:
         """Return the number of multipliers of all ranks, whose products are known."""
         return self._count
-
-    @property
-    def size(self) -> Array:
-        """diag(A), (size,): diag(M) without the small shift."""
-        return self.diagonal
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Return False, since the product of x is already known."""
@@ -99,19 +96,18 @@ class WholeModel:
         result: Array = self._shifted[self._mine] @ self._gathered(x)
         return result
 
-    def largest_ritz_value(self) -> float:
-        """Return the largest eigenvalue of A. Collective."""
-        return self._largest_eigenvalue
-
     @cached_property
     def _largest_eigenvalue(self) -> float:
         matrix = self._matrix
         if matrix.shape[0] <= 2:
-            values = np.linalg.eigvalsh(dense(matrix))[-1:].astype(np.float64)
-        else:
-            start = np.ones(matrix.shape[0])
-            values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
+            return float(np.linalg.eigvalsh(dense(matrix))[-1])
+        start = np.ones(matrix.shape[0])
+        values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
         return float(self._reductions.from_first_rank(values)[0])
+
+    def largest_ritz_value(self) -> float:
+        """Return the largest eigenvalue of A. Collective."""
+        return self._largest_eigenvalue
 
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array

@@ -245,11 +245,10 @@ def test_products_claim_what_was_reached():
         operator = dual.compliance.operator
         for seed in range(3):
             x = local_random(MPI.COMM_SELF, len(dual.b), seed)
-            for rtol in (1e-1, 1e-8, None):
-                product, claimed = operator.product(x, rtol)
-                missing = product - A @ x
-                error = np.sqrt(missing @ np.linalg.solve(A, missing))
-                # the norm of A^-1 is the least energy of a displacement with that jump
-                assert error <= claimed
+            product, claimed = operator.product(x)
+            missing = product - A @ x
+            error = np.sqrt(missing @ np.linalg.solve(A, missing))
+            # the norm of A^-1 is the least energy of a displacement with that jump
+            assert 0.0 < error <= claimed
             dual.operator.apply(x)
             assert error <= dual.operator.product_error * np.sqrt(x @ A @ x)

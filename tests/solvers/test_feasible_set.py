@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from dense import moved_to_circles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -88,7 +89,7 @@ def test_face_projection_is_orthogonal_and_settled_points_lie_on_the_face(case):
     assert np.allclose(both[:, 0], pv, atol=4 * EPS * np.linalg.norm(v))
     settled = lam.on_face(y, face)
     assert np.allclose(settled, brute_projection(lam, y), atol=10 * EPS * np.linalg.norm(y))
-    moved = lam.to_circle(settled + 0.1 * pv, face)
+    moved = moved_to_circles(lam, settled + 0.1 * pv, face.slip)
     slip = face.slip & (lam.norms(settled) > 0)
     assert np.allclose(lam.norms(moved)[slip], lam.radius[slip], rtol=10 * EPS)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dense import moved_to_circles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
@@ -135,7 +136,7 @@ def test_slipping_nodes_follow_their_pressures(case):
     slip = face.slip & (cones.norms(x) > 0.0)
     near = np.abs(cones.coefficient * cones._pressures(x) - cones.limit) < 10 * h
     moved, back = (
-        cones.section(x + sign * h * v).to_circle(x + sign * h * v, face) for sign in (1, -1)
+        moved_to_circles(cones.section(x + step), x + step, face.slip) for step in (h * v, -h * v)
     )
     change = cones.with_bound_change(x, face, diagonal)
     wrong = cones.norms(change(v, v) - (moved - back) / (2 * h))

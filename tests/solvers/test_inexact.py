@@ -220,6 +220,8 @@ def test_the_error_of_a_gradient_from_known_products_has_that_of_b(monkeypatch):
     store = problem.known_products()
     store.add(x, problem.A @ x)
     length = np.sqrt(x @ problem.A @ x)
-    r, error = InexactIterate(problem, store).initial_gradient(x, 1.0 / length)
+    iterate = InexactIterate(problem, store)
+    iterate.initial_part = 1.0 / length
+    r, error = iterate.initial_gradient(x)
     assert np.allclose(r, problem.A @ x - problem.b, atol=100 * EPS * np.abs(problem.b).max())
     assert 0.5 <= error <= 0.5 + 1e-6 * length
