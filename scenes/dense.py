@@ -13,7 +13,7 @@ from scipy.sparse import csr_array, issparse
 from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca import Iteration, SolverOptions
-from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
+from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.options import Method
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
@@ -320,17 +320,50 @@ def random_balanced_problem(
     inside = 0.5 * brute_projection(lam, rng.standard_normal(lam.size))
     inside[lam.normal] = rng.uniform(0.1, 1.0, len(lam.normal))
     jumps = rng.standard_normal((lam.size, motions))
-    problem.constraints, _ = equilibrium_constraints(
-        lam,
-        csr_array(jumps),
-        csr_array(softness * np.eye(motions)),
-        jumps.T @ inside,
-        np.abs(jumps).T @ np.abs(inside),
-        np.zeros(motions, dtype=int),
-        OneRank(),
-        str,
-    )
+    loads, sizes = jumps.T @ inside, np.abs(jumps).T @ np.abs(inside)
+    problem.constraints = equilibrium(lam, jumps, loads, sizes, softness)
     return problem
+
+
+@dataclass
+class GivenMotions:
+    """The responses and rigid body modes of one body, as `FloatingBodies` asks for them."""
+
+    displacements: npt.NDArray[np.float64]
+    stiffness: csr_array
+    loads: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    describe: Callable[[npt.NDArray[np.float64]], str]
+
+    @property
+    def modes(self) -> GivenMotions:
+        """The modes: this object."""
+        return self
+
+    @property
+    def body(self) -> npt.NDArray[np.int64]:
+        """All modes are those of body 0."""
+        return np.zeros(len(self.displacements), dtype=np.int64)
+
+    def resultants(self, load: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """The given resultants of the loads, and the sizes of their terms."""
+        return self.loads
+
+
+def equilibrium(
+    feasible_set: FeasibleSet,
+    jumps: npt.NDArray[np.float64],
+    loads: npt.NDArray[np.float64],
+    sizes: npt.NDArray[np.float64],
+    stiffness: float = 0.0,
+    describe: Callable[[npt.NDArray[np.float64]], str] = str,
+) -> EqualityConstraints:
+    """The equations of equilibrium for jumps (size, k) of k motions, under given resultants."""
+    k = jumps.shape[1]
+    springs = csr_array(stiffness * np.eye(k))
+    springs.eliminate_zeros()
+    motions: Any = GivenMotions(np.eye(k), springs, (loads, sizes), describe)
+    bodies = FloatingBodies(motions, csr_array(jumps))
+    return bodies.under(loads, feasible_set, OneRank()).constraints
 
 
 def run(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -112,18 +111,17 @@ class Equilibrium:
         )
 
 
+@dataclass(frozen=True)
 class FloatingBodies:
-    """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps."""
+    """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps.
 
-    def __init__(self, response: SpringResponse, jump: Callable[[csr_array], csr_array]) -> None:
-        """Compute the jumps of the displacements in `response`. Collective.
+    Attributes:
+        response: the displacements U that forces of the springs that fix the bodies alone cause.
+        jumps: (size, k) B U, sparse.
+    """
 
-        Args:
-            response: displacements that forces of the springs that fix the bodies alone cause.
-            jump: function that returns B U for a sparse matrix U of displacements.
-        """
-        self._response = response
-        self._jumps = jump(response.displacements)
+    response: SpringResponse
+    jumps: csr_array
 
     def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
         """Return the equilibrium under a load, after a check that contact can hold the bodies.
@@ -136,110 +134,67 @@ class FloatingBodies:
             reductions: object that computes sums over the ranks.
 
         Raises:
-            MechanismError: contact cannot hold a body; the message names the body and its motion,
-                and the error's `motion` has the displacements (owned degrees of freedom,) of all
-                bodies.
+            MechanismError: neither K nor contact resists a motion, or nothing balances the loads;
+                the message names the body and its motion, and the error's `motion` has the
+                displacements (owned degrees of freedom,) of all bodies.
         """
-        response = self._response
-        try:
-            constraints, factors = equilibrium_constraints(
-                feasible_set,
-                self._jumps,
-                response.stiffness,
-                *response.resultants(load),
-                response.modes.body,
-                reductions,
-                response.modes.describe,
+        response, modes = self.response, self.response.modes
+        bodies = modes.body
+        carrying = scaled_rows(self.jumps, feasible_set.carrying.astype(np.float64))
+        gram = reductions.sparse_inner(carrying, carrying)
+        length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
+        # compared for each body by itself, since jumps depend on the size and the mesh of a body
+        largest = _largest_of_group(length, bodies)
+        length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
+        resisted, k = response.stiffness.diagonal(), len(length)
+        floats = np.flatnonzero(resisted == 0.0)
+        by_size = (
+            1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
+        )
+        scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
+        motions, more = _unresisted(csr_array(scaled), bodies[floats])
+        if motions.size:
+            moved = np.zeros((k, motions.shape[1]))
+            moved[floats] = by_size[:, None] * motions
+            motion = reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()])
+            raise MechanismError(
+                f"nothing holds {modes.describe(moved)}{f'; nor {more} more' * (more > 0)}, and no "
+                "contact resists that. Fix part of the boundary with a Dirichlet condition, add a "
+                "soft spring to a, or give the contact friction.",
+                response.displacements @ motion,
             )
-        except MechanismError as error:
-            error.motion = response.displacements @ error.motion
-            raise
+        # modes without jumps are scaled by the stiffness of the springs that hold them, which
+        # together with an unstable K may be negative
+        factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
+        by_factor = diags_array(factors, format="csr")
+        resultants, sizes = response.resultants(load)
+        values, own_sizes = factors * resultants, np.where(length > 0.0, factors * sizes, 0.0)
+        of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
+        coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
+        constraints = EqualityConstraints(
+            columns=csr_array(self.jumps @ by_factor),
+            softness=csr_array(by_factor @ response.stiffness @ by_factor),
+            values=values,
+            sizes=_largest_of_group(own_sizes, coupled[bodies]),
+            reductions=reductions,
+            nodes=feasible_set.nodes(),
+        )
+        balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
+        if not balanced.satisfied:
+            most = UNBALANCED_PART * np.maximum(constraints.sizes, np.abs(values))
+            if balanced.unbounded or (np.abs(balanced.excess) > most).any():
+                motion = factors * balanced.shift
+                raise MechanismError(
+                    f"no contact forces balance the loads on {modes.describe(motion)}. The loads "
+                    "pull it off what it touches, tip it over, or overcome friction there: look at "
+                    "their directions and at the friction, or hold the body by Dirichlet "
+                    "conditions or springs.",
+                    response.displacements @ motion,
+                )
+            # only rounding of the loads is missing
+            values = values + balanced.excess / (1.0 + LOAD_RESERVE)
+            constraints = replace(constraints, values=values)
         return Equilibrium(constraints, response, factors)
-
-
-def equilibrium_constraints(
-    feasible_set: FeasibleSet,
-    jumps: csr_array,
-    stiffness: csr_array,
-    resultants: Array,
-    sizes: Array,
-    bodies: Indices,
-    reductions: Reductions,
-    describe: Callable[[Array], str],
-) -> tuple[EqualityConstraints, Array]:
-    """Return the equations of equilibrium, after a check that some x in Lambda satisfies them.
-
-    Collective.
-
-    Args:
-        feasible_set: Lambda.
-        jumps: (size, k) B U, the jumps of k rigid body modes, sparse.
-        stiffness: (k, k) stiffness of K against the modes; zero rows for modes that K does not
-            resist.
-        resultants: (k,) U'f, the resultants of the loads along the modes.
-        sizes: (k,) size of the terms of each resultant, see `SpringResponse.resultants`.
-        bodies: (k,) the body of each mode.
-        reductions: object that computes sums over the ranks.
-        describe: function that names the motion with given components (k,) or (k, columns) of the
-            modes.
-
-    Returns:
-        the equations, and the factors (k,) that scale the modes in them.
-
-    Raises:
-        MechanismError: neither K nor contact resists a motion, or nothing balances the loads; the
-            error's `motion` has the components (k,) of the motion in the modes.
-    """
-    carrying = scaled_rows(jumps, feasible_set.carrying.astype(np.float64))
-    gram = reductions.sparse_inner(carrying, carrying)
-    length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
-    # compared for each body by itself, since jumps depend on the size and the mesh of a body
-    largest = _largest_of_group(length, bodies)
-    length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
-    resisted, k = stiffness.diagonal(), len(length)
-    floats = np.flatnonzero(resisted == 0.0)
-    by_size = 1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
-    scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
-    motions, more = _unresisted(csr_array(scaled), bodies[floats])
-    if motions.size:
-        moved = np.zeros((k, motions.shape[1]))
-        moved[floats] = by_size[:, None] * motions
-        raise MechanismError(
-            f"nothing holds {describe(moved)}{f'; nor {more} more' * (more > 0)}, and no contact "
-            "resists that. Fix part of the boundary with a Dirichlet condition, add a soft spring "
-            "to a, or give the contact friction.",
-            reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()]),
-        )
-    # modes without jumps are scaled by the stiffness of the springs that hold them, which together
-    # with an unstable K may be negative
-    factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
-    by_factor = diags_array(factors, format="csr")
-    values, own_sizes = factors * resultants, np.where(length > 0.0, factors * sizes, 0.0)
-    of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
-    coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
-    constraints = EqualityConstraints(
-        columns=csr_array(jumps @ by_factor),
-        softness=csr_array(by_factor @ stiffness @ by_factor),
-        values=values,
-        sizes=_largest_of_group(own_sizes, coupled[bodies]),
-        reductions=reductions,
-        nodes=feasible_set.nodes(),
-    )
-    found = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
-    if found.satisfied:
-        return constraints, factors
-    most = UNBALANCED_PART * np.maximum(constraints.sizes, np.abs(values))
-    if found.unbounded or (np.abs(found.excess) > most).any():
-        motion = factors * found.shift
-        raise MechanismError(
-            f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
-            "what it touches, tip it over, or overcome friction there: look at their directions "
-            "and at the friction, or hold the body by Dirichlet conditions or springs.",
-            motion,
-        )
-    # only rounding of the loads is missing
-    values = values + found.excess / (1.0 + LOAD_RESERVE)
-    return replace(constraints, values=values), factors
 
 
 def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:

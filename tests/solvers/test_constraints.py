@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from dolfinx_tresca import ContactStatus, InputError
-from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
@@ -21,8 +20,8 @@ from dolfinx_tresca.solvers.problem import Point
 from dolfinx_tresca.solvers.sparse_factors import is_positive_definite
 from scenes.dense import (
     DenseProblem,
-    OneRank,
     brute_projection,
+    equilibrium,
     random_balanced_problem,
     random_set,
     run,
@@ -121,16 +120,8 @@ def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
         return "it"
 
     with pytest.raises(InputError, match="no contact forces balance the loads on it"):
-        equilibrium_constraints(
-            lam,
-            csr_array(jumps),
-            csr_array((2, 2)),
-            np.array([1.1 * limit + 0.1, 0.0]),
-            np.full(2, 1.1 * limit + 0.1),
-            np.zeros(2, dtype=int),
-            OneRank(),
-            describe,
-        )
+        work = 1.1 * limit + 0.1
+        equilibrium(lam, jumps, np.array([work, 0.0]), np.full(2, work), describe=describe)
     motion = told[-1]
     opening = jumps @ motion
     work = (1.1 * limit + 0.1) * motion[0]
@@ -150,16 +141,7 @@ def test_a_motion_that_nothing_resists_is_told():
         return "it"
 
     with pytest.raises(InputError, match="nothing holds it, and no contact resists that"):
-        equilibrium_constraints(
-            lam,
-            csr_array(jumps),
-            csr_array((3, 3)),
-            np.zeros(3),
-            np.zeros(3),
-            np.zeros(3, dtype=int),
-            OneRank(),
-            describe,
-        )
+        equilibrium(lam, jumps, np.zeros(3), np.zeros(3), describe=describe)
 
 
 def pulled(work: float) -> tuple[FeasibleSet, EqualityConstraints]:
@@ -173,10 +155,7 @@ def pulled(work: float) -> tuple[FeasibleSet, EqualityConstraints]:
     inside[pressed] = rng.uniform(0.1, 1.0, len(pressed))
     sizes = np.full(2, float(np.abs(jumps[:, 1]) @ inside))
     loads = np.array([work * sizes[0], jumps[:, 1] @ inside])
-    none = csr_array((2, 2))
-    return lam, equilibrium_constraints(
-        lam, csr_array(jumps), none, loads, sizes, np.zeros(2, dtype=int), OneRank(), str
-    )[0]
+    return lam, equilibrium(lam, jumps, loads, sizes)
 
 
 def test_resultants_that_are_rounding_are_balanced():

@@ -13,7 +13,6 @@ from scipy.sparse import csr_array
 from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus, InputError
-from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.solvers import iteration
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
@@ -26,6 +25,7 @@ from scenes.dense import (
     OneRank,
     brute_projection,
     cones_over,
+    equilibrium,
     random_balanced_problem,
     random_cone_problem,
     random_dry_problem,
@@ -252,10 +252,7 @@ def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
     discs = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.zeros(1))
     zero = np.zeros(1)
     cones = FrictionCones(*vars(discs).values(), np.array([0]), zero + 0.1, zero + np.inf)
-    jump = csr_array([[0.0], [unit]])
-    constraints, _ = equilibrium_constraints(
-        cones, jump, csr_array([[0.0]]), zero + unit, zero + unit, zero.astype(int), OneRank(), str
-    )
+    constraints = equilibrium(cones, np.array([[0.0], [unit]]), zero + unit, zero + unit)
     problem = DenseProblem(np.eye(2), np.ones(2), discs, constraints=constraints, cones=cones)
     found = iteration.friction_deficit(
         problem, Point(np.array([1.0, 0.0]), np.zeros(1), np.zeros(2))

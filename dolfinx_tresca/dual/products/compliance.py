@@ -109,7 +109,7 @@ class ContactCompliance(PetscOwner):
         if self.springs is None:
             return None
         response = self.springs.response(self.jump.system.K, self.operator.solver)
-        return FloatingBodies(response, self.jump.of_columns)
+        return FloatingBodies(response, self.jump.of_columns(response.displacements))
 
     @cached_property
     def certificate(self) -> EnergyBound:
