@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -325,28 +326,12 @@ def random_balanced_problem(
     return problem
 
 
-@dataclass
-class GivenMotions:
-    """The responses and rigid body modes of one body, as `FloatingBodies` asks for them."""
+class LoadedBodies(FloatingBodies):
+    """Bodies under loads that are given by their resultants and the sizes of their terms."""
 
-    displacements: npt.NDArray[np.float64]
-    stiffness: csr_array
-    loads: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-    describe: Callable[[npt.NDArray[np.float64]], str]
-
-    @property
-    def modes(self) -> GivenMotions:
-        """The modes: this object."""
-        return self
-
-    @property
-    def body(self) -> npt.NDArray[np.int64]:
-        """All modes are those of body 0."""
-        return np.zeros(len(self.displacements), dtype=np.int64)
-
-    def resultants(self, load: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """The given resultants of the loads, and the sizes of their terms."""
-        return self.loads
+    def resultants(self, f: Any) -> Any:
+        """The given pair."""
+        return f
 
 
 def equilibrium(
@@ -361,9 +346,10 @@ def equilibrium(
     k = jumps.shape[1]
     springs = csr_array(stiffness * np.eye(k))
     springs.eliminate_zeros()
-    motions: Any = GivenMotions(np.eye(k), springs, (loads, sizes), describe)
-    bodies = FloatingBodies(motions, csr_array(jumps))
-    return bodies.under(loads, feasible_set, OneRank()).constraints
+    modes: Any = SimpleNamespace(body=np.zeros(k, dtype=np.int64), describe=describe)
+    bodies = LoadedBodies(modes, csr_array(np.eye(k)), springs, csr_array(jumps))
+    given: Any = loads, sizes
+    return bodies.under(given, feasible_set, OneRank()).constraints
 
 
 def run(

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array, eye_array
+from scipy.sparse import csr_array, diags_array, eye_array, kron
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import Array, Indices, dense, scaled_rows
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, dense, scaled_rows
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
-from dolfinx_tresca.floating.fixing import SpringResponse
+from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
@@ -64,18 +65,18 @@ class Equilibrium:
 
     Attributes:
         constraints: the equations of equilibrium G'lambda + S c = e.
-        response: the displacements that the modes U are multiples of.
+        bodies: the bodies, with the displacements that the modes U are multiples of.
         factors: (k,) the factors of these multiples, such that a column of G has length 1, or a
             smaller length if S resists its mode more than contact does.
     """
 
     constraints: EqualityConstraints
-    response: SpringResponse
+    bodies: FloatingBodies
     factors: Array
 
     def describe(self, motion: Array) -> str:
         """Return which body moves, and how, for multipliers (k,) of the constraints. Collective."""
-        return self.response.modes.describe(self.factors * motion)
+        return self.bodies.modes.describe(self.factors * motion)
 
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U c to u. Collective.
@@ -88,7 +89,7 @@ class Equilibrium:
         Returns:
             the energy norm of the rigid displacements that are then still missing for equilibrium.
         """
-        u.array += self.response.displacements @ (self.factors * c)
+        u.array += self.bodies.displacements @ (self.factors * c)
         return self.constraints.violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
@@ -97,7 +98,7 @@ class Equilibrium:
         Args:
             f: forces on all unknowns.
         """
-        result, sizes = (self.factors * values for values in self.response.resultants(f.array))
+        result, sizes = (self.factors * values for values in self.bodies.resultants(f.array))
         return result, float(sizes.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
@@ -115,13 +116,36 @@ class Equilibrium:
 class FloatingBodies:
     """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps.
 
+    `Equilibrium` combines the displacements U such that the fixing springs have no effect.
+
     Attributes:
-        response: the displacements U that forces of the springs that fix the bodies alone cause.
+        modes: the rigid body modes R.
+        displacements: U (owned degrees of freedom, k), sparse, which forces of the springs that fix
+            the bodies alone cause.
+        stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse.
     """
 
-    response: SpringResponse
+    modes: RigidBodyModes
+    displacements: csr_array
+    stiffness: csr_array
     jumps: csr_array
+
+    def resultants(self, f: Array) -> tuple[Array, Array]:
+        """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
+
+        The size of a resultant is the sum of |U| |f| over the nodes, where |.| is the length of a
+        vector at a node, which does not depend on the axes. A resultant that is rounding relative
+        to its size is set to zero.
+        """
+        U, dim = self.displacements, self.modes.dim
+        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        lengths = (nodes @ U.power(2)).sqrt()
+        loads = np.sqrt(nodes @ np.square(f))
+        sizes: Array = reduce_array(self.modes.comm, lengths.T @ loads)
+        result: Array = reduce_array(self.modes.comm, U.T @ f)
+        result[np.abs(result) <= ROUNDING * sizes] = 0.0
+        return result, sizes
 
     def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
         """Return the equilibrium under a load, after a check that contact can hold the bodies.
@@ -138,15 +162,14 @@ class FloatingBodies:
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        response, modes = self.response, self.response.modes
-        bodies = modes.body
+        bodies = self.modes.body
         carrying = scaled_rows(self.jumps, feasible_set.carrying.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
         length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
         # compared for each body by itself, since jumps depend on the size and the mesh of a body
         largest = _largest_of_group(length, bodies)
         length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
-        resisted, k = response.stiffness.diagonal(), len(length)
+        resisted, k = self.stiffness.diagonal(), len(length)
         floats = np.flatnonzero(resisted == 0.0)
         by_size = (
             1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
@@ -158,22 +181,22 @@ class FloatingBodies:
             moved[floats] = by_size[:, None] * motions
             motion = reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()])
             raise MechanismError(
-                f"nothing holds {modes.describe(moved)}{f'; nor {more} more' * (more > 0)}, and no "
-                "contact resists that. Fix part of the boundary with a Dirichlet condition, add a "
-                "soft spring to a, or give the contact friction.",
-                response.displacements @ motion,
+                f"nothing holds {self.modes.describe(moved)}{f'; nor {more} more' * (more > 0)}, "
+                "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
+                "add a soft spring to a, or give the contact friction.",
+                self.displacements @ motion,
             )
         # modes without jumps are scaled by the stiffness of the springs that hold them, which
         # together with an unstable K may be negative
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
-        resultants, sizes = response.resultants(load)
+        resultants, sizes = self.resultants(load)
         values, own_sizes = factors * resultants, np.where(length > 0.0, factors * sizes, 0.0)
         of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
         coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
         constraints = EqualityConstraints(
             columns=csr_array(self.jumps @ by_factor),
-            softness=csr_array(by_factor @ response.stiffness @ by_factor),
+            softness=csr_array(by_factor @ self.stiffness @ by_factor),
             values=values,
             sizes=_largest_of_group(own_sizes, coupled[bodies]),
             reductions=reductions,
@@ -185,16 +208,16 @@ class FloatingBodies:
             if balanced.unbounded or (np.abs(balanced.excess) > most).any():
                 motion = factors * balanced.shift
                 raise MechanismError(
-                    f"no contact forces balance the loads on {modes.describe(motion)}. The loads "
-                    "pull it off what it touches, tip it over, or overcome friction there: look at "
-                    "their directions and at the friction, or hold the body by Dirichlet "
+                    f"no contact forces balance the loads on {self.modes.describe(motion)}. The "
+                    "loads pull it off what it touches, tip it over, or overcome friction there: "
+                    "look at their directions and at the friction, or hold the body by Dirichlet "
                     "conditions or springs.",
-                    response.displacements @ motion,
+                    self.displacements @ motion,
                 )
             # only rounding of the loads is missing
             values = values + balanced.excess / (1.0 + LOAD_RESERVE)
             constraints = replace(constraints, values=values)
-        return Equilibrium(constraints, response, factors)
+        return Equilibrium(constraints, self, factors)
 
 
 def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:

@@ -9,9 +9,9 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array, eye_array, kron
+from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.matrices import product, sparse_matrix
 from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
@@ -25,7 +25,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: with half the number, the least eigenvalue of K_p is up to half as large.
 FIXING_NODES = 30
 
-#: Relative accuracy, in the energy norm, to which iterative solvers compute a `SpringResponse`.
+#: Relative accuracy, in the energy norm, of the response to fixing springs by iterative solvers.
 RESPONSE_ACCURACY = 1e-10
 
 
@@ -94,19 +94,25 @@ class FixingSprings:
         stretch = reduce_array(self.modes.comm, self.columns.T @ u.array)
         return float(stretch @ stretch)
 
-    def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> SpringResponse:
+    def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> tuple[csr_array, csr_array]:
         """Return the displacements caused by forces of the springs alone. Collective.
+
+        In a system with the matrix K_p, forces Z Z'R of the fixing springs alone cause
+        U = K_p^-1 Z Z'R. U equals R for modes that K does not resist.
 
         Args:
             K: K without these springs.
             solver: solver for `added_to(K)`.
+
+        Returns:
+            U (owned degrees of freedom, k), and the stiffness (k, k) of K against U; both sparse.
 
         Raises:
             StiffnessError: a solve failed.
         """
         modes, k = self.modes, len(self.modes)
         if modes.floats.all():
-            return SpringResponse(modes, modes.basis, csr_array((k, k)))
+            return modes.basis, csr_array((k, k))
         # forces of equal size on all bodies, since the accuracy is relative to the whole answer
         forces = product(K, modes.basis)
         sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
@@ -131,7 +137,7 @@ class FixingSprings:
         springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
         resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
         stiffness = csr_array(0.5 * (resisted + resisted.T))
-        return SpringResponse(modes, csr_array(modes.basis - V), stiffness)
+        return csr_array(modes.basis - V), stiffness
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
@@ -157,38 +163,3 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
             "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
         )
     return None
-
-
-@dataclass(frozen=True)
-class SpringResponse:
-    """The displacements U = K_p^-1 Z Z'R, where K_p = K + Z Z' has the fixing springs.
-
-    In a system with the matrix K_p, forces Z Z'R of the fixing springs alone cause U. `Equilibrium`
-    combines these displacements such that the springs have no effect. U equals R for modes that K
-    does not resist.
-
-    Attributes:
-        modes: the rigid body modes R.
-        displacements: U (owned degrees of freedom, k), sparse.
-        stiffness: (k, k) stiffness of K against U, sparse.
-    """
-
-    modes: RigidBodyModes
-    displacements: csr_array
-    stiffness: csr_array
-
-    def resultants(self, f: Array) -> tuple[Array, Array]:
-        """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
-
-        The size of a resultant is the sum of |U| |f| over the nodes, where |.| is the length of a
-        vector at a node, which does not depend on the axes. A resultant that is rounding relative
-        to its size is set to zero.
-        """
-        U, dim = self.displacements, self.modes.dim
-        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
-        lengths = (nodes @ U.power(2)).sqrt()
-        loads = np.sqrt(nodes @ np.square(f))
-        sizes: Array = reduce_array(self.modes.comm, lengths.T @ loads)
-        result: Array = reduce_array(self.modes.comm, U.T @ f)
-        result[np.abs(result) <= ROUNDING * sizes] = 0.0
-        return result, sizes

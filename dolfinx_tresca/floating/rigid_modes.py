@@ -1,15 +1,21 @@
-"""Rigid body modes of bodies that K resists little or not at all."""
+"""Rigid body modes of bodies that supports and K resist little or not at all."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.matrices import product
+from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.solvers.sparse_factors import eigenpairs
+from dolfinx_tresca.stiffness.solver import not_positive_definite
 
 #: An error message mentions translations and rotations whose share in a motion exceeds NAMED_PART,
 #: and counts bodies that move more than NAMED_PART of the largest motion. A motion of a body is
@@ -93,3 +99,119 @@ class RigidBodyModes:
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
         return str(self.comm.bcast(f"{text}: {', '.join(free)}"))
+
+
+#: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
+#: body's largest diagonal entry of K: the product of K with the mode adds some hundred entries of
+#: each row, which cancel each other.
+NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
+
+#: A body without prescribed displacements is held softly if the stiffness against one of its rigid
+#: body modes is at most this fraction of the stiffness of the body itself.
+SOFT_STIFFNESS = 0.03
+
+#: A negative stiffness against a rigid body mode counts as rounding if its absolute value is at
+#: most this fraction of the stiffness of the body itself.
+NEGATIVE_STIFFNESS = 1e-8
+
+#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
+#: fraction of the largest eigenvalue.
+DEPENDENT_MODES = 1e-10
+
+
+def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
+    """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
+
+    Args:
+        system: a `LinearSystem` with K assembled.
+        bodies: the bodies of its mesh.
+
+    Raises:
+        StiffnessError: K has zeros or negative numbers on the diagonal, or a negative stiffness
+            against a rigid motion; the error names the body and its position.
+    """
+    mesh, prescribed = system.V.mesh, system.prescribed_displacements
+    comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
+    modes, label = bodies.rigid_modes(dim), np.repeat(bodies.label, dim)
+    with system.displacement_stiffness() as K:
+        forces, diagonal = product(K, modes), K.getDiagonal()
+    largest = _largest_entries(diagonal.array.reshape(-1, dim), ~prescribed, bodies, comm)
+    diagonal.destroy()
+    # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
+    weight = diags_array(np.where(prescribed, largest[label], 1.0))
+    energy = sums.sparse_inner(modes, csr_array(weight @ forces))
+    free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
+    gram = sums.sparse_inner(free, free)
+    body, resistance, parts = comm.bcast(_stationary(gram, energy, bodies.number))
+
+    # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
+    stiffness, nothing = largest / bodies.nodes ** (2.0 / dim), NOTHING_RESISTS * largest
+    held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.number)) > 0.0
+    # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
+    limit = np.where(held, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
+    negative = resistance < -NEGATIVE_STIFFNESS * stiffness[body]
+    if negative.any():
+        raise not_positive_definite(
+            "its stiffness against a rigid motion is negative, of "
+            f"{bodies.describe(int(body[negative.argmax()]))}"
+        )
+    weak = np.flatnonzero(resistance <= limit[body])
+    basis, body = csr_array(free @ parts[:, weak]), body[weak]
+    basis.eliminate_zeros()
+    floats = resistance[weak] <= nothing[body]
+    return RigidBodyModes(comm, bodies, basis, stiffness[body], floats, body, parts[:, weak])
+
+
+def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
+    """Return the largest diagonal entry of K on each body, 1 if all are prescribed. Collective.
+
+    Args:
+        diagonal: (nodes, dim) the diagonal of K at this rank's nodes.
+        free: (nodes * dim,) whether each degree of freedom is not prescribed.
+        bodies: the bodies.
+        comm: the communicator.
+
+    Raises:
+        StiffnessError: entries are zero or negative.
+    """
+    node, component = np.nonzero(free.reshape(diagonal.shape))
+    entries, label = diagonal[node, component], bodies.label[node]
+    least, most = np.full(bodies.number, np.inf), np.zeros(bodies.number)
+    np.fmin.at(least, label, entries)
+    np.fmax.at(most, label, entries)
+    smallest, largest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, most, MPI.MAX)
+    if smallest.min() <= 0.0:
+        body, value = int(smallest.argmin()), smallest.min()
+        found = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
+        number = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
+        raise not_positive_definite(
+            f"the stiffness is {found} at {number} of {bodies.nodes[body]} nodes of "
+            f"{bodies.describe(body)}"
+        )
+    return np.where(largest > 0.0, largest, 1.0)
+
+
+def _stationary(
+    gram: csr_array, energy: csr_array, number: int
+) -> tuple[Indices, Array, csr_array]:
+    """Return the rigid motions of each body against which the stiffness of K is stationary.
+
+    Args:
+        gram: (m, m) inner products of the rigid body modes on free degrees of freedom.
+        energy: (m, m) products R'K R with the modes R.
+        number: number of bodies, whose modes follow one another.
+
+    Returns:
+        the body (k,) of each motion, ascending; the stiffness (k,) against it; and the components
+        (m, k) of the motions in the modes. Motions that move no free degree of freedom are left
+        out; the other motions are orthonormal on free degrees of freedom.
+    """
+    values, vectors = eigenpairs(gram)
+    of_bodies = values.reshape(number, -1)
+    independent = of_bodies > DEPENDENT_MODES * of_bodies.max(axis=1, keepdims=True)
+    body, column = np.nonzero(independent)
+    unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(of_bodies[body, column]))
+    if len(body) == 0:
+        return body, np.empty(0), unit
+    stiffness, turned = eigenpairs(csr_array(unit.T @ energy @ unit))
+    return body, stiffness, csr_array(unit @ turned)

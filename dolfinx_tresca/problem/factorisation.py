@@ -11,7 +11,7 @@ from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
-from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
+from dolfinx_tresca.floating.rigid_modes import weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas

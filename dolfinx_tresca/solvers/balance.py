@@ -137,9 +137,9 @@ def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:
     """Return (M + d I)^-1 b for M >= 0; d is increased until the factorisation exists."""
     unit = eye_array(len(right))
     while damping < np.inf:
-        solve = factored(matrix + damping * unit)
-        if solve is not None:
-            x = solve(right)
+        factors = factored(matrix + damping * unit)
+        if factors is not None:
+            x: Array = factors.solve(right)
             if _dot(x, right) >= 0.0:  # else rounding made a pivot negative
                 return x
         damping *= MORE_DAMPING

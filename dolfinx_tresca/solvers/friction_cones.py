@@ -60,6 +60,7 @@ class NodalCurves:
     parts: Sequence[tuple[slice, Curve]]
     root: Array
 
+    @np.errstate(all="ignore")
     def coefficients(self, others: Array, pressure: Array, slip: Array) -> Array:
         """Return F (n_discs,): values of the curves, and `others` for discs without a curve.
 
@@ -71,42 +72,28 @@ class NodalCurves:
             pressure: (n_discs,) normal multiplier.
             slip: (n_discs,) norm of the tangential gradient.
         """
-        (result,) = self._of(lambda curve, p, v: (curve.values(p, v),), (others,), pressure, slip)
-        return np.maximum(result, 0.0)
-
-    def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
-        """Return dF/dp and dF/dv (n_discs,), zero for discs without a curve."""
-        none = np.zeros_like(self.root)
-        by_pressure, by_slip = self._of(
-            lambda curve, p, v: curve.slopes(p, v), (none, none), pressure, slip
-        )
-        return by_pressure / self.root, by_slip / self.root
-
-    def arguments(self, pressure: Array, slip: Array) -> list[CurveAtNodes]:
-        """Return each curve with pressures (n,) [stress] and slips (n,) [length] of its nodes."""
-        p, v = np.maximum(pressure, 0.0) / self.root, slip / self.root
-        return [(curve, p[part], v[part]) for part, curve in self.parts]
-
-    def _of(
-        self,
-        evaluate: Callable[[Curve, Array, Array], tuple[Array, ...]],
-        others: tuple[Array, ...],
-        pressure: Array,
-        slip: Array,
-    ) -> list[Array]:
-        """Evaluate the curves of discs; discs without a curve keep their values in `others`.
-
-        `evaluate` is a function (curve, pressures, slips) -> arrays. Values that are not finite
-        become zero.
-        """
-        result = [one.copy() for one in others]
-        arguments = self.arguments(pressure, slip)
-        with np.errstate(all="ignore"):
-            for (part, _), (curve, p, v) in zip(self.parts, arguments, strict=True):
-                found = evaluate(curve, p, v)
-                for target, values in zip(result, found, strict=True):
-                    target[part] = np.where(np.isfinite(values), values, 0.0)
+        result = others.copy()
+        for part, curve, p, v in self.arguments(pressure, slip):
+            result[part] = np.maximum(_finite(curve.values(p, v)), 0.0)
         return result
+
+    @np.errstate(all="ignore")
+    def slopes(self, pressure: Array, slip: Array) -> Array:
+        """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
+        result = np.zeros((2, len(self.root)))
+        for part, curve, p, v in self.arguments(pressure, slip):
+            result[:, part] = _finite(np.array(curve.slopes(p, v)))
+        return result / self.root
+
+    def arguments(self, pressure: Array, slip: Array) -> list[tuple[slice, Curve, Array, Array]]:
+        """Return the discs of each curve, the curve, and its nodes' pressures and slips (n,)."""
+        p, v = np.maximum(pressure, 0.0) / self.root, slip / self.root
+        return [(part, curve, p[part], v[part]) for part, curve in self.parts]
+
+
+def _finite(values: Array) -> Array:
+    """Return values, with zeros in place of those that are not finite."""
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 @dataclass(frozen=True)
@@ -292,7 +279,8 @@ class FrictionCones(FeasibleSet):
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
         if self.curves is None or self.slip is None:
             return []
-        return self.curves.arguments(self._pressures(x), self.slip)
+        arguments = self.curves.arguments(self._pressures(x), self.slip)
+        return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
 
     def _coefficients(self, pressure: Array) -> Array:
         """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,25 +32,19 @@ def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     return np.concatenate([values for values, _ in pairs])[place], vectors[place][:, place]
 
 
-def factored(matrix: csr_array) -> Callable[[Array], Array] | None:
-    """Return a function that applies the inverse; None if there is a zero pivot.
+def factored(matrix: csr_array) -> Any | None:
+    """Return SciPy's triangular factors of a symmetric matrix; None if there is a zero pivot.
 
     The matrix is factored as L U without pivoting, which for positive definite matrices is as
     stable as Cholesky's method.
     """
     try:
-        return _sparse_factors(matrix).solve  # type: ignore[no-any-return]
+        return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
     except RuntimeError:
         return None
 
 
 def is_positive_definite(matrix: csr_array) -> bool:
     """Return whether all pivots of a sparse symmetric matrix are positive (Sylvester)."""
-    try:
-        return bool((_sparse_factors(matrix).U.diagonal() > 0.0).all())
-    except RuntimeError:
-        return False
-
-
-def _sparse_factors(matrix: csr_array) -> Any:
-    return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
+    factors = factored(matrix)
+    return factors is not None and bool((factors.U.diagonal() > 0.0).all())

@@ -108,8 +108,8 @@ class ContactCompliance(PetscOwner):
         """
         if self.springs is None:
             return None
-        response = self.springs.response(self.jump.system.K, self.operator.solver)
-        return FloatingBodies(response, self.jump.of_columns(response.displacements))
+        U, stiffness = self.springs.response(self.jump.system.K, self.operator.solver)
+        return FloatingBodies(self.springs.modes, U, stiffness, self.jump.of_columns(U))
 
     @cached_property
     def certificate(self) -> EnergyBound:

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
+from dolfinx_tresca.floating.rigid_modes import weakly_resisted_modes
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
