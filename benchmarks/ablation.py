@@ -339,7 +339,6 @@ PARTS: dict[str, Patches] = {
     ],
     "gradient projection steps": [(NEWTON, "descending", without_gradient_steps)],
     "reductions of rho": [(NaturalResidual, "set_rho", first_rho)],
-    "limit of a larger residual": [(iteration, "WORSE", math.inf)],
     "higher accuracy where it stalls": [(INEXACT, "increase_accuracy", lambda self: False)],
     "refined gradients": [(INEXACT, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
@@ -362,7 +361,7 @@ CONSTANTS = {
     "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_STEPS MOST_HALVINGS "
     "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
     "solvers.whole_model": "SHIFT",
-    "solvers.iteration": "NEAR_POWERS MOST_REDUCTIONS SLOW MISSES WORSE",
+    "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
     "solvers.nodal_maps": "LEAST_SOFTNESS",
     "solvers.balance": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",

@@ -139,20 +139,16 @@ class LinearisedContact:
     def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
         """Return the maps of `NodalMaps`, for the adjoint or the tangent. Not collective.
 
-        P projects onto the face; Q is the change of slip bounds with the pressure. Solutions s
-        satisfy s = P s.
+        P projects onto the face; Q is the change of slip bounds with the pressure.
 
         Args:
             diagonal: (size,) diagonal D of the model of A.
-            transpose: True: the maps of the adjoint, T = P (I + Q') and V = P; False: the maps of
-                the tangent, T = P and V = (I + Q) P.
+            transpose: True: the maps of the adjoint, with T = P (I + Q') and s = P s; False: the
+                maps of the tangent, with T = P and s = (I + Q) P s.
         """
         project, change = self.face.project, self.with_bound_change
         weight = 1.0 / (diagonal + self.curvature)
         test = self.projected if transpose else project
-
-        def trial(v: Array) -> Array:
-            return project(v) if transpose else change @ project(v)
 
         def inverse(v: Array) -> Array:
             weighted = np.asarray((weight * test(v).T).T)
@@ -161,9 +157,10 @@ class LinearisedContact:
         def rest(v: Array) -> Array:
             along = project(v)
             curved = np.asarray((self.curvature * along.T).T)
-            return (test(curved) if transpose else curved) + ((v - along).T * diagonal).T
+            left = v - (along if transpose else change @ along)
+            return (test(curved) if transpose else curved) + (left.T * diagonal).T
 
-        return NodalMaps(test=test, trial=trial, rest=rest, inverse=inverse)
+        return NodalMaps(test=test, rest=rest, inverse=inverse)
 
 
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:

@@ -41,9 +41,6 @@ SLOW = 8
 #: iterations. (Two strips of 400 cells that stick along their joint take 12 iterations without.)
 MISSES = 2
 
-#: A step is taken if the residual after the step is at most this multiple of the residual before.
-WORSE = 2.0
-
 #: Factor that makes slip bounds practically infinite.
 LARGE = 1e100
 
@@ -70,8 +67,7 @@ def solve(
     bound of q after the gradient projection step p = P_Lambda(x - rho r) - x; otherwise the
     gradient projection step is taken first. This is sufficient for the proof of Theorem 38.1; part
     (i) of the theorem holds with eta = 1 - rho sigma_min, where rho is the step length at the end.
-    Otherwise no quantity is guaranteed to decrease: the whole step is taken unless it more than
-    doubles the residual.
+    Otherwise no quantity is guaranteed to decrease: the whole step is taken.
 
     Collective.
 
@@ -267,12 +263,7 @@ class ModelNewton:
         step = at.step(target.x - at.x, target.c)
         if (rho := self.proposed_rho()) < self.residual.rho:
             self.residual.set_rho(rho)  # no step achieves the decrease that a large rho predicts
-        if self.has_given_bounds and len(target.c) == 0:
-            return self.descending(step)
-        if self.residual.at(at.point_after(step)) <= WORSE * self.history.error:
-            return step
-        at.increase_accuracy()
-        return at.zero_step()
+        return self.descending(step) if self.has_given_bounds and len(target.c) == 0 else step
 
     def descending(self, whole: Step) -> Step:
         """Return a step that decreases q as Theorem 38.1 requires, given the whole Newton step.

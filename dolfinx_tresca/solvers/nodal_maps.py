@@ -55,22 +55,20 @@ STIFFEST = 1e8
 
 @dataclass(frozen=True)
 class NodalMaps:
-    """The maps T, V and R in the equations T M V s + R s - T G c = T r and G'V s + S c = e.
+    """The maps T and R in the equations T M s + R s - T G c = T r and G's + S c = e.
 
     Here M is the model of A, and G and S belong to equality constraints. Such equations determine
-    Newton steps V s on a face, and steps towards an adjoint solution. Each map couples only
+    Newton steps s on a face, and steps towards an adjoint solution. Each map couples only
     multipliers of the same node, and is applied to arrays (size,) or (size, columns).
 
     Attributes:
         test: T, applied to both sides of the equation.
-        trial: V, from s to the change of the multipliers.
         rest: R, such as the curvature of the circles of slipping nodes, and the identity at
             multipliers that do not change.
-        inverse: V (T D V + R)^-1 T with the diagonal D of the model.
+        inverse: (T D + R)^-1 T with the diagonal D of the model.
     """
 
     test: Callable[[Array], Array]
-    trial: Callable[[Array], Array]
     rest: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
 
@@ -111,7 +109,6 @@ class NodalMaps:
 
         return cls(
             test=lambda v: project(v) + scaled(diagonal, change(np.zeros_like(v), v)),
-            trial=lambda v: v,
             rest=rest,
             inverse=lambda v: follow(scaled(weight, project(v)), v),
         )

@@ -80,13 +80,13 @@ class BlockBFGSModel:
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, which solve the equations of `NodalMaps`. Collective.
+        """Return s and c, which solve the equations of `NodalMaps`. Collective.
 
         Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
         so that the system has a solution even if the second equation has none.
 
         Args:
-            maps: T, V and R.
+            maps: T and R.
             right: (size,) r.
             G: (size, k) columns of length 1.
             softness: (k, k) S.

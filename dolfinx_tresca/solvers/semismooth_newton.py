@@ -251,7 +251,6 @@ class ConvexNewton(SemismoothNewton):
         residual = point.x - settled
         maps = NodalMaps(
             test=derivative,
-            trial=lambda v: v,
             rest=lambda v: np.asarray(((v - derivative(v)).T / self.rho).T),
             inverse=lambda v: v,
         )

@@ -112,18 +112,18 @@ class WholeModel:
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c, which solve the equations of `NodalMaps`. Collective.
+        """Return s and c, which solve the equations of `NodalMaps`. Collective.
 
         `LEAST_SOFTNESS`, divided by the mean of diag(A), is added to the diagonal of S, so that the
         equations have a solution even if the constraints have none.
         """
         unit, k = self.unit, len(missing)
-        T, V, R = (self._whole(nodal) for nodal in (maps.test, maps.trial, maps.rest))
-        matrix = (T @ self._shifted @ V + R) / unit
+        T, R = self._whole(maps.test), self._whole(maps.rest)
+        matrix = (T @ self._shifted + R) / unit
         if k:
             G = self._reductions.stacked(G)
             soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-            blocks = [[matrix, -(T @ G)], [G.T @ V, soft]]
+            blocks = [[matrix, -(T @ G)], [G.T, soft]]
             matrix = (
                 csr_array(block_array(blocks))
                 if issparse(matrix)
@@ -138,7 +138,7 @@ class WholeModel:
             solution = np.zeros(len(right))
             solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], right[moving])
         solution = self._reductions.from_first_rank(solution)
-        return maps.trial(solution[self._mine]), unit * solution[len(self) :]
+        return solution[self._mine], unit * solution[len(self) :]
 
     def _gathered(self, x: Array) -> Array:
         """Return the values of all ranks, (n,) or (n, columns). Collective."""
