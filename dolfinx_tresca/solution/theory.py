@@ -228,25 +228,20 @@ def _motions_of_pair(
         of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
         of_size += "their normals and partners"
         yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
-    sliding = force @ (length > 0.5 * slip)
-    total, sliding, *direction = reduce_array(
-        comm, np.hstack([force.sum(), sliding, force @ (slips / slip)])
-    )
-    if facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
-        primary = Halo(V, operators.undeformed.displaced(V, pair, shape)[pair.primary])
-        points, outward = np.zeros((2, len(force), 3))
-        points[:, : jumps.shape[1]] = operators.places + jumps
-        outward[:, : jumps.shape[1]] = normals
-        beyond = pressed & ~primary.faced_within(operators.sizes, points, outward)
-        part = float(reduce_array(comm, force @ beyond)) / total
-        text_beyond = (
-            f"{text}, and {100.0 * part:.0f} % of the contact force is at nodes that have "
-        )
-        text_beyond += "left the other side, but keep their normals and partners"
-        if part > FORCE_BEYOND_PARTNER.noticed:
-            yield Departure(part, FORCE_BEYOND_PARTNER, text_beyond, ADVICE_TO_PAIRS)
     if facets <= WEDGED_SLIP.noticed:
         return
+    sliding = force @ (length > 0.5 * slip)
+    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (slips / slip)]))
+    total, sliding, direction = sums[0], sums[1], sums[2:]
+    # nodes that slide by less than their own size cannot be farther from the other side than that
+    if facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
+        primary = Halo(V, operators.undeformed.displaced(V, pair, shape)[pair.primary])
+        beyond = ~_lies_over(primary, operators, jumps)
+        part = float(reduce_array(comm, force @ beyond)) / total
+        of_force = f"{text}, and {100.0 * part:.0f} % of the contact force is at nodes that have "
+        of_force += "left the other side, but keep their normals and partners"
+        if part > FORCE_BEYOND_PARTNER.noticed:
+            yield Departure(part, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
     tilt = normals @ (direction / (np.linalg.norm(direction) or 1.0))
     affine = np.column_stack([np.ones(len(tilt)), operators.places / size, tilt])
     gram = reduce_array(comm, affine.T @ (operators.weights[:, None] * affine))
@@ -259,3 +254,14 @@ def _motions_of_pair(
             f"and only the scatter of the normals from node to node, {scatter:.1g} rad, resists"
         )
         yield Departure(facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
+
+
+def _lies_over(primary: Halo, operators: PairOperators, jumps: Array) -> Mask:
+    """Return whether nodes (n,) displaced by jumps (n, d) lie over the primary side. Collective.
+
+    An opposed primary facet is then not farther from the node than the size of the node's area.
+    """
+    points, normals = np.zeros((2, len(jumps), 3))
+    points[:, : jumps.shape[1]] = operators.places + jumps
+    normals[:, : jumps.shape[1]] = operators.normals
+    return primary.faced_within(operators.sizes, points, normals)
