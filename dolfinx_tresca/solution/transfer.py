@@ -74,7 +74,7 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     """
     tractions = _values(fields, fields.traction)
     values = np.column_stack([fields.pressure.x.array, tractions])
-    found = _at(fields, values, points, fields.state.x.array != ContactState.OUTSIDE)
+    found = _at(fields, values, points, np.ones(len(values), dtype=np.bool_))
     return found[:, 0], found[:, 1:]
 
 
@@ -87,7 +87,7 @@ def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
 def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
     """Return values (n, k) interpolated on the facets nearest to points. Collective.
 
-    Facets without a node whose value is used are left out, such as those of other pairs.
+    Facets without a node that carries multipliers are left out, such as those of other pairs.
     At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
     edges, where refined meshes have nodes. Values are zero at points whose distance from the
     surface exceeds the longest edge of the surface.
@@ -112,7 +112,8 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     questions, source = exchange(comm, points[asked], ranks)
     distance: Array = np.full(len(questions), np.inf)
     found: Array = np.zeros((len(questions), values.shape[1]))
-    facets = np.flatnonzero(known[V.dofmap.list].any(axis=1)).astype(np.int32)
+    carries = fields.state.x.array != ContactState.OUTSIDE
+    facets = np.flatnonzero(carries[V.dofmap.list].any(axis=1)).astype(np.int32)
     if len(questions) and len(facets):
         nodes, weights, distance = _nearest_places(V, facets, places, questions)
         weights = weights * known[nodes]
