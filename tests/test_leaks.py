@@ -188,16 +188,29 @@ def test_kept_solutions_take_no_communicators(comm: MPI.Comm) -> None:
     assert forces == pytest.approx([step * forces[0] for step in range(1, 5)], rel=1e-3)
 
 
-@pytest.mark.parallel
-def test_a_pair_takes_as_many_communicators_as_the_docs_say(comm: MPI.Comm) -> None:
-    """The difference between two walls is that of their pairs: the rest is the same."""
-    pairs, taken = [], []
-    for bricks, courses in ((2, 2), (2, 2), (3, 3)):  # the first wall fills caches
-        scene = wall(comm, bricks, courses)
+def taken_by_walls(comm: MPI.Comm, *sizes: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the pairs of walls of some bricks and courses, and the communicators they take."""
+    result = []
+    for bricks, courses in (sizes[0], *sizes):  # the first wall fills caches
+        scene = wall(comm, bricks, courses, divisions=(2, 1))
         before = free_communicators(MPI.COMM_SELF)
         with scene.problem() as problem:
             solution = problem.solve()
             assert solution.status is ContactStatus.CONVERGED
-            pairs.append(len(scene.pairs))
-            taken.append(before - free_communicators(MPI.COMM_SELF))
-    assert taken[2] - taken[1] <= (6 if comm.size == 1 else 10) * (pairs[2] - pairs[1])
+            result.append((len(scene.pairs), before - free_communicators(MPI.COMM_SELF)))
+    return result[1:]
+
+
+@pytest.mark.parallel
+def test_a_pair_takes_as_many_communicators_as_the_docs_say(comm: MPI.Comm) -> None:
+    """The difference between two walls is that of their pairs: the rest is the same."""
+    (few, less), (many, more) = taken_by_walls(comm, (2, 2), (3, 3))
+    assert more - less <= (6 if comm.size == 1 else 10) * (many - few)
+
+
+@pytest.mark.parallel
+def test_many_pairs_take_no_more_communicators_than_fifty(comm: MPI.Comm) -> None:
+    """As the docs say; the second wall has more than twice the pairs of the first one."""
+    (few, less), (many, more) = taken_by_walls(comm, (2, 2), (10, 10))
+    assert few < 50 < 100 < many
+    assert more - less <= (6 if comm.size == 1 else 10) * (50 - few)

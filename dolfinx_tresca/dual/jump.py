@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, kron
 
 from dolfinx import fem
 
@@ -89,8 +89,8 @@ class JumpOperator(PetscOwner):
             owned.destroy()
         if self._of_V is not self.matrix:
             self._of_V.destroy()
-        if "_without_multiplier" in vars(self):
-            self._without_multiplier.destroy()
+        if "_components" in vars(self):
+            self._components.destroy()
 
     def _gaps(self) -> Array:
         """Return the gaps of the pairs in normal rows (size,), divided by `length_scale`."""
@@ -216,28 +216,33 @@ class JumpOperator(PetscOwner):
         self._of_V.mult(u.x.petsc_vec, self._jump)
         return np.array(self._jump.array)
 
-    def closings(self, u: fem.Function) -> list[Array]:
-        """Return for each pair the jumps (n,) along the normals at its nodes. Collective.
+    def vectors(self, u: fem.Function) -> list[Array]:
+        """Return for each pair the jumps of u (n, d) [length] at its nodes. Collective.
 
-        The jumps [length] of nodes without a row of N, such as nodes that are prescribed along the
-        normal, are included.
+        The jumps have all components, whether or not the node has multipliers along them.
         """
-        jump, matrix = self.of_displacement(u) * self.length_scale, self._without_multiplier
-        product = matrix.createVecLeft()
-        matrix.mult(u.x.petsc_vec, product)
-        ends = np.cumsum([len(pair.without_normal) for pair in self.pairs])
-        values = np.split(product.array.copy(), ends[:-1])
+        product = self._components.createVecLeft()
+        self._components.mult(u.x.petsc_vec, product)
+        vectors = product.array.reshape(-1, self.system.V.dofmap.index_map_bs).copy()
         product.destroy()
-        for k, pair in enumerate(self.pairs):
-            order = np.argsort(np.append(pair.normal_node, pair.without_normal))
-            values[k] = np.append(jump[self.slices[k][0]], values[k])[order]
-        return values
+        return np.split(vectors, np.cumsum([len(pair.nodes) for pair in self.pairs])[:-1])
+
+    def closings(self, u: fem.Function) -> list[Array]:
+        """Return for each pair the jumps of u (n,) [length] along its nodes' normals. Collective.
+
+        Nodes without a row of N, such as nodes that are prescribed along the normal, are included.
+        """
+        return [
+            np.einsum("ni,ni->n", vectors, pair.normals)
+            for vectors, pair in zip(self.vectors(u), self.pairs, strict=True)
+        ]
 
     @cached_property
-    def _without_multiplier(self) -> PETSc.Mat:
-        """Rows of the jumps along the normals at nodes without a row of N. Collective."""
+    def _components(self) -> PETSc.Mat:
+        """The rows of all components of the jumps at all nodes. Collective."""
         dofmap = self.system.V.dofmap
-        rows = [pair.rows_without_multiplier for pair in self.pairs]
+        axes = np.eye(dofmap.index_map_bs)
+        rows = [kron(pair.secondary - pair.primary, axes, format="csr") for pair in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def of_values(self, u: Array) -> Array:

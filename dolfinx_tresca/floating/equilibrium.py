@@ -75,7 +75,10 @@ class Equilibrium:
     factors: Array
 
     def describe(self, motion: Array) -> str:
-        """Return which body moves, and how, for multipliers (k,) of the constraints. Collective."""
+        """Return a text with the moving body and its motion, for constraints' multipliers (k,).
+
+        Collective.
+        """
         return self.bodies.modes.describe(self.factors * motion)
 
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
@@ -102,7 +105,7 @@ class Equilibrium:
         return result, float(sizes.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
-        """Return which body slides, and by which factor the load exceeds friction. Collective."""
+        """Return a text with the sliding body, and the ratio of load and friction. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
             f"Nothing holds {self.describe(deficit.motion)}. The loads along this motion are "

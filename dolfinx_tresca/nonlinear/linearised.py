@@ -238,7 +238,7 @@ class TangentProblem:
         return self._stiffness_for[1]
 
     def _rows_in_contact(self) -> Mask:
-        """Return which rows (size,) of B are in contact at the present u_k. Collective.
+        """Return a mask (size,) of the rows of B in contact at the present u_k. Collective.
 
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
         are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
@@ -254,7 +254,7 @@ class TangentProblem:
         return held
 
     def _touching(self) -> Mask:
-        """Return which rows (size,) of B belong to nodes whose gap is closed at u_k. Collective."""
+        """Return a mask (size,) of the rows of B at nodes with a closed gap at u_k. Collective."""
         jump = self.surfaces.jump
         closed = jump.of(self.u.x.petsc_vec)
         largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)

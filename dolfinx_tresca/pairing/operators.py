@@ -188,17 +188,6 @@ class PairOperators:
         """The index in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
 
-    @property
-    def without_normal(self) -> LocalNumbers:
-        """The indices in `nodes` of the nodes without a row of N."""
-        return np.setdiff1d(np.arange(len(self.nodes), dtype=np.int32), self.normal_node)
-
-    @property
-    def rows_without_multiplier(self) -> Any:
-        """(n, dofs of V) sparse rows of the jump along the normals of nodes without a row of N."""
-        nodes = self.without_normal
-        return _directional_rows(self.secondary - self.primary, nodes, self.normals[nodes])
-
     def tangential_vectors(self, values: Array) -> Array:
         """Return nodal vectors (n, d) from their components (n_tangential,) along `tangents`."""
         result = np.zeros_like(self.normals)

@@ -113,7 +113,7 @@ class ContactSurfaces(PetscOwner):
                 for pair in pairs
             ]
             work = fem.Function(V)
-            self.secondary = [Surface.of(work, pair) for pair in pairs]
+            self.secondary = Surface.of_pairs(work, pairs)
             self.friction = SlipBounds(V)
             self.nodal_values = self.friction.values
             for pair, on_nodes in zip(pairs, operators, strict=True):

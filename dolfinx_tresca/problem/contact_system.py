@@ -34,8 +34,8 @@ from dolfinx_tresca.solution.hints import hint_at_overlap, hint_at_scene
 from dolfinx_tresca.solution.theory import (
     Limit,
     motions_of_bodies,
+    motions_of_pairs,
     reason_outside,
-    slips_of_pairs,
 )
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, pressed_values
 from dolfinx_tresca.status import ContactStatus
@@ -269,12 +269,11 @@ class ContactSystem(PetscOwner):
         """
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
         if solution.status is ContactStatus.CONVERGED:
-            surfaces = self.surfaces
-            moved = solution.u.copy()
-            moved.x.array[:] -= surfaces.geometry.x.array
+            surfaces, u = self.surfaces, solution.u
+            paired, tractions = surfaces.geometry, solution.multipliers
             departures = [
-                *(motions_of_bodies(solution.u, self._stiffness.bodies) if linear else ()),
-                *slips_of_pairs(surfaces.jump, self.pairs, moved, solution.multipliers),
+                *(motions_of_bodies(u, self._stiffness.bodies) if linear else ()),
+                *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -43,6 +43,10 @@ class ContactState(IntEnum):
     BONDED = 6  #: tied to the primary side
 
 
+#: Largest number of surface meshes of a problem. A mesh takes 6 MPI communicators, on several ranks
+#: 10, and MPICH has 2,048 of them: with twice the number, a problem takes half of all.
+SURFACE_MESHES = 50
+
 #: States that count as sticking.
 STICKING = (ContactState.OPEN_STICK, ContactState.STICK, ContactState.BONDED)
 
@@ -59,6 +63,9 @@ class SurfaceFields:
     displacement is of degree 2. At nodes without a multiplier (state OUTSIDE) all fields are zero,
     except state and displacement. On sharp edges, where a node carries multipliers for several
     smooth patches, fields have the values of the largest patch.
+
+    In problems with more than 50 pairs several pairs share a mesh; the fields of a pair have the
+    state OUTSIDE on the facets of the others.
 
     All arrays have the order of the Functions, with a row for each node on this rank, ghosts
     included. Ghosts have zero weight, so `weights @ pressure.x.array`, summed over the ranks, is
@@ -204,7 +211,7 @@ class Surface:
     """The mesh of a pair's secondary side, and its map to the nodes of V; built once.
 
     Attributes:
-        mesh: the facets of the secondary side.
+        mesh: the facets of the secondary side, and those of the pairs that share the mesh.
         scalar: a scalar Function of degree 1 on `mesh`, the original of all others.
         vector: a vector Function of degree 1 on `mesh`, with the dimension of space, likewise.
         parent: (nodes of `scalar`, with ghosts) local number of the node of V at each node.
@@ -223,22 +230,33 @@ class Surface:
     entity_maps: compat.EntityMaps
 
     @classmethod
-    def of(cls, work: fem.Function, pair: ContactPair) -> Surface:
-        """Return the secondary surface of a pair. Collective."""
-        V = work.function_space
-        dim = V.mesh.geometry.dim
-        facets = np.sort(pair.facet_tags.find(pair.secondary))
-        mesh, parent_nodes, entity_maps = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
-        scalar = fem.functionspace(mesh, ("Lagrange", 1))
-        vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
-        # node of V <- geometry node of the mesh <- geometry node of the surface <- node of `scalar`
-        count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
-        parent = np.zeros(count, dtype=np.int32)
-        corners = scalar.dofmap.list.shape[1]
-        of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
-        parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
-        originals = fem.Function(scalar), fem.Function(vector)
-        return cls(mesh, *originals, parent, work, pair, entity_maps)
+    def of_pairs(cls, work: fem.Function, pairs: Sequence[ContactPair]) -> list[Surface]:
+        """Return the secondary surface of each pair. Collective.
+
+        Of more than `SURFACE_MESHES` pairs several share a mesh, in the order of the pairs.
+        """
+        V, surfaces = work.function_space, []
+        dim, shares = V.mesh.geometry.dim, -(-len(pairs) // SURFACE_MESHES)
+        for start in range(0, len(pairs), shares):
+            some = pairs[start : start + shares]
+            facets = np.unique(
+                np.concatenate([pair.facet_tags.find(pair.secondary) for pair in some])
+            )
+            mesh, parent_nodes, entity_maps = compat.create_submesh(
+                V.mesh, V.mesh.topology.dim - 1, facets
+            )
+            scalar = fem.functionspace(mesh, ("Lagrange", 1))
+            vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+            # node of V <- geometry node of the mesh <- geometry node of the surface <- node of
+            # `scalar`
+            count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
+            parent = np.zeros(count, dtype=np.int32)
+            corners = scalar.dofmap.list.shape[1]
+            of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
+            parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
+            originals = fem.Function(scalar), fem.Function(vector)
+            surfaces += [cls(mesh, *originals, parent, work, pair, entity_maps) for pair in some]
+        return surfaces
 
     def function(
         self,

@@ -1,4 +1,4 @@
-"""The limits of linear theory: rotations of linear bodies, and slip with small sliding."""
+"""The limits of linear theory: rotations of linear bodies, and motions with small sliding."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.pairing.moved import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.halo import Halo
 
 
 class Limit(NamedTuple):
@@ -41,6 +43,11 @@ DEFORMATION = Limit(0.5, 1.0)
 #: Limits of the slip relative to the size of the contact. With small sliding, forces stay at this
 #: fraction of the contact from where they act; with doubled limits, twice as far.
 SLIP = Limit(0.2, 1.0)
+
+#: Limits of the part of the contact force at nodes that have left the other side: they are farther
+#: from it than the size of their own area. Forces act on both bodies where nothing touches; with
+#: doubled limits, twice as much of them, and a body leaves the other one before the theory ends.
+FORCE_BEYOND_PARTNER = Limit(0.2, 0.5)
 
 #: Limits of the slip relative to the size of a facet where nothing but the scatter of the normals
 #: from node to node stops a body. Such normals are normals of one facet; with doubled limits,
@@ -157,46 +164,58 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
             yield Departure(value, limit, text, ADVICE_TO_BODIES)
 
 
-def slips_of_pairs(
+def motions_of_pairs(
     jump: JumpOperator,
     pairs: Sequence[ContactPair],
-    moved: fem.Function,
+    u: fem.Function,
+    paired: fem.Function,
     tractions: Array,
 ) -> Iterator[Departure]:
     """Return the departures of pairs with small sliding. Collective.
 
-    Some pairs are left out: pairs with finite sliding, bonded pairs, pairs with a plane, which has
-    the same normal everywhere, and two deformable surfaces without friction, which have no
-    tangential rows.
+    Pairs with finite sliding, bonded pairs, and pairs with a plane, which has the same normal
+    everywhere, are left out.
 
     Args:
         jump: the operator B.
         pairs: the pairs.
-        moved: displacement since the surfaces were paired [length].
+        u: displacement of the solution [length].
+        paired: displacement at which the surfaces were paired [length].
         tractions: (size,) tractions of the solution [stress].
     """
-    slip = jump.of_displacement(moved) * jump.length_scale
-    vectors = moved.x.array.reshape(-1, moved.function_space.mesh.geometry.dim)
-    for pair, on, (n, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
-        if pair.sliding == "finite" or on.bonded or isinstance(pair.primary, RigidPlane):
+    V, moved = u.function_space, u.copy()
+    moved.x.array[:] -= paired.x.array
+    vectors = jump.vectors(moved)
+    shape = straightened(V, paired.x.array.reshape(-1, V.dofmap.index_map_bs))
+    for pair, operators, jumps, (normal_rows, _) in zip(
+        pairs, jump.pairs, vectors, jump.slices, strict=True
+    ):
+        if pair.sliding == "finite" or operators.bonded or isinstance(pair.primary, RigidPlane):
             continue
-        if isinstance(pair.primary, RigidObstacle):
-            nodal = vectors[on.nodes]
-            along = nodal - np.einsum("ni,ni->n", nodal, on.normals)[:, None] * on.normals
-        else:
-            along = on.tangential_vectors(slip[t])
-        force = np.zeros(len(on.nodes))
-        force[on.normal_node] = on.weights[on.normal_node] * np.maximum(tractions[n], 0.0)
-        yield from _slip_of_pair(jump.comm, pair, on, along, force)
+        force = np.zeros(len(operators.nodes))
+        rows = operators.normal_node
+        force[rows] = operators.weights[rows] * np.maximum(tractions[normal_rows], 0.0)
+        yield from _motions_of_pair(V, pair, operators, jumps, force, shape)
 
 
-def _slip_of_pair(
-    comm: Any, pair: ContactPair, on: PairOperators, along: Array, force: Array
+def _motions_of_pair(
+    V: Any, pair: ContactPair, operators: PairOperators, jumps: Array, force: Array, shape: Array
 ) -> Iterator[Departure]:
-    """Return the departures of a pair from the slip (n, d) and forces (n,) of nodes. Collective."""
+    """Return the departures of a pair. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pair: the pair.
+        operators: operators of the pair.
+        jumps: (n, d) jumps of the displacement since the pairing [length].
+        force: (n,) normal forces of the nodes.
+        shape: (nodes, d) displacement at which the surfaces were paired [length].
+    """
+    comm, normals = V.mesh.comm, operators.normals
+    slips = jumps - np.einsum("ni,ni->n", jumps, normals)[:, None] * normals
     pressed: Mask = force > 0.0
-    length = np.linalg.norm(along, axis=1)
-    places, sizes = on.places[pressed], on.sizes[pressed]
+    length = np.linalg.norm(slips, axis=1)
+    places, sizes = operators.places[pressed], operators.sizes[pressed]
     lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
     corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
     extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
@@ -212,16 +231,37 @@ def _slip_of_pair(
     if facets <= WEDGED_SLIP.noticed:
         return
     sliding = force @ (length > 0.5 * slip)
-    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (along / slip)]))
-    tilt = on.normals @ (sums[2:] / (np.linalg.norm(sums[2:]) or 1.0))
-    affine = np.column_stack([np.ones(len(tilt)), on.places / size, tilt])
-    gram = reduce_array(comm, affine.T @ (on.weights[:, None] * affine))
+    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (slips / slip)]))
+    total, sliding, direction = sums[0], sums[1], sums[2:]
+    # nodes that slide by less than their own size cannot be farther from the other side than that
+    if facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
+        primary = Halo(V, operators.undeformed.displaced(V, pair, shape)[pair.primary])
+        beyond = ~_lies_over(primary, operators, jumps)
+        part = float(reduce_array(comm, force @ beyond)) / total
+        of_force = f"{text}, and {100.0 * part:.0f} % of the contact force is at nodes that have "
+        of_force += "left the other side, but keep their normals and partners"
+        if part > FORCE_BEYOND_PARTNER.noticed:
+            yield Departure(part, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
+    tilt = normals @ (direction / (np.linalg.norm(direction) or 1.0))
+    affine = np.column_stack([np.ones(len(tilt)), operators.places / size, tilt])
+    gram = reduce_array(comm, affine.T @ (operators.weights[:, None] * affine))
     fitted = gram[-1, :-1] @ np.linalg.pinv(gram[:-1, :-1], hermitian=True) @ gram[:-1, -1]
     scatter = np.sqrt(max(gram[-1, -1] - fitted, 0.0) / gram[0, 0])
     scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
-    if scatters and sums[1] > SLIDING_FORCE * sums[0]:
+    if scatters and sliding > SLIDING_FORCE * total:
         text += (
-            f", {facets:.2g} times the size of a facet: friction is overcome everywhere, and only "
-            f"the scatter of the normals from node to node, {scatter:.1g} rad, resists"
+            f", {facets:.2g} times the size of a facet: no friction holds any part of the contact, "
+            f"and only the scatter of the normals from node to node, {scatter:.1g} rad, resists"
         )
         yield Departure(facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
+
+
+def _lies_over(primary: Halo, operators: PairOperators, jumps: Array) -> Mask:
+    """Return whether nodes (n,) displaced by jumps (n, d) lie over the primary side. Collective.
+
+    An opposed primary facet is then not farther from the node than the size of the node's area.
+    """
+    points, normals = np.zeros((2, len(jumps), 3))
+    points[:, : jumps.shape[1]] = operators.places + jumps
+    normals[:, : jumps.shape[1]] = operators.normals
+    return primary.faced_within(operators.sizes, points, normals)

@@ -11,7 +11,7 @@ import numpy as np
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
@@ -87,6 +87,7 @@ def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
 def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
     """Return values (n, k) interpolated on the facets nearest to points. Collective.
 
+    Facets without a node that carries multipliers are left out, such as those of other pairs.
     At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
     edges, where refined meshes have nodes. Values are zero at points whose distance from the
     surface exceeds the longest edge of the surface.
@@ -111,8 +112,10 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     questions, source = exchange(comm, points[asked], ranks)
     distance: Array = np.full(len(questions), np.inf)
     found: Array = np.zeros((len(questions), values.shape[1]))
-    if len(questions) and len(V.dofmap.list):
-        nodes, weights, distance = _nearest_places(V, places, questions)
+    carries = fields.state.x.array != ContactState.OUTSIDE
+    facets = np.flatnonzero(carries[V.dofmap.list].any(axis=1)).astype(np.int32)
+    if len(questions) and len(facets):
+        nodes, weights, distance = _nearest_places(V, facets, places, questions)
         weights = weights * known[nodes]
         total = weights.sum(axis=1)
         weights = weights / np.where(total > 0.0, total, 1.0)[:, None]
@@ -136,12 +139,13 @@ def _longest_edge(corners: Array) -> float:
 
 
 def _nearest_places(
-    V: fem.FunctionSpace, places: Array, points: Array
+    V: fem.FunctionSpace, facets: LocalNumbers, places: Array, points: Array
 ) -> tuple[Indices, Array, Array]:
-    """Return the points of this rank's facets that are nearest to given points. Not collective.
+    """Return the points of facets of this rank that are nearest to given points. Not collective.
 
     Args:
-        V: space of scalar functions of degree 1 on the facets, of which there is at least one.
+        V: space of scalar functions of degree 1 on the mesh of the surface.
+        facets: (m,) numbers of the facets, at least one.
         places: (nodes, 3) coordinates of the nodes [length].
         points: (n, 3) coordinates of the given points [length].
 
@@ -151,7 +155,6 @@ def _nearest_places(
     """
     mesh = V.mesh
     dim = mesh.topology.dim
-    facets = np.arange(len(V.dofmap.list), dtype=np.int32)
     trees = (
         dolfinx.geometry.bb_tree(mesh, dim, entities=facets),
         dolfinx.geometry.create_midpoint_tree(mesh, dim, facets),

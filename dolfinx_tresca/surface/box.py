@@ -44,7 +44,7 @@ class Box:
         return cls(row[:3], row[3:12].reshape(3, 3), row[12:15], row[15:])
 
     def within_reach(self, points: Array, reach: Array) -> Mask:
-        """Return which points (n, 3) are at most a distance `reach` (n,) away from the box."""
+        """Return a mask (n,) of the points (n, 3) within a distance `reach` (n,) of the box."""
         x = (points - self.origin) @ self.axes
         outside = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
         return np.asarray(np.linalg.norm(outside, axis=1) <= reach)

@@ -17,7 +17,12 @@ from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import FACET_ARRAYS, Facets
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
-from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
+from dolfinx_tresca.surface.visibility import (
+    CREDIBLE_PART,
+    FACING_COSINE,
+    SHALLOW_DEPTH,
+    distances,
+)
 
 
 class Halo:
@@ -140,6 +145,27 @@ class Halo:
         count = np.searchsorted(ascending, nodes, side="right") - starts
         node, place = expanded_ranges(starts, count)
         self._send_facets(self._at_own_nodes, order[place] // self.facets.corners, source[node])
+
+    def faced_within(self, reach: Array, points: Array, normals: Array) -> Mask:
+        """Return whether points (n,) have an opposed facet of any rank nearby. Collective.
+
+        Args:
+            reach: (n,) distance within which a facet is near [length].
+            points: (n, 3) the points [length].
+            normals: (n, 3) normals of the points; the normal of an opposed facet is against them.
+        """
+        if self.comm.size > 1:
+            self.add_near_points(np.column_stack([points, reach]))
+        pieces = Pieces.of(self.facets)
+        lists = cKDTree(pieces.centres).query_ball_point(
+            points, reach + pieces.radii.max(initial=0)
+        )
+        point, piece = flattened(lists)
+        opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE
+        point, piece = point[opposed], piece[opposed]
+        result = np.zeros(len(points), dtype=np.bool_)
+        result[point[distances(pieces, piece, points[point]) <= reach[point]]] = True
+        return result
 
     def _owners(self, nodes: GlobalNumbers) -> Indices:
         """Return the rank (n,) that owns each of the nodes (n,)."""

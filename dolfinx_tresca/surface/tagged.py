@@ -144,7 +144,10 @@ def _facets_with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets
 
 
 def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
-    """Return which components (nodes, dim of space) of this rank's nodes are free. Collective."""
+    """Return a mask (nodes, dim of space) of the free components of this rank's nodes.
+
+    Collective.
+    """
     dim = V.dofmap.index_map_bs
     vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
     vector.array[: len(prescribed)] = ~prescribed

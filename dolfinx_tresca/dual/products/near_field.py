@@ -71,7 +71,7 @@ class NearField(PetscOwner):
 
 
 def _near(jump: JumpOperator, layers: int) -> Mask:
-    """Return which owned nodes are within some layers of cells from the contact. Collective."""
+    """Return a mask of the owned nodes within some layers of cells from the contact. Collective."""
     V, B = jump.system.V, jump.matrix
     nodes, cells = V.dofmap.index_map, V.dofmap.list
     touched, (_, columns, values) = B.createVecRight(), B.getValuesCSR()
