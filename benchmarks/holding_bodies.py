@@ -97,7 +97,7 @@ class AugmentedLagrangian:
         origin = G @ inverse(e)  # G'origin = e
         slope = apply(origin) - program.b
         if springs:
-            weight = float(program.compliance.nodal_compliance.mean()) / STIFFNESS
+            weight = float((1.0 / program.compliance.nodal_stiffness).mean()) / STIFFNESS
             self.penalty = lambda x: weight * (G @ (transposed @ x - e))
             self.hessian = lambda x: apply(x) + weight * (G @ (transposed @ x))
             self.norm = largest_eigenvalue(self.hessian, len(origin))

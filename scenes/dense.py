@@ -73,7 +73,7 @@ class DenseProblem(OneRank):
     def __post_init__(self) -> None:
         """Begin without products, and without constraints if none are given."""
         if self.constraints is None:
-            self.constraints = EqualityConstraints.none(len(self.b), OneRank())
+            self.constraints = EqualityConstraints.none(row_nodes(self.admissible), OneRank())
         self.forget()
 
     @property
@@ -108,7 +108,7 @@ class DenseProblem(OneRank):
         """Keep A as the store of known products; each column counts as a product."""
         if not self.is_too_large and not isinstance(self.store, WholeModel):
             rows = np.column_stack([self.apply(unit) for unit in np.eye(len(self.b))])
-            nodes, local = self.admissible.nodes(), 1.0 / np.diag(np.linalg.inv(self.A))
+            nodes, local = row_nodes(self.admissible), 1.0 / np.diag(np.linalg.inv(self.A))
             self.store = WholeModel(self, rows, 0, nodes, local, spsolve)
         return not self.is_too_large
 
@@ -326,6 +326,17 @@ def random_balanced_problem(
     return problem
 
 
+def row_nodes(cones: FeasibleSet) -> npt.NDArray[np.intp]:
+    """A number for each multiplier, equal for those of one disc, and of one cone."""
+    result = np.arange(cones.size)
+    for disc in range(len(cones.radius)):
+        rows = cones.tangential[cones.node == disc]
+        if isinstance(cones, FrictionCones) and cones.normal_of[disc] >= 0:
+            rows = np.append(rows, cones.normal_of[disc])
+        result[rows] = rows.min(initial=cones.size)
+    return result
+
+
 class LoadedBodies(FloatingBodies):
     """Bodies under loads that are given by their resultants and the sizes of their terms."""
 
@@ -347,7 +358,8 @@ def equilibrium(
     springs = csr_array(stiffness * np.eye(k))
     springs.eliminate_zeros()
     modes: Any = SimpleNamespace(body=np.zeros(k, dtype=np.int64), describe=describe)
-    bodies = LoadedBodies(modes, csr_array(np.eye(k)), springs, csr_array(jumps))
+    nodes = row_nodes(feasible_set)
+    bodies = LoadedBodies(modes, csr_array(np.eye(k)), springs, csr_array(jumps), nodes)
     given: Any = loads, sizes
     return bodies.under(given, feasible_set, OneRank()).constraints
 

@@ -41,7 +41,7 @@ def clarabel_minimum(
     With constraints: that of q + c'S c / 2, with G'lambda + S c = e.
     """
     if constraints is None:
-        constraints = EqualityConstraints.none(lam.size, OneRank())
+        constraints = EqualityConstraints.none(np.arange(lam.size), OneRank())
     # the solver's absolute tolerances are for numbers of size 1
     size = np.linalg.norm(np.append(b, constraints.values))
     rows, right, cones = [], [], []

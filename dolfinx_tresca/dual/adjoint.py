@@ -126,7 +126,7 @@ class LinearisedContact:
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
         change = cones.with_bound_change(x, face, np.ones_like(x))
-        matrix = NodalPattern(cones.nodes()).matrix(lambda v: change(v, v))
+        matrix = NodalPattern(dual.jump.row_nodes).matrix(lambda v: change(v, v))
         return cls(face, lam.circle_stiffness(r, face), matrix)
 
     def projected(self, v: Array) -> Array:

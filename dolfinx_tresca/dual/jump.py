@@ -15,7 +15,7 @@ from scipy.sparse import csr_array, kron
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
@@ -91,6 +91,13 @@ class JumpOperator(PetscOwner):
             self._of_V.destroy()
         if "_components" in vars(self):
             self._components.destroy()
+
+    @cached_property
+    def row_nodes(self) -> Indices:
+        """The number (size,) of each row's node; nodes are numbered pair by pair."""
+        ends = np.cumsum([len(pair.nodes) for pair in self.pairs])
+        starts = zip(self.pairs, ends, strict=True)
+        return np.concatenate([pair.row_node + end - len(pair.nodes) for pair, end in starts])
 
     def _gaps(self) -> Array:
         """Return the gaps of the pairs in normal rows (size,), divided by `length_scale`."""

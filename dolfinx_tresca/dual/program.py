@@ -76,7 +76,7 @@ class DualProgram:
         history = SlipHistory.none(jump) if history is None else history
         admissible = jump.bounded(slip_bounds)
         equilibrium = None
-        constraints = EqualityConstraints.none(admissible.size, jump.reductions)
+        constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
         if compliance.floating is not None:
             load = jump.system.f.x.petsc_vec.array
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)

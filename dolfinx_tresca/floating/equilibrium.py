@@ -127,12 +127,14 @@ class FloatingBodies:
             the bodies alone cause.
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse.
+        row_nodes: (size,) the node of each multiplier.
     """
 
     modes: RigidBodyModes
     displacements: csr_array
     stiffness: csr_array
     jumps: csr_array
+    row_nodes: Indices
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
         """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
@@ -203,7 +205,7 @@ class FloatingBodies:
             values=values,
             sizes=_largest_of_group(own_sizes, coupled[bodies]),
             reductions=reductions,
-            nodes=feasible_set.nodes(),
+            nodes=self.row_nodes,
         )
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if not balanced.satisfied:

@@ -37,7 +37,7 @@ class EqualityConstraints:
         sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
             estimated.
         reductions: sums over the ranks.
-        nodes: (size,) the node of each multiplier, see `FeasibleSet.nodes`.
+        nodes: (size,) the node of each multiplier.
     """
 
     columns: csr_array
@@ -48,10 +48,10 @@ class EqualityConstraints:
     nodes: Indices
 
     @classmethod
-    def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
-        """Return an empty set of equations for vectors (size,)."""
-        G, none = csr_array((size, 0)), np.empty(0)
-        return cls(G, csr_array((0, 0)), none, none, reductions, np.arange(size))
+    def none(cls, nodes: Indices, reductions: Reductions) -> EqualityConstraints:
+        """Return an empty set of equations for multipliers of the nodes (size,)."""
+        G, none = csr_array((len(nodes), 0)), np.empty(0)
+        return cls(G, csr_array((0, 0)), none, none, reductions, nodes)
 
     def __len__(self) -> int:
         return len(self.values)

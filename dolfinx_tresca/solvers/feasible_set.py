@@ -170,14 +170,6 @@ class FeasibleSet:
         norms = self.norms(y)
         return lambda v: self._scale_to_radius(face.project(v), norms, where=face.slip)
 
-    def nodes(self) -> Indices:
-        """Return a number (size,) for each multiplier, equal for the multipliers of one disc."""
-        result = np.arange(self.size)
-        first = np.full(len(self.radius), self.size)
-        np.minimum.at(first, self.node, self.tangential)
-        result[self.tangential] = first[self.node]
-        return result
-
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
         norms = self.norms(y)

@@ -234,14 +234,6 @@ class FrictionCones(FeasibleSet):
 
         return derivative
 
-    def nodes(self) -> Indices:
-        """Return a number (size,) for each multiplier, equal for the multipliers of one cone."""
-        result = super().nodes()
-        normal_of = self.normal_of[self.node]
-        has = normal_of >= 0
-        result[self.tangential[has]] = normal_of[has]
-        return result
-
     def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
         """Return dg/dp and dg/dv (n_discs,) at x for bounds g of slipping nodes, zero elsewhere."""
         by_pressure, by_slip = self._slopes(self._pressures(x))

@@ -77,7 +77,7 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     multiplier = members.indices[members.indptr[body[force]] + column]
     entries = (responses[force, column], (row[force], multiplier))
     rows = csr_array(entries, shape=(len(jump.gap), size))
-    return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
+    return WholeModel(jump.reductions, rows, first, jump.row_nodes, local_compliance, _solve)
 
 
 def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel:
@@ -90,7 +90,7 @@ def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel:
     jump = operator.jump
     first, end = jump.matrix.getOwnershipRange()
     rows = _columns(operator, np.arange(first, end), jump.matrix.getSize()[0], jump.matrix)
-    return WholeModel(jump.reductions, rows, first, _nodes(jump), local_compliance, _solve)
+    return WholeModel(jump.reductions, rows, first, jump.row_nodes, local_compliance, _solve)
 
 
 def _columns(operator: DualOperator, place: Indices, count: int, B: PETSc.Mat) -> Array:
@@ -141,14 +141,6 @@ def _solve(matrix: csr_array, right: Array) -> Array:
             "(-9 or -13: out of memory; see its manual)."
         )
     return result
-
-
-def _nodes(jump: JumpOperator) -> Indices:
-    """Return the number (size,) of each multiplier's node; nodes are numbered pair by pair."""
-    ends = np.cumsum([len(pair.nodes) for pair in jump.pairs])
-    return np.concatenate(
-        [pair.row_node + end - len(pair.nodes) for pair, end in zip(jump.pairs, ends, strict=True)]
-    )
 
 
 def _forces_on_bodies(

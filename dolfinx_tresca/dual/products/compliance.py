@@ -109,7 +109,8 @@ class ContactCompliance(PetscOwner):
         if self.springs is None:
             return None
         U, stiffness = self.springs.response(self.jump.system.K, self.operator.solver)
-        return FloatingBodies(self.springs.modes, U, stiffness, self.jump.of_columns(U))
+        jumps = self.jump.of_columns(U)
+        return FloatingBodies(self.springs.modes, U, stiffness, jumps, self.jump.row_nodes)
 
     @cached_property
     def certificate(self) -> EnergyBound:
@@ -133,13 +134,13 @@ class ContactCompliance(PetscOwner):
         The first call computes A if it is sparse, or if it has few rows (`FEW`).
         """
         if self._store is None:
-            self._store = sparse_model(self.operator, self.nodal_compliance)
+            self._store = sparse_model(self.operator, 1.0 / self.nodal_stiffness)
         if self._store is None:
             jump, size = self.jump, self.jump.matrix.getSize()[0]
             # in a mixed space, clamped nodes round the near field would fix its volume
             has_near = size > 0 and jump.system.component is None
             near = (lambda x: self.near_field.apply(x)) if has_near else None
-            self._store = ProductStore(jump.reductions, self.nodal_compliance, apply_near=near)
+            self._store = ProductStore(jump.reductions, 1.0 / self.nodal_stiffness, apply_near=near)
             if self.operator.exact and 0 < size <= FEW:
                 self.complete_products()
         return self._store
@@ -152,7 +153,7 @@ class ContactCompliance(PetscOwner):
         largest = LARGEST_DENSE if self.operator.exact else LARGEST_DENSE_ITERATIVE
         affordable = self.jump.matrix.getSize()[0] <= largest
         if affordable and not isinstance(self._store, WholeModel):
-            self._store = dense_model(self.operator, self.nodal_compliance)
+            self._store = dense_model(self.operator, 1.0 / self.nodal_stiffness)
         return isinstance(self._store, WholeModel)
 
     @cached_property
@@ -164,11 +165,6 @@ class ContactCompliance(PetscOwner):
     def nodal_stiffness(self) -> Array:
         """`local_stiffness` (size,), the same for all directions of a friction disc. Collective."""
         return self.jump.discs.mean_over_discs(self._local_stiffness)
-
-    @property
-    def nodal_compliance(self) -> Array:
-        """1 / `nodal_stiffness`, (size,)."""
-        return np.reciprocal(self.nodal_stiffness)
 
     @cached_property
     def stress_rounding(self) -> float:
