@@ -22,12 +22,12 @@ class PetscOwner(ABC):
     any other exception on several ranks, the objects are left to petsc4py. Freeing them is
     collective: it would wait for ranks that may not have raised the exception, and the exception
     would never be shown.
+
+    Attributes:
+        comm: the communicator of the objects.
     """
 
-    @property
-    @abstractmethod
-    def comm(self) -> Any:
-        """The communicator of the objects."""
+    comm: Any
 
     @abstractmethod
     def destroy(self) -> None:

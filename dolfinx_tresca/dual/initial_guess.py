@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -36,13 +34,9 @@ class InitialGuess(PetscOwner):
     def __init__(self, jump: JumpOperator) -> None:
         """Begin without load: u = 0 at x = 0. Collective."""
         self.load = jump.matrix.createVecRight()
+        self.comm = self.load.comm
         self._inner, self._agreed = jump.reductions.inner, jump.reductions.from_first_rank
         self._points: list[tuple[Array, PETSc.Vec]] = []
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the vectors."""
-        return self.load.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -58,6 +57,7 @@ class JumpOperator(PetscOwner):
     def __init__(self, system: LinearSystem, pairs: Sequence[PairOperators]) -> None:
         """Assemble B. Collective."""
         self.system = system
+        self.comm = self.system.comm
         self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
         self.reductions = RankReductions(system.comm)
         self._of_V = assemble_B(system.V, pairs)
@@ -77,11 +77,6 @@ class JumpOperator(PetscOwner):
         self.gap = self._gaps()
         self.unbounded = self._without_bounds()
         self.discs = self._separated()
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.system.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -74,13 +74,6 @@ class Equilibrium:
     bodies: FloatingBodies
     factors: Array
 
-    def describe(self, motion: Array) -> str:
-        """Return a text with the moving body and its motion, for constraints' multipliers (k,).
-
-        Collective.
-        """
-        return self.bodies.modes.describe(self.factors * motion)
-
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U c to u. Collective.
 
@@ -108,10 +101,10 @@ class Equilibrium:
         """Return a text with the sliding body, and the ratio of load and friction. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
-            f"Nothing holds {self.describe(deficit.motion)}. The loads along this motion are "
-            f"{times:.4g} times the friction that the pressures under these loads allow: the body "
-            "slides without end. Prescribe its displacement instead of the load, reduce the load, "
-            "or press harder"
+            f"Nothing holds {self.bodies.modes.describe(self.factors * deficit.motion)}. The loads "
+            f"along this motion are {times:.4g} times the friction that the pressures under these "
+            "loads allow: the body slides without end. Prescribe its displacement instead of the "
+            "load, reduce the load, or press harder"
         )
 
 
@@ -271,5 +264,4 @@ def _largest_of_group(sizes: Array, group: Indices) -> Array:
     """Return for each of the sizes (k,) the largest size in the same group (k,)."""
     largest = np.zeros(int(group.max(initial=-1)) + 1)
     np.maximum.at(largest, group, sizes)
-    result: Array = largest[group]
-    return result
+    return np.asarray(largest[group])

@@ -75,8 +75,7 @@ class FixingSprings:
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.number))
         first = modes.comm.scan(len(label)) - len(label)
         chance = splitmix64(np.arange(first, first + len(label), dtype=np.uint64)) / 2.0**64
-        result: Mask = moves & (chance * numbers[label] <= FIXING_NODES)
-        return result
+        return np.asarray(moves & (chance * numbers[label] <= FIXING_NODES))
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -39,6 +37,7 @@ class MixedNorm(PetscOwner):
             component: the displacement in its mixed space.
         """
         self._component = component
+        self.comm = self._component.comm
         tangent.update_material()
         tangent.assemble_form()
         K = tangent.K
@@ -53,11 +52,6 @@ class MixedNorm(PetscOwner):
         self._product: PETSc.Vec = self._A.createVecLeft()
         for owned in (squares, diagonal, compliance):
             owned.destroy()
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._component.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

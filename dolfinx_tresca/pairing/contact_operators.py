@@ -69,16 +69,12 @@ class ContactOperators(PetscOwner):
                 which differ if V is a component of a mixed space.
         """
         self._V, self._pair, self._columns = V, pair, columns
+        self.comm = self._V.mesh.comm
         self._transfer = SideTransfer(V, pair, surfaces)
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
         return f"<ContactOperators: {self._pair.pairing}, {rows} on this rank>"
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._V.mesh.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

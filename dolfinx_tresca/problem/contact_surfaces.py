@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 from mpi4py import MPI
 
@@ -100,6 +99,7 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs, self._stiffness = linear, pairs, stiffness
+        self.comm = self.linear.comm
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
         self._accepted_configuration: fem.Function | None = None
@@ -138,11 +138,6 @@ class ContactSurfaces(PetscOwner):
                 rounding = self.compliance.stress_rounding
                 for pair, on_nodes in zip(pairs, operators, strict=True):
                     self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.linear.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -107,6 +107,7 @@ class ContactSystem(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs = linear, pairs
+        self.comm = self.linear.comm
         self._last_solve: LastSolve | None = None
         self._destroyed = False
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
@@ -126,11 +127,6 @@ class ContactSystem(PetscOwner):
             linear.destroy()
             raise
         hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self._stiffness.bodies)
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.linear.comm
 
     @property
     def solved(self) -> LastSolve | None:

@@ -92,8 +92,7 @@ class EqualityConstraints:
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
-        result: Array = self.values - self.along(x) - self.softness @ c
-        return result
+        return np.asarray(self.values - self.along(x) - self.softness @ c)
 
     def imbalance(self, x: Array, c: Array) -> float:
         """Return the norm of the residual of the equations, divided by that of their terms."""

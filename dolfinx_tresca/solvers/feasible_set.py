@@ -58,8 +58,7 @@ class Face:
     def project(self, v: Array) -> Array:
         """Return the part P v of v, (size,) or (size, k), along the face."""
         along = (v.T * self.free).T
-        result: Array = along - self.along_radius(self.radial_parts(along))
-        return result
+        return np.asarray(along - self.along_radius(self.radial_parts(along)))
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,7 @@ class FeasibleSet:
         """Return the mean (n_discs,) of the tangential parts of each disc; 0 for empty discs."""
         sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
         number = np.bincount(self.node, minlength=len(self.radius))
-        result: Array = sums / np.maximum(number, 1)
-        return result
+        return np.asarray(sums / np.maximum(number, 1))
 
     def mean_over_discs(self, v: Array) -> Array:
         """Return v with the tangential parts of each disc replaced by their mean."""
@@ -190,8 +188,7 @@ class FeasibleSet:
     def on_face(self, v: Array, face: Face) -> Array:
         """Return v moved to a face: open nodes to zero, slipping nodes to g times `radial`."""
         radius = np.where(face.slip, self.radius, 0.0)  # infinity times zero is NaN
-        result: Array = np.where(face.active, v, 0.0) + face.along_radius(radius)
-        return result
+        return np.asarray(np.where(face.active, v, 0.0) + face.along_radius(radius))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
         """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.

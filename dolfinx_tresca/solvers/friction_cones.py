@@ -145,11 +145,12 @@ class FrictionCones(FeasibleSet):
         """
         if self.curves is None:
             return self
-        pressure, moved = self._pressures(x), dataclasses.replace(self, slip=self.norms(r))
+        pressure, slip = self._pressures(x), self.norms(r)
         if target is not None:
             at_rest = dataclasses.replace(self, slip=np.zeros_like(self.radius)).section(x).radius
-            sticks = (self.norms(target) <= at_rest) & (moved._slopes(pressure)[1] >= 0.0)
-            moved = dataclasses.replace(self, slip=np.where(sticks, 0.0, moved.slip))
+            weakens = dataclasses.replace(self, slip=slip)._slopes(pressure)[1] < 0.0
+            slip = np.where((self.norms(target) <= at_rest) & ~weakens, 0.0, slip)
+        moved = dataclasses.replace(self, slip=slip)
         return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
 
     def section(self, x: Array) -> FeasibleSet:
@@ -297,8 +298,7 @@ class FrictionCones(FeasibleSet):
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:
         grown = coefficient * np.maximum(pressure, 0.0)
-        result: Array = self.radius + np.minimum(grown, self.limit)
-        return result
+        return np.asarray(self.radius + np.minimum(grown, self.limit))
 
     def _nearest(self, y: Array) -> _Nearest:
         """Return the nearest points of the set in each node's half-plane (pressure, radius).

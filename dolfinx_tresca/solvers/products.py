@@ -69,8 +69,7 @@ class BlockBFGSModel:
     @property
     def size(self) -> Array:
         """diag(M), (size,)."""
-        result: Array = self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1)
-        return result
+        return np.asarray(self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1))
 
     def apply(self, x: Array) -> Array:
         """Return M x for x of shape (size,) or (size, columns). Collective."""

@@ -62,7 +62,7 @@ class WholeModel:
         """
         self._reductions, self._solve = reductions, solve
         size, n = rows.shape
-        self._mine, self._count = slice(first, first + size), n
+        self._mine, self._count = slice(first, first + size), int(n)
         self.diagonal: Array = rows[:, self._mine].diagonal()
         self.size = self.diagonal
         self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
@@ -93,8 +93,7 @@ class WholeModel:
 
     def apply(self, x: Array) -> Array:
         """Return M x for x of shape (size,) or (size, columns). Collective."""
-        result: Array = self._shifted[self._mine] @ self._gathered(x)
-        return result
+        return np.asarray(self._shifted[self._mine] @ self._gathered(x))
 
     @cached_property
     def _largest_eigenvalue(self) -> float:

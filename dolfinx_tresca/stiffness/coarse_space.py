@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 from dolfinx_tresca._base.owner import PetscOwner
@@ -43,6 +41,7 @@ class CoarseSpace(PetscOwner):
             matrix.destroy()
         self._levels = [P.createVecRight() for P in interpolations]
         self._coarsest = self._levels[-1].duplicate()
+        self.comm = self._coarsest.comm
 
     @classmethod
     def of(cls, pc: PETSc.PC) -> CoarseSpace | None:
@@ -67,11 +66,6 @@ class CoarseSpace(PetscOwner):
                         return None
             pc = pc.getMGSmoother(0).getPC()
         return None
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of K."""
-        return self._coarsest.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

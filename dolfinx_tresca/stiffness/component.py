@@ -41,6 +41,7 @@ class Component(PetscOwner):
             index: index of the sub-space in the mixed space.
         """
         self._space, self._index = space, index
+        self.comm = self._space.mesh.comm
         self.V, self._dofs = collapse(space.sub(index))
         self._original = fem.Function(self.V)
         own, whole = self.V.dofmap, space.dofmap.index_map
@@ -51,11 +52,6 @@ class Component(PetscOwner):
         entries = np.ones(owned), whole.local_to_global(self._dofs[:owned]), np.arange(owned + 1)
         rows = csr_array(entries, shape=(owned, whole.size_global))
         self._parts = sparse_matrix(rows, (whole.size_local, whole.size_global), space.mesh.comm)
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._space.mesh.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

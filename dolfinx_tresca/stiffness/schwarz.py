@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 from dolfinx_tresca._base.arrays import Array, Indices
@@ -48,15 +46,11 @@ class Schwarz(PetscOwner):
         finally:
             K_local.destroy()
         self._u, self._left = K.createVecs()
+        self.comm = self._u.comm
         self._coarse = CoarseSpace.of(solver.preconditioner)
         # the rows of K that couple the local degrees of freedom with all degrees of freedom
         self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
         rows.destroy()
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of K."""
-        return self._u.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -95,7 +95,7 @@ class StiffnessSolver(PetscOwner):
             InputError: the options allow no iteration.
             StiffnessError: the set-up failed.
         """
-        self.name, self._comm = name, K.comm
+        self.name, self.comm = name, K.comm
         self.solves = 0
         self.krylov_iterations = 0
         self._least_eigenvalue = 1.0
@@ -299,7 +299,7 @@ class StiffnessSolver(PetscOwner):
         if not self._warned:
             self._warned = True
             log(
-                self._comm,
+                self.comm,
                 "the %s solver for K stopped after %d iterations, by PETSc's reason %d, with an "
                 "error of %.1e in the energy norm, and misses its tolerance; further ones are not "
                 "reported. Try stiffness='cholesky', or other petsc_options.",
@@ -369,11 +369,6 @@ class StiffnessSolver(PetscOwner):
             elif package == "cholmod":
                 kind += f", CHOLMOD, {factor.getInfo()['memory'] / 1e6:.0f} MB"
         return f"{self.name} ({kind})"
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of K."""
-        return self._comm
 
     def destroy(self) -> None:
         """Free the PETSc objects; a later `solve` is an error. Collective."""

@@ -100,6 +100,7 @@ class LinearSystem(PetscOwner):
         index = component_index(self.space, V)
         self.component = None if index is None else Component(self.space, index)
         self.V = self.space if self.component is None else self.component.V
+        self.comm = self.V.mesh.comm
         self.axisymmetric = axisymmetric
         if axisymmetric:
             check_meridian(self.V.mesh)
@@ -139,11 +140,6 @@ class LinearSystem(PetscOwner):
         if self._columns is not None:
             self._columns.destroy()
             self._columns = None
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.V.mesh.comm
 
     @property
     def form_of_displacement(self) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
@@ -45,17 +43,12 @@ class EnergyBound(PetscOwner):
         """
         self._local_stiffness = local_stiffness
         system = jump.system
-        self._comm = system.comm
+        self.comm = system.comm
         self._lift: Lift | SaddleLift | None = None
         if system.component is None:
             self._lift = Lift(jump)
         elif not system.is_tangent:
             self._lift = SaddleLift(jump)
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

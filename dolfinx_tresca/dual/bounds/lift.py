@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -53,6 +51,7 @@ class Lift(PetscOwner):
             jump: B, and the system with K.
         """
         self._system, self._B = jump.system, jump.matrix
+        self.comm = self._system.comm
         self._compliance = nodal_compliance(jump.system)
         self._jump, self._force = self._B.createVecs("left"), self._B.createVecs("right")
         self._multipliers = self._jump.duplicate()
@@ -69,11 +68,6 @@ class Lift(PetscOwner):
             self._solver = None
         for owned in (weighted, transposed, local):
             owned.destroy()
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._system.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -43,7 +41,7 @@ class SaddleLift(PetscOwner):
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
         system = jump.system
-        K, self._comm = system.K, system.comm
+        K, self.comm = system.K, system.comm
         free, zero = jump.matrix.createVecs()
         zero.set(0.0)
         free.array = system.moves
@@ -76,11 +74,6 @@ class SaddleLift(PetscOwner):
                 "volume cannot be closed. Let it change its volume a little (Poisson's ratio "
                 "0.4999, say), or leave a part of its boundary free."
             )
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

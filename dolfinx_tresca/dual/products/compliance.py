@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 from mpi4py import MPI
 
@@ -67,16 +66,12 @@ class ContactCompliance(PetscOwner):
                 the solver is destroyed.
         """
         self.jump, self.springs = jump, springs
+        self.comm = self.jump.comm
         with destroyed_on_error(solver):
             if jump.system.component is not None:
                 _ = self.certificate  # now, since it raises errors of the scene
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.jump.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
@@ -133,14 +128,15 @@ class ContactCompliance(PetscOwner):
 
         The first call computes A if it is sparse, or if it has few rows (`FEW`).
         """
+        compliance = np.reciprocal(self.nodal_stiffness)
         if self._store is None:
-            self._store = sparse_model(self.operator, 1.0 / self.nodal_stiffness)
+            self._store = sparse_model(self.operator, compliance)
         if self._store is None:
             jump, size = self.jump, self.jump.matrix.getSize()[0]
             # in a mixed space, clamped nodes round the near field would fix its volume
             has_near = size > 0 and jump.system.component is None
             near = (lambda x: self.near_field.apply(x)) if has_near else None
-            self._store = ProductStore(jump.reductions, 1.0 / self.nodal_stiffness, apply_near=near)
+            self._store = ProductStore(jump.reductions, compliance, apply_near=near)
             if self.operator.exact and 0 < size <= FEW:
                 self.complete_products()
         return self._store
@@ -153,7 +149,7 @@ class ContactCompliance(PetscOwner):
         largest = LARGEST_DENSE if self.operator.exact else LARGEST_DENSE_ITERATIVE
         affordable = self.jump.matrix.getSize()[0] <= largest
         if affordable and not isinstance(self._store, WholeModel):
-            self._store = dense_model(self.operator, 1.0 / self.nodal_stiffness)
+            self._store = dense_model(self.operator, np.reciprocal(self.nodal_stiffness))
         return isinstance(self._store, WholeModel)
 
     @cached_property

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -49,16 +47,12 @@ class NearField(PetscOwner):
             StiffnessError: the factorisation failed.
         """
         self._jump = jump
+        self.comm = self._jump.comm
         free = ~jump.system.prescribed
         layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
         near = np.repeat(_near(jump, layers), jump.system.V.dofmap.index_map_bs) & free
         self._dofs = np.flatnonzero(near)
         self._inverse = Schwarz(solver, self._dofs)
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._jump.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -86,5 +80,4 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
         around = cells[(near.array[cells] > 0.0).any(axis=1)]
         near.array[around] = 1.0
         near.scatter_reverse(la.InsertMode.add)
-    result: Mask = near.array[: nodes.size_local] > 0.0
-    return result
+    return np.asarray(near.array[: nodes.size_local] > 0.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -34,14 +32,10 @@ class DualOperator(PetscOwner):
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
         """Prepare products, without computing any. Collective."""
         self.jump, self.solver = jump, solver
+        self.comm = self.jump.comm
         self.products = 0
         self.product_error = 0.0
         self._u = jump.matrix.createVecRight()
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.jump.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
