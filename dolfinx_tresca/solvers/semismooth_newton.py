@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca._base.patience import MOST_STEPS, PATIENCE, PROGRESS
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.products import ProductStore
@@ -21,9 +21,9 @@ from dolfinx_tresca.solvers.whole_model import WholeModel
 #: change their states less often.
 RHO_DIAGONAL, RHO_DIAGONAL_CONVEX = 0.2, 1.0
 
-#: Limits on the number of Newton steps, and on the number of halvings of a step that does not
-#: reduce the residual. With 10 halvings, a scene of `tests/extremes` is not solved.
-MOST_STEPS, MOST_HALVINGS = 200, 6
+#: Limit on the number of halvings of a step that does not reduce the residual. With 10 halvings, a
+#: scene of `tests/extremes` is not solved.
+MOST_HALVINGS = 6
 
 #: Limit on products with the near field in one iteration.
 MOST_NEAR_PRODUCTS = 8
