@@ -561,7 +561,7 @@ def test_logs_go_to_the_first_rank(comm, caplog):
     if comm.rank == 0:
         for text in (
             "stiffness: cholesky, since",
-            "pairing: upper_contact on lower_contact, node-to-node since the meshes match",
+            "pairing: upper_contact on lower_contact, mortar",
             "pairing: 9 of 12 secondary nodes carry multipliers",
             "projected_newton: conv",
         ):

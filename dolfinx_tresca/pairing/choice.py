@@ -1,17 +1,17 @@
-"""Choice of the pairing: mortar, node-to-node, or pairing with a rigid obstacle."""
+"""Pairing of two surfaces, or of a surface and a rigid obstacle."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing import mortar, node, obstacle
+from dolfinx_tresca.pairing import mortar, obstacle
 from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -22,6 +22,7 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import Halo, extend_halos
+from dolfinx_tresca.surface.matching import MATCHING_DISTANCE, RIM_PART, corner_distances
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.self_contact import SelfContact
 
@@ -105,15 +106,15 @@ def _couple_surfaces(
     other_nodes: SurfaceNodes,
     moved: bool,
 ) -> tuple[Coupling, Indices | None]:
-    """Find the jumps at secondary nodes: node-to-node if meshes match, else mortar. Collective.
+    """Find the jumps at secondary nodes by mortar integrals. Collective.
 
     Returns:
         The coupling, and the number of the body opposite to each node (`opposite_bodies`), which is
         None unless the surface touches itself.
 
     Raises:
-        PairingError: `pair.pairing` is "nodes", but the meshes do not match or displacements have
-            degree 2; or no node can carry a multiplier.
+        PairingError: `pair.pairing` is "nodes", but the undeformed meshes do not match; or no node
+            can carry a multiplier.
     """
     facets, others = secondary.halo.facets, primary.halo.facets
     bodies = None
@@ -131,24 +132,50 @@ def _couple_surfaces(
     if pair.touches_itself:
         own = owned_nodes(V, nodes)
         shared = np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[shared & own]))
-    couple_by_mortar = partial(
-        mortar.couple, V, pair, facets, nodes, others, integrals, shared, moved
-    )
-    if pair.pairing == "mortar":
-        return couple_by_mortar(""), bodies
-    if facets.degree > 1:
-        reason = f"displacements have degree {facets.degree}"
-    else:
-        matching = node.match(
-            V, facets, nodes, others, integrals, secondary.whole.largest_coordinate
-        )
-        if not matching.mismatch:
-            without = shared if pair.touches_itself else None
-            return node.couple(V, pair, nodes, matching, without), bodies
-        reason = matching.mismatch
-    if pair.pairing == "nodes":
+    if pair.pairing == "nodes" and not moved:
+        _check_meshes_match(V, pair, facets, nodes, others, integrals)
+    return mortar.couple(V, pair, facets, nodes, others, integrals, shared, moved), bodies
+
+
+def _check_meshes_match(
+    V: Any,
+    pair: ContactPair,
+    secondary: Facets,
+    nodes: SurfaceNodes,
+    primary: Facets,
+    integrals: MortarIntegrals,
+) -> None:
+    """Check that each facet matches the facet that covers most of it. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        secondary: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        primary: facets of the primary side.
+        integrals: the integrals over the overlap.
+
+    Raises:
+        PairingError: secondary nodes face the primary side away from its nodes.
+    """
+    ascending = np.argsort(integrals.share)
+    ascending = ascending[integrals.share[ascending] > RIM_PART]
+    largest_share = np.full(len(secondary.points), -1)
+    largest_share[integrals.secondary[ascending]] = ascending
+    facet = np.flatnonzero(largest_share >= 0)
+    other = integrals.primary[largest_share[facet]]
+    distance, allowed = corner_distances(secondary, facet, primary, other)
+    corner = nodes.facet_nodes[facet]
+    apart = (distance > allowed[:, None]) & owned_nodes(V, nodes)[corner]
+    number = V.mesh.comm.allreduce(len(np.unique(nodes.numbers[corner[apart]])))
+    if number > 0:
+        rows = np.column_stack([distance[apart], nodes.points[corner[apart]]])
+        largest, *place = row_of_least(V.mesh.comm, -distance[apart], rows)
         raise PairingError(
-            f"the surfaces cannot be paired node-to-node: {reason}. Mesh both surfaces alike, in "
-            'degree 1, or take pairing="mortar".'
+            f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
+            f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
+            f"({pair.side('primary')}) away from its nodes, by up to {largest:.2g} at "
+            f"{tuple(round(float(x), 6) for x in place)} (allowed: {MATCHING_DISTANCE:g} of a "
+            "facet). Mesh both surfaces alike, or leave out the argument: mortar pairing needs no "
+            "matching meshes."
         )
-    return couple_by_mortar(reason), bodies

@@ -89,7 +89,6 @@ def nodes_with_multipliers(
     unpaired: Mask,
     shared: Mask,
     kind: str,
-    reason: str = "",
 ) -> Indices:
     """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
 
@@ -101,7 +100,6 @@ def nodes_with_multipliers(
         shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
             a surface that touches itself, see `redundant_nodes`.
         kind: kind of the pairing, for the log.
-        reason: reason for this kind, for the log; may be empty.
 
     Raises:
         PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
@@ -152,7 +150,7 @@ def nodes_with_multipliers(
             f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
-    log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
+    log(V.mesh.comm, "pairing: %s, %s", pair, kind)
     excluded = {
         "face nothing or are primary"
         if pair.touches_itself

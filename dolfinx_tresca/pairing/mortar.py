@@ -1,4 +1,4 @@
-"""Mortar pairing: jumps averaged by the dual basis, for surfaces whose meshes do not match."""
+"""Mortar pairing: jumps of two surfaces, averaged by the dual basis."""
 
 from __future__ import annotations
 
@@ -70,7 +70,6 @@ def couple(
     integrals: MortarIntegrals,
     shared: Mask,
     moved: bool,
-    reason: str,
 ) -> Coupling:
     """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
@@ -88,7 +87,6 @@ def couple(
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
             penetration is an error of the displacement.
-        reason: reason for pairing by mortar, for the log.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -98,7 +96,7 @@ def couple(
         columns = V.dofmap.index_map.size_global
         found = mortar_rows(facets, nodes, others, integrals, columns, without)
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
-    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar")
     weights = found.weights[position]
     scale: Array = np.reciprocal(weights)
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))

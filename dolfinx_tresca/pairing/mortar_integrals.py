@@ -37,7 +37,7 @@ class MortarIntegrals:
     Attributes:
         own: integrals of products of two secondary functions, for all secondary facets.
         sagitta: (n, corners) integrals of hat functions times the heights of both curved surfaces
-            over their facets, which reduce the gap.
+            over their facets, which reduce the gap; zero over facets that match.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
         distance: (n, corners) integrals of hat functions times the distance of the exact surfaces;
             zero if no exact surface is known.

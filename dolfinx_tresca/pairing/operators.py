@@ -25,6 +25,7 @@ from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.matching import RIM_PART
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.surface.search import expanded_ranges
 from dolfinx_tresca.surface.whole import WholeSurface
@@ -209,15 +210,18 @@ class PairOperators:
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
+    Primary nodes whose share of the mean is at most `RIM_PART` do not count.
+
     Args:
         primary: (n, nodes of V) sparse matrix of the means over the primary side.
         facets: facets of the primary side.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
+    counts = np.abs(primary.data) > RIM_PART
     result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
     for axis in range(facets.free.shape[2]):
         prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
-        result[row[np.isin(columns, prescribed)], axis] = False
+        result[row[counts & np.isin(columns, prescribed)], axis] = False
     return result
 
 

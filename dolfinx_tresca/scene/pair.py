@@ -51,19 +51,18 @@ class ContactPair:
             If a list is given, the pair keeps its first tag; in the pair's own `facet_tags` all
             facets with a tag of the list have this first tag. `geometry` has the tags of the list.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
-        pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
-            averages the jump over the facets by dual basis functions and needs no matching meshes;
-            "auto" is "nodes" if the meshes match within 1e-8 of a facet wherever the sides face
-            each other, else "mortar". Ignored for a rigid obstacle.
+        pairing: "auto" and "mortar" average the jump over the facets by dual basis functions; where
+            the meshes of both sides match, this is the jump between a node and the node opposite
+            to it. "nodes" does the same, but demands that the undeformed meshes match within 1e-8
+            of a facet wherever the sides face each other. Ignored for a rigid obstacle.
         search_distance: largest gap and largest penetration [length] at which points of the
             surfaces are paired; None: no limit.
         geometry: the curved surfaces that the facets approximate: `TaggedMesh.geometry` of
             `read_gmsh`, or tag -> function from points (3, n) to the nearest points (3, n) on the
-            surface [length]; flat surfaces need no function. The gap of mortar pairs is measured
-            between these surfaces, which corrects coarse facets of closely fitting bodies.
-            `update_geometry` keeps the heights of the surfaces over the facets. None: smooth
-            surfaces through the nodes, which follow from the nodal normals. Ignored for
-            node-to-node pairs and rigid obstacles.
+            surface [length]; flat surfaces need no function. The gap is measured between these
+            surfaces, which corrects coarse facets of closely fitting bodies. `update_geometry`
+            keeps the heights of the surfaces over the facets. None: smooth surfaces through the
+            nodes, which follow from the nodal normals. Ignored for rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.
