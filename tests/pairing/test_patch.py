@@ -157,7 +157,6 @@ def test_blocks_that_overlap_in_part(comm, kind, shift):
     dim = dim_of(kind)
     scene = patch(comm, kind, span=[(shift, 1.0 + shift)] * (dim - 1), gap=0.001)
     operators = scene.operators()
-    assert operators.pairing == "mortar"
     # nodes with a very small covered part give it to their neighbours
     area = comm.allreduce(operators.weights.sum())
     assert area == pytest.approx(scene.data.overlap, rel=1e4 * EPS)
