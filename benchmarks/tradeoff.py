@@ -25,12 +25,11 @@ Seconds are processor seconds from geometry to fields: mesh, forms, `ContactProb
 other work on the machine. Both are the least of some repetitions, after a small run that compiles
 all forms. Memory is the peak memory of the process minus its memory before the run.
 
-The axes, along which settings vary, are: `mesh` (defaults on all meshes); `backend` and `pairing`
-(on all meshes of degree 1, where the bricks are paired node-to-node by default; for degree 2
-pairing is always by mortar); `part` (`accuracy` is this part of the package's estimate of the
-mesh's error); `rtol`; `method` (each method solves to the default accuracy); `krylov` (relative
-residual of each solve with K in imssn; by default imssn chooses this residual); and `fraction` (the
-argument of `solve_adaptively`).
+The axes, along which settings vary, are: `mesh` (defaults on all meshes); `backend` (on all meshes
+of degree 1); `part` (`accuracy` is this part of the package's estimate of the mesh's error);
+`rtol`; `method` (each method solves to the default accuracy); `krylov` (relative residual of each
+solve with K in imssn; by default imssn chooses this residual); and `fraction` (the argument of
+`solve_adaptively`). Rows with the axis `pairing` are of versions that paired nodes in another way.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ from dolfinx_tresca import (
 )
 from scenes.scene import Scene
 
-AXES = ("mesh", "backend", "pairing", "part", "rtol", "method", "krylov", "fraction")
+AXES = ("mesh", "backend", "part", "rtol", "method", "krylov", "fraction")
 
 PARTS = (0.5, 0.3, 0.1, 0.03, 0.01)
 RTOLS = tuple(10.0**-k for k in range(1, 11))
@@ -115,8 +114,6 @@ def settings(scene: Study, mesh: Mesh, axes: list[str]) -> Iterator[Setting]:
     if mesh.degree == 1 and "backend" in axes:
         for stiffness in ("cholesky", "multigrid"):
             yield Setting("backend", stiffness=stiffness)
-    if mesh.degree == 1 and "pairing" in axes and scene is SCENES["two_bricks"]:
-        yield Setting("pairing", pairing="mortar")
     if mesh not in scene.base:
         return
     if "part" in axes:

@@ -3,9 +3,8 @@
     tools/fenicsx python3 benchmarks/published_cases/patch_test.py 4
 
 R. L. Taylor and P. Papadopoulos, On a patch test for contact problems in two dimensions, 1991. The
-test has all kinds of cells, degrees 1 and 2, matching meshes that are paired node to node, and
-meshes that do not match, which are paired by mortar elements. The argument is the number of cells
-along the contact.
+test has all kinds of cells, degrees 1 and 2, meshes that match ("node to node"), and meshes that do
+not match ("mortar"). The argument is the number of cells along the contact.
 """
 
 from __future__ import annotations

@@ -116,12 +116,11 @@ def _same(first: Any, second: Any) -> bool:
 
 
 def with_one_tag(tags: Any, some: Mask, tag: int) -> Any:
-    """Return new tags: the tagged entities that a mask (n,) selects, all with the same tag."""
+    """Return new tags, in which the tagged entities that a mask (n,) selects have the same tag."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
-    entities = tags.indices[some]
-    values = np.full(len(entities), tag, dtype=np.int32)
+    values = np.where(some, np.int32(tag), tags.values)
     kind = type(tags._cpp_object)
-    return dolfinx.mesh.MeshTags(kind(topology, tags.dim, entities, values))
+    return dolfinx.mesh.MeshTags(kind(topology, tags.dim, tags.indices, values))
 
 
 def contains(V: Any, bc: Any) -> bool:

@@ -21,10 +21,36 @@ from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.pairing.discs import FrictionDiscs
 from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, assemble_B, multiplier_slices
+from dolfinx_tresca.pairing.operators import (
+    PairOperators,
+    as_petsc,
+    assemble_B,
+    joined,
+    multiplier_slices,
+)
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import Curve, FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+@dataclasses.dataclass(frozen=True)
+class RowsOfPair:
+    """The nodes and rows of B of all multipliers that act on a pair.
+
+    Pairs of a group (`PairGroup`) share multipliers: a pair that has none itself, or whose nodes at
+    a common edge have their multipliers in another pair, has its part of their areas.
+
+    Attributes:
+        operators: the operators at all nodes with an area of the pair, with these areas as weights.
+        nodes: (n,) number of each node among the nodes of all pairs of B.
+        normal: (n_normal,) row of B of each row of N.
+        tangential: (n_tangential,) row of B of each row of T.
+    """
+
+    operators: PairOperators
+    nodes: Indices
+    normal: Indices
+    tangential: Indices
 
 
 class JumpOperator(PetscOwner):
@@ -93,6 +119,27 @@ class JumpOperator(PetscOwner):
         ends = np.cumsum([len(pair.nodes) for pair in self.pairs])
         starts = zip(self.pairs, ends, strict=True)
         return np.concatenate([pair.row_node + end - len(pair.nodes) for pair, end in starts])
+
+    @property
+    def by_pair(self) -> list[RowsOfPair]:
+        """The nodes and rows of the multipliers that act on each pair."""
+        firsts = np.cumsum([0, *(len(pair.nodes) for pair in self.pairs)])
+        result = []
+        for k, pair in enumerate(self.pairs):
+            numbers = pair.undeformed.group.numbers
+            member = numbers.index(k)
+            parts, nodes, normal, tangential = [], [], [], []
+            for j in numbers:
+                one, (n, t) = self.pairs[j], self.slices[j]
+                share = one.shares[:, member]
+                keep = share > 0.0
+                parts.append(dataclasses.replace(one.part(keep), weights=share[keep]))
+                nodes.append(firsts[j] + np.flatnonzero(keep))
+                normal.append(n.start + np.flatnonzero(keep[one.normal_node]))
+                tangential.append(t.start + np.flatnonzero(keep[one.tangent_node]))
+            rows = (np.concatenate(some) for some in (nodes, normal, tangential))
+            result.append(RowsOfPair(joined(parts), *rows))
+        return result
 
     def _gaps(self) -> Array:
         """Return the gaps of the pairs in normal rows (size,), divided by `length_scale`."""

@@ -56,10 +56,14 @@ def moved_jump(
     ]
     values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
     straight = straightened(V, values)
-    operators = [
-        old if stays else pair_displaced_surfaces(V, pair, old.undeformed, straight)
-        for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
-    ]
+    operators = list(before.pairs)
+    for first, old in enumerate(before.pairs):
+        numbers = old.undeformed.group.numbers
+        if first == numbers[0] and not all(stay[k] for k in numbers):
+            found = pair_displaced_surfaces(V, old.undeformed, straight)
+            for k, one in zip(numbers, found, strict=True):
+                stay[k] = before.pairs[k].bonded
+                operators[k] = before.pairs[k] if stay[k] else one
     moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
     jump = JumpOperator(system, operators)
     with destroyed_on_error(jump):

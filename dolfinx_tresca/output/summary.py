@@ -14,9 +14,11 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.output.table import Row, abridged
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Friction, Tresca
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units, with_unit
@@ -45,12 +47,14 @@ class ProblemSummary:
 
     @classmethod
     def of(
-        cls, system: LinearSystem, pairs: Sequence[ContactPair], operators: Sequence[PairOperators]
+        cls, system: LinearSystem, pairs: Sequence[ContactPair], jump: JumpOperator
     ) -> ProblemSummary:
         """Count cells, unknowns and contact nodes of a problem. Collective."""
         mesh, comm = system.V.mesh, system.comm
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
-        counts = reduce_array(comm, [int(system.moves.sum()), *(len(o.nodes) for o in operators)])
+        operators = [rows.operators for rows in jump.by_pair]
+        own = [int(system.moves.sum()), sum(len(one.nodes) for one in jump.pairs)]
+        counts = reduce_array(comm, [*own, *(len(one.nodes) for one in operators)])
         return cls(
             mesh=f"{cells} cells ({mesh.topology.cell_name()}"
             + ", axisymmetric" * system.axisymmetric
@@ -58,10 +62,10 @@ class ProblemSummary:
             dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,
             free_dofs=int(counts[0]),
             other_dofs=system.saddle_size,
-            contact_nodes=int(counts[1:].sum()),
+            contact_nodes=int(counts[1]),
             pairs=tuple(
-                (pair, f"{one.pairing}: {nodes} nodes", _gap_range(comm, one))
-                for pair, one, nodes in zip(pairs, operators, counts[1:], strict=True)
+                (pair, f"{_kind(pair)}: {nodes} nodes", _gap_range(comm, one))
+                for pair, one, nodes in zip(pairs, operators, counts[2:], strict=True)
             ),
         )
 
@@ -80,6 +84,11 @@ class ProblemSummary:
         """Return the row of a pair."""
         friction = _friction_text(pair.friction, units)
         return "  pair", f"{pair}, {paired}, {with_unit(gap, units, 'length')}, {friction}"
+
+
+def _kind(pair: ContactPair) -> str:
+    """Return the kind of the pairing."""
+    return "obstacle" if isinstance(pair.primary, RigidObstacle) else "mortar"
 
 
 def _friction_text(friction: Friction, units: Units | None) -> str:

@@ -74,7 +74,7 @@ class ContactOperators(PetscOwner):
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
-        return f"<ContactOperators: {self._pair.pairing}, {rows} on this rank>"
+        return f"<ContactOperators: {rows} on this rank>"
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -26,11 +26,11 @@ class Coupling:
     components along normals and tangents, which gives N and T.
 
     Attributes:
-        pairing: kind of the pairing, for tables and messages.
         position: (n,) indices of the nodes in the secondary side's `SurfaceNodes`, which may have
             several entries for a node on a sharp edge.
         weights: (n,) covered area of each node: the part that faces the primary side [length^2, in
             2D length].
+        shares: (n, pairs) part of each node's weight that belongs to each pair of the group.
         normals: (n, 3) outward unit normals of the secondary side.
         jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, with global column
             numbers.
@@ -43,9 +43,9 @@ class Coupling:
             which reduces the gap [length]; zero for degree 1.
     """
 
-    pairing: str
     position: Indices
     weights: Array
+    shares: Array
     normals: Array
     jump: Any
     primary: Any
@@ -88,8 +88,6 @@ def nodes_with_multipliers(
     nodes: SurfaceNodes,
     unpaired: Mask,
     shared: Mask,
-    kind: str,
-    reason: str = "",
 ) -> Indices:
     """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
 
@@ -100,8 +98,6 @@ def nodes_with_multipliers(
         unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
         shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
             a surface that touches itself, see `redundant_nodes`.
-        kind: kind of the pairing, for the log.
-        reason: reason for this kind, for the log; may be empty.
 
     Raises:
         PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
@@ -152,7 +148,6 @@ def nodes_with_multipliers(
             f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
-    log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
     excluded = {
         "face nothing or are primary"
         if pair.touches_itself
@@ -164,7 +159,8 @@ def nodes_with_multipliers(
     partly_fixed = f", {some} of them prescribed in part" if some else ""
     log(
         V.mesh.comm,
-        "pairing: %d of %d secondary nodes carry multipliers%s%s",
+        "pairing: %s: %d of %d secondary nodes carry multipliers%s%s",
+        pair,
         number,
         total,
         partly_fixed,

@@ -1,4 +1,4 @@
-"""Mortar pairing: jumps averaged by the dual basis, for surfaces whose meshes do not match."""
+"""Mortar pairing: jumps of two surfaces, averaged by the dual basis."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from dolfinx_tresca.pairing.dual_basis import (
     force_moments,
     redistributed,
 )
+from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
 from dolfinx_tresca.scene.friction import DryFriction, Friction
 from dolfinx_tresca.scene.pair import ContactPair
@@ -63,14 +64,13 @@ SIZE_ROUNDING = 1e-6
 
 def couple(
     V: Any,
-    pair: ContactPair,
+    group: PairGroup,
     facets: Facets,
     nodes: SurfaceNodes,
     others: Facets,
     integrals: MortarIntegrals,
     shared: Mask,
     moved: bool,
-    reason: str,
 ) -> Coupling:
     """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
@@ -80,7 +80,7 @@ def couple(
 
     Args:
         V: the space of the displacement.
-        pair: the contact pair.
+        group: the contact pairs.
         facets: facets of the secondary side.
         nodes: nodes of the secondary facets.
         others: facets of the primary side.
@@ -88,18 +88,19 @@ def couple(
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
             penetration is an error of the displacement.
-        reason: reason for pairing by mortar, for the log.
 
     Raises:
         PairingError: no node can carry a multiplier.
     """
+    pair = group.surfaces
     without = nodes_without_multiplier(V, facets, nodes, others, integrals, shared, pair.friction)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
         found = mortar_rows(facets, nodes, others, integrals, columns, without)
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
-    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     weights = found.weights[position]
+    shares = _shares(group, facets, nodes, others, integrals, without)[position]
     scale: Array = np.reciprocal(weights)
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
@@ -116,8 +117,37 @@ def couple(
     # only displacements of degree 2 can bend facets and so make up for the sagitta
     secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
     return Coupling(
-        "mortar", position, weights, normals, jump, primary, gap_vector, place, secondary_sagitta
+        position,
+        weights,
+        shares * (weights / shares.sum(axis=1))[:, None],
+        normals,
+        jump,
+        primary,
+        gap_vector,
+        place,
+        secondary_sagitta,
     )
+
+
+def _shares(
+    group: PairGroup,
+    facets: Facets,
+    nodes: SurfaceNodes,
+    others: Facets,
+    integrals: MortarIntegrals,
+    without: Mask,
+) -> Array:
+    """Return the covered areas (n, pairs) of each node that belong to each pair of a group.
+
+    The arguments are those of `couple` and `nodes_without_multiplier`. Not collective.
+    """
+    facet, other = integrals.secondary, integrals.primary
+    pair = group.pair_of_tags[facets.tag_index[facet], others.tag_index[other]]
+    node = nodes.facet_nodes[facet]
+    covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[node])[:, :, 0]
+    result = np.zeros((len(nodes.numbers), len(group.pairs)))
+    np.add.at(result, (node, pair[:, None]), covered)
+    return result
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks
 from dolfinx_tresca.surface.self_contact import SelfContact
 from dolfinx_tresca.surface.visibility import FACING_COSINE
+
+#: (p,) secondary facets, (p,) primary facets -> (p,) whether both may be paired.
+MayMeet: TypeAlias = Callable[[Indices, Indices], Mask]
 
 #: A facet counts as fully covered if at most this part of its area is uncovered, by rounding.
 COVER_ROUNDING = 1e-8
@@ -37,7 +41,7 @@ class MortarIntegrals:
     Attributes:
         own: integrals of products of two secondary functions, for all secondary facets.
         sagitta: (n, corners) integrals of hat functions times the heights of both curved surfaces
-            over their facets, which reduce the gap.
+            over their facets, which reduce the gap; zero over facets that coincide.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
         distance: (n, corners) integrals of hat functions times the distance of the exact surfaces;
             zero if no exact surface is known.
@@ -73,6 +77,7 @@ class MortarIntegrals:
         selected: Indices,
         limit: float,
         order: SelfContact | None = None,
+        may_meet: MayMeet | None = None,
     ) -> MortarIntegrals:
         """Integrate over the overlaps of facets. Not collective.
 
@@ -90,6 +95,8 @@ class MortarIntegrals:
             limit: search distance, beyond which no points are paired [length].
             order: rule that decides which of two facets is secondary on a surface that touches
                 itself (`primary` and `secondary` are then the same facets); None for two surfaces.
+            may_meet: function that tells whether pairs of a secondary and a primary facet may be
+                paired; None: all may, or `order` decides.
         """
         n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
@@ -104,7 +111,10 @@ class MortarIntegrals:
             secondary, nodes, primary, primary_nodes, pieces, others, order
         )
         whole = np.bincount(pieces.facet, integrate.piece_area, minlength=n)
-        for overlap in _overlaps(integrate, pieces, others, selected, limit, order):
+        if order is not None:
+            may_meet = order.may_meet
+        near = order is not None
+        for overlap in _overlaps(integrate, pieces, others, selected, limit, near, may_meet):
             facet, first = np.unique(overlap.secondary, return_index=True)  # they are ascending
             for total, part in (
                 (hats, overlap.hats),
@@ -142,7 +152,8 @@ def _overlaps(
     others: Pieces,
     selected: Indices,
     limit: float,
-    order: SelfContact | None,
+    near_first: bool,
+    may_meet: MayMeet | None,
 ) -> Iterator[Overlap]:
     """Yield integrals over the overlaps of pieces of facets that may face each other, in blocks.
 
@@ -151,14 +162,15 @@ def _overlaps(
     nearby pieces do not fully cover are paired with all pieces within the search distance.
 
     `pieces` and `others` are the pieces of secondary and primary facets; `selected`, `limit` and
-    `order` are arguments of `MortarIntegrals.of`.
+    `may_meet` are arguments of `MortarIntegrals.of`; `near_first` says whether the surface touches
+    itself.
     """
     balls = Balls(others.centres, others.radii)
     some = np.flatnonzero(np.isin(pieces.facet, selected))
-    if order is not None:
+    if near_first:
         near = np.minimum(NEAR * pieces.radii, limit)
         done = np.zeros(len(near), dtype=np.bool_)
-        for first, second in _facing_pairs(balls, pieces, others, some, near, order):
+        for first, second in _facing_pairs(balls, pieces, others, some, near, may_meet):
             overlap = integrate(first, second, near[first])
             seen = np.bincount(overlap.piece, overlap.seen, minlength=len(near))
             covered = seen >= (1.0 - COVER_ROUNDING) * integrate.piece_area
@@ -166,7 +178,7 @@ def _overlaps(
             yield overlap.part(covered[overlap.piece])
         some = some[~done[some]]
     reach = np.full(len(pieces.radii), limit)
-    for first, second in _facing_pairs(balls, pieces, others, some, reach, order):
+    for first, second in _facing_pairs(balls, pieces, others, some, reach, may_meet):
         yield integrate(first, second, reach[first])
 
 
@@ -176,7 +188,7 @@ def _facing_pairs(
     others: Pieces,
     mine: Indices,
     limit: Array,
-    order: SelfContact | None,
+    may_meet: MayMeet | None,
 ) -> Iterator[tuple[Indices, Indices]]:
     """Yield blocks of pairs of pieces that may face each other.
 
@@ -189,7 +201,7 @@ def _facing_pairs(
         others: primary pieces.
         mine: (m,) indices of the secondary pieces to pair.
         limit: (pieces,) search distance of each secondary piece [length].
-        order: see `MortarIntegrals.of`.
+        may_meet: see `MortarIntegrals.of`.
     """
     for block in blocks(len(mine)):
         some = mine[block]
@@ -199,10 +211,8 @@ def _facing_pairs(
         first = some[first]
         cosine = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second])
         opposed = cosine < -FACING_COSINE
-        if order is not None:
-            opposed[opposed] = order.may_meet(
-                pieces.facet[first[opposed]], others.facet[second[opposed]]
-            )
+        if may_meet is not None:
+            opposed[opposed] = may_meet(pieces.facet[first[opposed]], others.facet[second[opposed]])
         yield from _blocks_of_pairs(first[opposed], second[opposed])
 
 

@@ -18,8 +18,8 @@ from dolfinx_tresca.pairing.dual_basis import (
     redistributed,
     whole_facet_integrals,
 )
+from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
@@ -27,7 +27,7 @@ from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 
 def couple(
-    V: Any, pair: ContactPair, obstacle: RigidObstacle, facets: Facets, nodes: SurfaceNodes
+    V: Any, group: PairGroup, obstacle: RigidObstacle, facets: Facets, nodes: SurfaceNodes
 ) -> Coupling:
     """Find the jumps at the nodes of a surface that faces a rigid obstacle. Collective.
 
@@ -41,6 +41,7 @@ def couple(
         InputError: the signed distance does not return distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
+    pair = group.surfaces
     # the patches of a node share the normal of the obstacle: only one entry per node is kept
     node_entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(V.mesh.comm):
@@ -62,6 +63,9 @@ def couple(
         return sums.astype(np.float64)
 
     weights = summed(corner_weights)
+    shares = np.zeros((len(weights), len(group.pairs)))
+    pair_of_facet = group.pair_of_tags[facets.tag_index, 0]
+    np.add.at(shares, (facet_nodes, pair_of_facet[:, None]), corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
     rows = redistributed(weighted, faces)
@@ -76,13 +80,13 @@ def couple(
     secondary_sagitta = nodal_means(height)
     gap = nodal_means(distance) - secondary_sagitta
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
-    position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired), "obstacle")
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
     normals = -obstacle_normals[position]
     place = scale[:, None] * force_moments(nodes, facet_nodes, facets.points, rows)
     return Coupling(
-        "obstacle",
         position,
         weights[position],
+        shares[position],
         normals,
         jump[position],
         csr_array((len(position), columns)),

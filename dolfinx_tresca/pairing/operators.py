@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from petsc4py import PETSc
@@ -23,11 +23,21 @@ from dolfinx_tresca._base.arrays import (
 from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.undeformed import Undeformed
-from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
+from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.matching import RIM_PART
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.surface.search import expanded_ranges
 from dolfinx_tresca.surface.whole import WholeSurface
+
+#: Attributes of `PairOperators` with a row for each node.
+NODE_ARRAYS = (
+    *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
+    *("secondary_sagitta", "secondary", "primary", "prescribed"),
+)
+
+#: The indices of nodes of each row of N and of T, and the attributes that have these rows.
+ROW_ARRAYS = {"normal_node": ("N",), "tangent_node": ("T", "tangents", "semi_axes")}
 
 
 @dataclass(frozen=True)
@@ -41,10 +51,10 @@ class PairOperators:
     if the primary side is an obstacle, or for `Bonded`.
 
     Attributes:
-        pairing: kind of the pairing, for tables and messages.
         bonded: whether the jumps are constrained to zero and multipliers have any sign.
         nodes: (n,) local numbers of the contact nodes (blocks of V).
         weights: (n,) covered area of each node [length^2, in 2D length].
+        shares: (n, pairs) part of the covered area that belongs to each pair of the group.
         areas: (n,) whole area of each node, covered or not [length^2, in 2D length].
         places: (n, d) points of application of the resultant nodal forces on the secondary side
             [length].
@@ -69,10 +79,10 @@ class PairOperators:
         undeformed: the undeformed surfaces, which are displaced for each later pairing.
     """
 
-    pairing: str
     bonded: bool
     nodes: LocalNumbers
     weights: Array
+    shares: Array
     areas: Array
     places: Array
     normals: Array
@@ -97,12 +107,13 @@ class PairOperators:
         coupling: Coupling,
         nodes: SurfaceNodes,
         whole: WholeSurface,
-        friction: Friction,
         undeformed: Undeformed,
         primary: Facets | None = None,
         bodies: Indices | None = None,
-    ) -> PairOperators:
-        """Compute N and T of a pair from the jumps at its nodes. Not collective.
+    ) -> list[PairOperators]:
+        """Compute N and T of a group of pairs from the jumps at its nodes. Not collective.
+
+        Each node has its multiplier in one pair (`PairGroup.owners`).
 
         Directions in which the displacement is prescribed have no rows; for exceptions see the
         class.
@@ -112,8 +123,8 @@ class PairOperators:
             coupling: the jumps at the nodes.
             nodes: the nodes of the secondary side.
             whole: global properties of the secondary side.
-            friction: the law of friction; for `Frictionless` T has no rows.
-            undeformed: the undeformed surfaces.
+            undeformed: the undeformed surfaces, with the pairs and their laws: T has no rows for
+                `Frictionless`.
             primary: facets of the primary side; None for an obstacle.
             bodies: number of the body that each of `nodes` faces; None if all face the same body.
                 Smooth patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies
@@ -125,9 +136,13 @@ class PairOperators:
         moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
         prescribed = ~moves
         numbers = nodes.numbers[coupling.position]
+        pair = undeformed.group.owners(coupling.shares)
+        laws = [one.friction for one in undeformed.group.pairs]
+        bonded = np.array([isinstance(law, Bonded) for law in laws])[pair]
+        smooth = np.array([isinstance(law, Frictionless) for law in laws])[pair]
         friction_acts = free
-        if primary is not None and not isinstance(friction, Bonded):
-            friction_acts = free | _primary_is_free(coupling.primary, primary)
+        if primary is not None:
+            friction_acts = free | _primary_is_free(coupling.primary, primary) & ~bonded[:, None]
         owner = numbers if bodies is None else numbers * V.dofmap.index_map.size_global
         owner = owner if bodies is None else owner + bodies[coupling.position]
         tangential = _tangential_projections(owner, normals, friction_acts, moves)
@@ -136,21 +151,20 @@ class PairOperators:
             whole.reference_points[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
         )
         along, tangent_node = _free_tangents(normals, frame, tangential)
-        if isinstance(friction, Frictionless):
-            along, tangent_node = along[:0], tangent_node[:0]
-        bonded = isinstance(friction, Bonded)
+        rubs = ~smooth[tangent_node]
+        along, tangent_node = along[rubs], tangent_node[rubs]
         distance = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
         distance[np.abs(distance) <= ROUNDING * whole.largest_coordinate] = 0.0
         first = V.dofmap.index_map.local_range[0]
-        return cls(
-            pairing=coupling.pairing,
-            bonded=bonded,
+        together = cls(
+            bonded=False,
             nodes=(numbers - first).astype(np.int32),
             weights=coupling.weights,
+            shares=coupling.shares,
             areas=nodes.weights[coupling.position],
             places=coupling.place[:, :dim],
             normals=normals,
-            distance=np.zeros_like(distance) if bonded else distance,
+            distance=np.where(bonded, 0.0, distance),
             added_gap=np.zeros_like(distance),
             secondary_sagitta=coupling.secondary_sagitta,
             secondary=coupling.jump + coupling.primary,
@@ -164,6 +178,22 @@ class PairOperators:
             semi_axes=np.ones(len(tangent_node)),
             undeformed=undeformed,
         )
+        return [
+            replace(together.part(pair == k), bonded=isinstance(law, Bonded))
+            for k, law in enumerate(laws)
+        ]
+
+    def part(self, keep: Mask) -> PairOperators:
+        """Return the operators at the nodes in a mask (n,). Not collective."""
+        if keep.all():
+            return self
+        number = np.cumsum(keep, dtype=np.int32) - 1
+        changes: dict[str, Any] = {name: getattr(self, name)[keep] for name in NODE_ARRAYS}
+        for node, arrays in ROW_ARRAYS.items():
+            rows = keep[getattr(self, node)]
+            changes[node] = number[getattr(self, node)[rows]]
+            changes |= {name: getattr(self, name)[rows] for name in arrays}
+        return replace(self, **changes)
 
     @property
     def gap(self) -> Array:
@@ -195,18 +225,39 @@ class PairOperators:
         return result
 
 
+def joined(parts: Sequence[PairOperators]) -> PairOperators:
+    """Return the operators at the nodes of several parts of one group. Not collective."""
+    if len(parts) == 1:
+        return parts[0]
+    firsts = np.cumsum([0, *(len(part.nodes) for part in parts[:-1])], dtype=np.int32)
+    changes: dict[str, Any] = {
+        node: np.concatenate(
+            [first + getattr(part, node) for first, part in zip(firsts, parts, strict=True)]
+        )
+        for node in ROW_ARRAYS
+    }
+    for name in (*NODE_ARRAYS, *(name for names in ROW_ARRAYS.values() for name in names)):
+        arrays = [getattr(part, name) for part in parts]
+        is_sparse = name in ("N", "T", "secondary", "primary")
+        changes[name] = vstack(arrays, format="csr") if is_sparse else np.concatenate(arrays)
+    return replace(parts[0], bonded=all(part.bonded for part in parts), **changes)
+
+
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
+
+    Primary nodes whose share of the mean is at most `RIM_PART` do not count.
 
     Args:
         primary: (n, nodes of V) sparse matrix of the means over the primary side.
         facets: facets of the primary side.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
+    counts = np.abs(primary.data) > RIM_PART
     result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
     for axis in range(facets.free.shape[2]):
         prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
-        result[row[np.isin(columns, prescribed)], axis] = False
+        result[row[counts & np.isin(columns, prescribed)], axis] = False
     return result
 
 

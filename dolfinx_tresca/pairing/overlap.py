@@ -10,6 +10,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.clipping import overlaps
 from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature, rounding_of
+from dolfinx_tresca.surface.matching import facets_coincide
 from dolfinx_tresca.surface.nearest import nearest_layer_weights
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface, normals_at, offsets_at
@@ -30,7 +31,8 @@ class Overlap:
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         other: (n, corners, k) integrals of secondary hat times primary basis functions.
         sagitta: (n, corners) integrals of secondary hat functions times the heights of both curved
-            surfaces over their facets, which reduce the gap; zero if an exact surface is known.
+            surfaces over their facets, which reduce the gap; zero if the facets coincide, or if an
+            exact surface is known.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
         distance: (n, corners) integrals of secondary hat functions times the distance of the exact
             surfaces; zero if no exact surface is known.
@@ -189,6 +191,9 @@ class OverlapIntegrals:
                 sagitta += secondary_sagitta
             if self._primary_sagitta.nonzero:
                 sagitta += self._primary_sagitta.heights(other[point_pair], primary.hats(x_their))
+            if sagitta.any():
+                # at the rim of one side the fitted surfaces differ, though the facets coincide
+                sagitta *= ~facets_coincide(secondary, facet, primary, other)[point_pair]
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],

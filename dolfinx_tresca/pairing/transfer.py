@@ -32,12 +32,12 @@ AREA_PART = 1e-10
 class SideTransfer:
     """The transfer P from the primary side to the contact nodes, and its transpose P'.
 
-    P is the primary part of N and T. For mortar pairs it is the projection by the dual basis psi,
-    (P f)_i = (integral of psi_i f) / (integral of psi_i); for node-to-node pairs it is the value of
-    the matching node. Rows of P sum to 1. Values and loads are transferred differently:
+    P is the primary part of N and T, the projection by the dual basis psi,
+    (P f)_i = (integral of psi_i f) / (integral of psi_i). Rows of P sum to 1. Values and loads are
+    transferred differently:
 
     - *Values* (temperatures, displacements) are transferred from the primary to the secondary side
-      by P, which is exact for constants and, if the pair is a mortar pair, for linear functions.
+      by P, which is exact for constants and linear functions.
     - *Loads* (nodal forces, nodal heat flows) are transferred from the secondary to the primary
       side by P', which conserves their sum.
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.scene.pair import SIDES, ContactPair
+from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.scene.pair import SIDES
 from dolfinx_tresca.surface.facets import Facets, joined
 from dolfinx_tresca.surface.offsets import with_offsets
 from dolfinx_tresca.surface.self_contact import FINER, facet_origins
@@ -19,15 +20,17 @@ class Undeformed:
     """The facets of a pair's undeformed surfaces that this rank owns.
 
     Attributes:
+        group: the pairs, which are paired together.
         sides: tag -> facets of a side, the secondary side first. There is only one side if the
             primary side is a rigid obstacle, or if the surface touches itself.
     """
 
+    group: PairGroup
     sides: dict[int, Facets]
 
     @classmethod
     def of(
-        cls, V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
+        cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
     ) -> Undeformed:
         """Extract the surfaces from the mesh. Collective.
 
@@ -35,7 +38,7 @@ class Undeformed:
             V: vector space of degree 1 or 2.
             prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of
                 freedom.
-            pair: the contact pair.
+            group: the pairs.
             axisymmetric: whether integrals are over rings about the axis x = 0.
 
         Raises:
@@ -43,6 +46,7 @@ class Undeformed:
             PairingError: facets are inside a body, or have no area.
             MeshError: Gmsh cannot read the geometry file any more.
         """
+        pair = group.surfaces
         by_tag: dict[int, Facets] = {}
         for name in SIDES:
             facet_tags, tags = pair.given_tags(name)
@@ -67,20 +71,19 @@ class Undeformed:
                     "%.2f) is secondary, else the first one by its least x, y, z",
                     *(pair, bodies, 1.0 / FINER),
                 )
-        return cls(sides)
+        return cls(group, sides)
 
-    def displaced(self, V: Any, pair: ContactPair, u: Array) -> dict[int, Facets]:
+    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
         """Return tag -> displaced facets of each side that this rank owns. Collective.
 
         Args:
             V: the space of the displacement.
-            pair: the contact pair, for messages.
             u: (nodes, dim of space) displacement of this rank's nodes [length].
 
         Raises:
             PairingError: displaced facets have no area.
         """
         return {
-            tag: displaced(V, facets, u, pair.side(name), name)
+            tag: displaced(V, facets, u, self.group.surfaces.side(name), name)
             for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False)
         }

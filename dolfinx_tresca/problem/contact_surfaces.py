@@ -24,8 +24,10 @@ from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.summary import ProblemSummary
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.choice import pair_group
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.pairing.group import groups_of
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.problem.factorisation import Factorisation
 from dolfinx_tresca.problem.friction_checks import depends_on_pressure
 from dolfinx_tresca.problem.obstacles import Obstacles
@@ -108,10 +110,11 @@ class ContactSurfaces(PetscOwner):
         self.timings: dict[str, float] = {}
         V, prescribed = linear.V, linear.prescribed_displacements
         with timed("pairing", self.timings):
-            operators = [
-                pair_surfaces(V, prescribed, pair, axisymmetric=linear.axisymmetric)
-                for pair in pairs
-            ]
+            found: dict[int, PairOperators] = {}
+            for group in groups_of(V, pairs):
+                paired = pair_group(V, prescribed, group, axisymmetric=linear.axisymmetric)
+                found.update(zip(group.numbers, paired, strict=True))
+            operators = [found[k] for k in range(len(pairs))]
             work = fem.Function(V)
             self.secondary = Surface.of_pairs(work, pairs)
             self.friction = SlipBounds(V)
@@ -122,7 +125,7 @@ class ContactSurfaces(PetscOwner):
         with destroyed_on_error(self.jump):
             self.update_gaps()
         operators = self.jump.pairs
-        self.summary = ProblemSummary.of(linear, pairs, operators)
+        self.summary = ProblemSummary.of(linear, pairs, self.jump)
         self.guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
         self.geometry = fem.Function(V)
@@ -149,6 +152,8 @@ class ContactSurfaces(PetscOwner):
     def operators(self) -> tuple[ContactOperators, ...]:
         """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective.
 
+        Nodes of two pairs with a common multiplier have rows in both, with a part of the area each.
+
         Raises:
             InputError: a gap has values that are NaN or infinite.
         """
@@ -157,8 +162,8 @@ class ContactSurfaces(PetscOwner):
             component = self.linear.component
             columns = () if component is None else (component.columns,)
             self._operators = tuple(
-                ContactOperators(self.linear.V, operators, pair, *columns)
-                for operators, pair in zip(self.jump.pairs, self.pairs, strict=True)
+                ContactOperators(self.linear.V, rows.operators, pair, *columns)
+                for rows, pair in zip(self.jump.by_pair, self.pairs, strict=True)
             )
         return self._operators
 
@@ -349,6 +354,9 @@ class ContactSurfaces(PetscOwner):
         """
         if not anew.any():
             return
+        for pair in self.jump.pairs:  # pairs of a group are paired together
+            numbers = list(pair.undeformed.group.numbers)
+            anew[numbers] = anew[numbers].any()
         with timed("pairing", self.timings):
             jump = moved_jump(self.jump, self.pairs, u, anew)
             self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
@@ -361,7 +369,7 @@ class ContactSurfaces(PetscOwner):
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
         self.obstacles.note_pairing(jump)
-        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
+        self.summary = ProblemSummary.of(self.linear, self.pairs, jump)
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:

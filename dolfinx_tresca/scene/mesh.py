@@ -49,22 +49,24 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
 
 class MergedTags(NamedTags):
-    """The facets with a tag of a list, all with the first tag of the list.
+    """The tags of facets, in which all tags of a list are replaced by the first one.
 
     Attributes:
         given: the tags of the facets before they were merged.
-        merged: the tags in the list.
+        merged: first tag of each list -> the tags in the list.
     """
 
-    def __init__(self, given: MeshTags, merged: Sequence[int]) -> None:
-        merged = tuple(dict.fromkeys(merged))
-        names = given.names if isinstance(given, NamedTags) else {}
-        words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
-        more = [f"{len(merged) - MOST_NAMES} more"] * (len(merged) > MOST_NAMES)
-        tags = compat.with_one_tag(given, np.isin(given.values, merged), merged[0])
-        cell_tags = getattr(given, "cell_tags", None)
-        super().__init__(tags, {merged[0]: ", ".join([*words, *more])}, cell_tags)
-        self.given, self.merged = given, merged
+    def __init__(self, given: MeshTags, lists: Sequence[Sequence[int]]) -> None:
+        self.given, self.merged = given, {tags[0]: tuple(tags) for tags in lists}
+        names = dict(given.names) if isinstance(given, NamedTags) else {}
+        tags = given
+        for first, merged in self.merged.items():
+            words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
+            more = [f"{len(merged) - MOST_NAMES} more"] * (len(merged) > MOST_NAMES)
+            if len(merged) > 1:
+                names[first] = ", ".join([*words, *more])
+            tags = compat.with_one_tag(tags, np.isin(given.values, merged), first)
+        super().__init__(tags, names, getattr(given, "cell_tags", None))
 
 
 @dataclass(frozen=True)

@@ -43,27 +43,28 @@ class ContactPair:
     Attributes:
         facet_tags: `MeshTags` of the facets of the problem's mesh.
         secondary: tag of the secondary side, which carries multipliers, normals and gap: the
-            softer or finer side is the better choice.
-        primary: tag of the primary side, or a `RigidObstacle`. With the same tag as `secondary`, or
-            the same list of tags, all bodies with this surface may touch each other, and so may
-            parts of one body. Of two bodies that meet, the body with finer facets is secondary; if
-            their facets are alike, the body with the smaller least x, then y, then z is secondary.
-            If a list is given, the pair keeps its first tag; in the pair's own `facet_tags` all
-            facets with a tag of the list have this first tag. `geometry` has the tags of the list.
+            softer or finer side is the better choice. For a surface with several tags, give the
+            list of its tags: the pair keeps the first one, and its own `facet_tags` have this first
+            tag in place of the others; `geometry` has the tags of the list. Pairs for each tag,
+            which may have different laws, share the multipliers of their common nodes.
+        primary: tag, or list of tags, of the primary side, or a `RigidObstacle`. With the same tag
+            as `secondary`, or the same list of tags, all bodies with this surface may touch each
+            other, and so may parts of one body. Of two bodies that meet, the body with finer facets
+            is secondary; if their facets are alike, the body with the smaller least x, then y, then
+            z is secondary.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
-        pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
-            averages the jump over the facets by dual basis functions and needs no matching meshes;
-            "auto" is "nodes" if the meshes match within 1e-8 of a facet wherever the sides face
-            each other, else "mortar". Ignored for a rigid obstacle.
+        pairing: "auto" and "mortar" average the jump over the facets by dual basis functions; where
+            the meshes of both sides match, this is the jump between a node and the node opposite
+            to it. "nodes" does the same, but demands that the undeformed meshes match within 1e-8
+            of a facet wherever the sides face each other. Ignored for a rigid obstacle.
         search_distance: largest gap and largest penetration [length] at which points of the
             surfaces are paired; None: no limit.
         geometry: the curved surfaces that the facets approximate: `TaggedMesh.geometry` of
             `read_gmsh`, or tag -> function from points (3, n) to the nearest points (3, n) on the
-            surface [length]; flat surfaces need no function. The gap of mortar pairs is measured
-            between these surfaces, which corrects coarse facets of closely fitting bodies.
-            `update_geometry` keeps the heights of the surfaces over the facets. None: smooth
-            surfaces through the nodes, which follow from the nodal normals. Ignored for
-            node-to-node pairs and rigid obstacles.
+            surface [length]; flat surfaces need no function. The gap is measured between these
+            surfaces, which corrects coarse facets of closely fitting bodies. `update_geometry`
+            keeps the heights of the surfaces over the facets. None: smooth surfaces through the
+            nodes, which follow from the nodal normals. Ignored for rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.
@@ -171,29 +172,38 @@ class ContactPair:
             raise InputError(f"name must be a string, found {shown(self.name)}.")
 
     def _merge_lists_of_tags(self) -> None:
-        """Replace a list of tags, equal on both sides, by its first tag, also in `facet_tags`.
+        """Replace a list of tags by its first tag, also in `facet_tags`.
 
         Raises:
-            InputError: a list is empty, has entries that are not tags, or differs from the list of
-                the other side.
+            InputError: a list is empty or has entries that are not tags; or some tags, but not all,
+                are on both sides.
         """
-        if not isinstance(self.secondary, Sequence) or isinstance(self.secondary, str):
-            return
-        tags = [integer(tag) for tag in self.secondary]
-        if not tags or None in tags:
-            raise InputError(
-                "a list of tags must have the integer tags of surfaces, found "
-                f"{shown(self.secondary)}."
-            )
-        if self.primary != self.secondary:
-            raise InputError(
-                "a list of tags is for surfaces that may touch each other and themselves: give the "
-                f"same list as primary, found {shown(self.primary)}. For two sides merge the tags."
-            )
-        numbers = [int(tag) for tag in self.secondary]
-        object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, numbers))
+        sides: list[Any] = []
         for side in SIDES:
-            object.__setattr__(self, side, numbers[0])
+            given = getattr(self, side)
+            if not isinstance(given, Sequence) or isinstance(given, str):
+                sides.append(given)
+                continue
+            tags = [integer(tag) for tag in given]
+            numbers = tuple(dict.fromkeys(tag for tag in tags if tag is not None))
+            if not tags or None in tags or max(map(abs, numbers)) > np.iinfo(np.int32).max:
+                raise InputError(
+                    f"a list of tags must have the integer tags of surfaces, found {shown(given)}."
+                )
+            sides.append(numbers)
+        lists = [tags for tags in sides if isinstance(tags, tuple)]
+        one, other = (tags if isinstance(tags, tuple) else (tags,) for tags in sides)
+        common = [tag for tag in one if lists and tag in other]
+        if common and set(one) != set(other):
+            raise InputError(
+                f"the tags {shown(common)} are on both sides, and others are not: give two lists "
+                "without common tags; or the same list twice, for surfaces that may touch each "
+                "other and themselves."
+            )
+        if lists:
+            object.__setattr__(self, "secondary", one[0])
+            object.__setattr__(self, "primary", one[0] if common else other[0])
+            object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
 
     @property
     def cell_tags(self) -> NamedTags | None:
@@ -212,10 +222,12 @@ class ContactPair:
 
     def given_tags(self, which: SideName) -> tuple[Any, tuple[int, ...]]:
         """Return the tags of facets as they were given, and those of a side, if it has tags."""
-        tag = getattr(self, which)
-        if isinstance(self.facet_tags, MergedTags) and tag == self.facet_tags.merged[0]:
-            return self.facet_tags.given, self.facet_tags.merged
-        return self.facet_tags, () if isinstance(tag, RigidObstacle) else (tag,)
+        tag, tags = getattr(self, which), self.facet_tags
+        if isinstance(tag, RigidObstacle):
+            return tags, ()
+        if isinstance(tags, MergedTags):
+            return tags.given, tags.merged.get(tag, (tag,))
+        return tags, (tag,)
 
     def __repr__(self) -> str:
         return f"<ContactPair: {self}, {self.friction}>"
@@ -256,15 +268,14 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     named: set[str] = set()
     seen: set[frozenset[Any]] = set()
     for pair in result:
-        sides = frozenset(
-            tag for name in SIDES for tag in pair.given_tags(name)[1] or (pair.primary,)
-        )
-        if sides in seen:
+        secondary, primary = (pair.given_tags(name)[1] or (pair.primary,) for name in SIDES)
+        sides = {frozenset((one, other)) for one in secondary for other in primary}
+        if sides & seen:
             raise InputError(
                 f"two pairs are between the surfaces {pair.side('secondary')} and "
                 f"{pair.side('primary')}: that would constrain their nodes twice. Give one pair."
             )
-        seen.add(sides)
+        seen |= sides
         if pair.name in named:
             raise InputError(f"two pairs have the name {pair.name}: give each a name of its own.")
         named.update(() if pair.name is None else (pair.name,))

@@ -21,7 +21,7 @@ from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
+from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields, contact_states
 from dolfinx_tresca.solution.resultants import (
     Resultant,
     centre_of_forces,
@@ -141,15 +141,15 @@ def evaluate(
     dissipation = float(dual.inner(found.multipliers, slip))
     increment, moved_by = (one * B.length_scale for one in (increment, slip))
 
-    fields: list[SurfaceFields] = []
-    counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
-    acting: list[tuple[Array, Array, Indices]] = []
-    shares: list[tuple[Array, Array, Indices]] = []
+    counts = np.zeros(7, dtype=np.int64)
     steps: list[Array] = []
+    states: list[Array] = []
+    befores: list[Array] = []
     greatest = np.zeros(3)
     first = 0
-    for operators, surface, slipped, closing, (n, t) in zip(
-        B.pairs, surfaces, dual.history.slipped, B.closings(u), B.slices, strict=True
+    tangential_rows = reduce_array(comm, [len(pair.tangent_node) for pair in B.pairs])
+    for operators, slipped, rows, (n, t) in zip(
+        B.pairs, dual.history.slipped, tangential_rows, B.slices, strict=True
     ):
         own = slice(first, first + len(operators.nodes))
         sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
@@ -157,18 +157,11 @@ def evaluate(
         # strict inequality: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
         pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        tractions = stress[n], stress[t]
-        before, since = slipped[operators.nodes], operators.tangential_vectors(increment[t])
         vectors = operators.tangential_vectors(moved_by[t])
         lengths = np.linalg.norm(vectors, axis=1)
         steps.append(np.column_stack([vectors, np.where(pressed | rubbing, lengths, 0.0)]))
-        slips_of = SlipFields(
-            total=before[:, :-1] + since,
-            increment=since if dual.history.begun else None,
-            path=before[:, -1] + steps[-1][:, -1],
-        )
-        states = pressed, sticking, rubbing
-        fields.append(surface.fields(operators, u, *tractions, closing, slips_of, *states))
+        states.append(contact_states(operators, rows > 0, pressed, sticking, rubbing))
+        befores.append(slipped[operators.nodes])
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
@@ -176,15 +169,33 @@ def evaluate(
             counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in some)]
             doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
             counts[6] += np.count_nonzero(doubtful)
-        greatest[0] = max(greatest[0], tractions[0].max(initial=0.0))
-        for i, distance in enumerate((lengths, slips_of.path)):
+        greatest[0] = max(greatest[0], stress[n].max(initial=0.0))
+        for i, distance in enumerate((lengths, befores[-1][:, -1] + steps[-1][:, -1])):
             greatest[1 + i] = max(greatest[1 + i], distance[pressed].max(initial=0.0))
+
+    fields: list[SurfaceFields] = []
+    force = np.zeros(1 + u.function_space.mesh.geometry.dim)
+    acting: list[tuple[Array, Array, Indices]] = []
+    shares: list[tuple[Array, Array, Indices]] = []
+    state, before, step, closing = map(np.concatenate, (states, befores, steps, B.closings(u)))
+    for acts, surface in zip(B.by_pair, surfaces, strict=True):
+        operators, nodes = acts.operators, acts.nodes
+        since = operators.tangential_vectors(increment[acts.tangential])
+        slips_of = SlipFields(
+            total=before[nodes, :-1] + since,
+            increment=since if dual.history.begun else None,
+            path=before[nodes, -1] + step[nodes, -1],
+        )
+        tractions = stress[acts.normal], stress[acts.tangential]
+        fields.append(
+            surface.fields(operators, u, *tractions, closing[nodes], slips_of, state[nodes])
+        )
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
         shares.append(shares_of_bodies(u.function_space, bodies.label, operators, on_nodes))
-        force[0] += operators.weights[operators.normal_node] @ stress[n]
-        force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
+        force[0] += operators.weights[operators.normal_node] @ tractions[0]
+        force[1:] += (operators.weights[operators.tangent_node] * tractions[1]) @ operators.tangents
     history = dual.history.after(B, slip, steps, dissipation)
     peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)

@@ -328,9 +328,7 @@ class Surface:
         traction: Array,
         closing: Array,
         slips: SlipFields,
-        pressed: Mask,
-        sticking: Mask,
-        rubbing: Mask,
+        state: Array,
     ) -> SurfaceFields:
         """Return the fields of a solution. Collective.
 
@@ -341,9 +339,7 @@ class Surface:
             traction: (n_tangential,) tangential multipliers [stress].
             closing: (n,) jumps of the displacement along the normals [length].
             slips: slip at the nodes.
-            pressed: (n,) True at pressed nodes.
-            sticking: (n,) True where the traction is below the slip bound.
-            rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
+            state: (n,) values of `ContactState`.
         """
         nodes, count = operators.nodes, len(operators.nodes)
         pressures = np.zeros(count)
@@ -351,14 +347,6 @@ class Surface:
         vectors, primary = operators.tangential_vectors, self.pair.primary
         # unlike allreduce of mpi4py, this makes no communicator for the mesh
         has_friction = reduce_array(self.mesh.comm, len(operators.tangent_node)) > 0
-        if operators.bonded:
-            state: Array = np.full(count, float(ContactState.BONDED))
-        elif has_friction:
-            moves = (~sticking).astype(int)
-            state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + moves
-            state[~pressed & ~rubbing] = ContactState.OPEN
-        else:
-            state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
         slip = slip_increment = slip_path = None
         if has_friction:
             slip = slip_increment = self.function("slip", nodes, slips.total)
@@ -384,6 +372,28 @@ class Surface:
             entity_maps=self.entity_maps,
             _on_both_sides=lambda function: self.on_both_sides(operators, function),
         )
+
+
+def contact_states(
+    operators: PairOperators, has_friction: bool, pressed: Mask, sticking: Mask, rubbing: Mask
+) -> Array:
+    """Return the values (n,) of `ContactState` at the nodes of a pair. Not collective.
+
+    Args:
+        operators: operators of the pair.
+        has_friction: whether there is friction at any node, on any rank.
+        pressed: (n,) True at pressed nodes.
+        sticking: (n,) True where the traction is below the slip bound.
+        rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
+    """
+    if operators.bonded:
+        return np.full(len(pressed), float(ContactState.BONDED))
+    if not has_friction:
+        return np.where(pressed, float(ContactState.PRESSED), float(ContactState.OPEN))
+    moves = (~sticking).astype(int)
+    state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + moves
+    state[~pressed & ~rubbing] = ContactState.OPEN
+    return np.asarray(state, dtype=np.float64)
 
 
 def _to_owners(function: fem.Function) -> None:

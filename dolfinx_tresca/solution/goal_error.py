@@ -181,7 +181,8 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     Raises:
         InputError: see `goal_error`.
     """
-    pair, (n, t) = jump.pairs[goal.pair], jump.slices[goal.pair]
+    rows = jump.by_pair[goal.pair]
+    pair, n, t = rows.operators, rows.normal, rows.tangential
     i, j = pair.normal_node, pair.tangent_node
     on_jump, on_x = np.zeros(len(jump.gap)), np.zeros(len(jump.gap))
     if isinstance(goal, NormalForce):

@@ -90,35 +90,35 @@ class ObstacleDifferences(PetscOwner):
             result += self.difference(lambda jump: Carry(present, jump).residuals(origin))
         return np.asarray(result)
 
-    def traction(self, pair: int, rows: slice, x: Array) -> Array:
+    def traction(self, pair: int, x: Array) -> Array:
         """Return the directional derivative (n, d) of the tractions of a pair [stress].
 
         The multipliers are fixed; the tangents change.
 
         Args:
             pair: number of the pair, from 0 on.
-            rows: positions of the pair's tangential multipliers.
             x: (size,) multipliers, which are tractions divided by `JumpOperator.stress_scale`.
         """
 
         def vectors(jump: JumpOperator) -> Array:
-            return jump.pairs[pair].tangential_vectors((x * jump.stress_scale)[rows])
+            rows = jump.by_pair[pair]
+            return rows.operators.tangential_vectors((x * jump.stress_scale)[rows.tangential])
 
         return np.asarray(self.difference(vectors))
 
-    def slip(self, pair: int, rows: slice, slip: Array) -> Array:
+    def slip(self, pair: int, slip: Array) -> Array:
         """Return the directional derivative (n, d) of the slip vectors of a pair [length].
 
         The components of the slip are fixed; the tangents change.
 
         Args:
             pair: number of the pair, from 0 on.
-            rows: positions of the pair's tangential multipliers.
             slip: (size,) slip, divided by `JumpOperator.length_scale`.
         """
 
         def vectors(jump: JumpOperator) -> Array:
-            return jump.pairs[pair].tangential_vectors((slip * jump.length_scale)[rows])
+            rows = jump.by_pair[pair]
+            return rows.operators.tangential_vectors((slip * jump.length_scale)[rows.tangential])
 
         return np.asarray(self.difference(vectors))
 

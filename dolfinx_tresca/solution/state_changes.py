@@ -52,10 +52,9 @@ def state_changes(
     (x, r), (y, w) = primal, adjoint
     bound = face.discs.radius
     lacking = np.where(np.isfinite(bound), bound - face.discs.norms(x), 0.0)
-    result, first = 0.0, 0
-    for pair, surface, (n, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
-        discs = slice(first, first + len(pair.nodes))
-        first = discs.stop
+    result = 0.0
+    for rows, surface in zip(jump.by_pair, surfaces, strict=True):
+        pair, n, t, discs = rows.operators, rows.normal, rows.tangential, rows.nodes
         if pair.bonded:
             continue
         pressed = np.zeros(len(pair.nodes), dtype=np.bool_)

@@ -237,16 +237,15 @@ def tangent_of(
         )
 
     on_surfaces = []
-    for k, (pair, surface, (n, t)) in enumerate(
-        zip(jump.pairs, surfaces, jump.slices, strict=True)
-    ):
+    for k, (rows, surface) in enumerate(zip(jump.by_pair, surfaces, strict=True)):
+        pair, n, t = rows.operators, rows.normal, rows.tangential
         pressure, gap = np.zeros((2, len(pair.nodes)))
         pressure[pair.normal_node], gap[pair.normal_node] = stress[n], -slip[n]
         has_friction = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
         vectors = [pair.tangential_vectors(parts[t]) for parts in (stress, slip)]
         for jumps, _ in turned:  # the tangents, along which components are measured, turn as well
-            vectors[0] += jumps.traction(k, t, step.multipliers)
-            vectors[1] += jumps.slip(k, t, -step.gradient)
+            vectors[0] += jumps.traction(k, step.multipliers)
+            vectors[1] += jumps.slip(k, -step.gradient)
         traction, slipped = (
             surface.function(name, pair.nodes, vector) if has_friction else None
             for name, vector in zip(("traction", "slip"), vectors, strict=True)

@@ -219,7 +219,7 @@ def _motions_of_pair(
     lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
     corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
     extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
-    facet, slip, facets, *bounds = reduce_array(comm, extremes, MPI.MAX)
+    facet, slip, in_facets, *bounds = reduce_array(comm, extremes, MPI.MAX)
     if slip == 0.0:
         return
     size = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
@@ -228,15 +228,16 @@ def _motions_of_pair(
         of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
         of_size += "their normals and partners"
         yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
-    if facets <= WEDGED_SLIP.noticed:
+    if in_facets <= WEDGED_SLIP.noticed:
         return
     sliding = force @ (length > 0.5 * slip)
     sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (slips / slip)]))
     total, sliding, direction = sums[0], sums[1], sums[2:]
     # nodes that slide by less than their own size cannot be farther from the other side than that
-    if facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
-        primary = Halo(V, operators.undeformed.displaced(V, pair, shape)[pair.primary])
-        beyond = ~_lies_over(primary, operators, jumps)
+    if in_facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
+        undeformed = operators.undeformed
+        facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
+        beyond = ~_lies_over(Halo(V, facets), operators, jumps)
         part = float(reduce_array(comm, force @ beyond)) / total
         of_force = f"{text}, and {100.0 * part:.0f} % of the contact force is at nodes that have "
         of_force += "left the other side, but keep their normals and partners"
@@ -250,10 +251,10 @@ def _motions_of_pair(
     scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
     if scatters and sliding > SLIDING_FORCE * total:
         text += (
-            f", {facets:.2g} times the size of a facet: no friction holds any part of the contact, "
+            f", {in_facets:.2g} times the size of a facet: no friction holds any part of the contact, "
             f"and only the scatter of the normals from node to node, {scatter:.1g} rad, resists"
         )
-        yield Departure(facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
+        yield Departure(in_facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
 
 
 def _lies_over(primary: Halo, operators: PairOperators, jumps: Array) -> Mask:

@@ -32,10 +32,11 @@ def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
     """
     result = np.zeros(len(jump.gap))
     x = jump.system.V.tabulate_dof_coordinates()
-    for pair, fields, (n, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
+    for rows, fields in zip(jump.by_pair, surfaces, strict=True):
+        pair = rows.operators
         pressure, traction = tractions_at(fields, x[pair.nodes])
-        result[n] = pressure[pair.normal_node]
-        result[t] = np.einsum("ni,ni->n", traction[pair.tangent_node], pair.tangents)
+        result[rows.normal] = pressure[pair.normal_node]
+        result[rows.tangential] = np.einsum("ni,ni->n", traction[pair.tangent_node], pair.tangents)
     return result
 
 
@@ -52,15 +53,14 @@ def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Arr
         slip vectors and lengths of paths (n, d + 1) at the nodes of each pair [length].
     """
     x = jump.system.V.tabulate_dof_coordinates()
-    result = []
-    for pair, fields in zip(jump.pairs, surfaces, strict=True):
-        slip = np.zeros((len(pair.nodes), 1 + fields.mesh.geometry.dim))
+    counts = [len(pair.nodes) for pair in jump.pairs]
+    result = np.zeros((sum(counts), 1 + jump.system.V.mesh.geometry.dim))
+    for rows, fields in zip(jump.by_pair, surfaces, strict=True):
         if fields.slip is not None and fields.slip_path is not None:
             known = fields.state.x.array != ContactState.OUTSIDE
             values = np.column_stack([_values(fields, fields.slip), fields.slip_path.x.array])
-            slip = _at(fields, values, x[pair.nodes], known)
-        result.append(slip)
-    return result
+            result[rows.nodes] = _at(fields, values, x[rows.operators.nodes], known)
+    return np.split(result, np.cumsum(counts)[:-1])
 
 
 def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:

@@ -18,7 +18,10 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices,
 SHAPE_ROUNDING = 1e-10
 
 #: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
-FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
+FACET_ARRAYS = (
+    *("nodes", "points", "free", "file_numbers"),
+    *("outward", "offsets", "origins", "tag_index"),
+)
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Facets:
             surface/offsets.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see surface/self_contact.py; (n, 0) on other surfaces.
+        tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane of its own.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
@@ -56,6 +60,7 @@ class Facets:
     outward: Array
     offsets: Array
     origins: Array
+    tag_index: Indices
     bent: bool
     plane: bool
     axisymmetric: bool = False
@@ -150,6 +155,9 @@ def joined(groups: Sequence[Facets]) -> Facets:
         else replace(group, offsets=np.full((len(group.points), exact, 3), np.nan))
         for group in groups
     ]
+    padded = [
+        replace(group, tag_index=np.full(len(group.points), k)) for k, group in enumerate(padded)
+    ]
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(group, name) for group in padded]) for name in FACET_ARRAYS
     }
@@ -241,6 +249,7 @@ def oriented(
         np.ones(len(points)),
         np.zeros((len(points), 0, 3)),
         np.zeros((len(points), 0)),
+        np.zeros(len(points), dtype=np.intp),
         bent=False,
         plane=True,
     ).moved_to(points)

@@ -61,13 +61,12 @@ def by_point(comm, scene: Scene, u: fem.Function) -> dict[tuple, np.ndarray]:
 
 @pytest.mark.parallel(kind=["triangle", "hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("pairing", ["nodes", "mortar"])
-def test_bonded_blocks_equal_a_body_meshed_as_one(comm, kind, pairing):
+def test_bonded_blocks_equal_a_body_meshed_as_one(comm, kind):
     blocks = {"upper": (3, 2), "lower": (3, 3), "distort": 0.0, "young": (1000.0, 300.0)}
     single = patch(comm, kind, **blocks, merge=lambda x: np.ones(len(x), dtype=bool))
     assert comm.allreduce(len(single.facet_tags.find(UPPER))) == 0
     expected = by_point(comm, single, plain_solution(single, loaded(single)))
-    scene = patch(comm, kind, **blocks, friction=Bonded(), pairing=pairing)
+    scene = patch(comm, kind, **blocks, friction=Bonded())
     with scene.problem(L=loaded(scene)) as problem:
         assert "bonded" in str(problem)
         solution = problem.solve(rtol=RTOL)

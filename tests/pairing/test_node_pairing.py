@@ -1,4 +1,4 @@
-"""Node-to-node pairing: N, T, weights, gap, overlap, prescribed components, and errors."""
+"""Matching meshes: N, T, weights, gap, overlap, prescribed components, and errors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, ContactStatus, PairingError, Tresca
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from scenes.assembled import dual_program, points_of
-from scenes.patches import KINDS, patch
+from scenes.patches import KINDS, LOWER_BLOCK, UPPER_BLOCK, dim_of, patch
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import two_bricks
 
@@ -123,65 +123,46 @@ MISMATCHES = pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5),
 @pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
 def test_meshes_that_do_not_match_are_an_error(comm, shift, size):
-    """The message has the largest mismatch, relative to the size of the facet, and its position."""
+    """The message has the number of nodes, the largest distance, and its position."""
     N = 5
     h = 1 / (N - 1)
     scene = two_bricks(comm, N, Shift=shift * h, hexahedra=True)
-    message = refused(scene, r"cannot be paired node-to-node: .*mortar", node_to_node(scene))
+    facing = N - int(np.ceil(shift)) + 1  # rows of nodes with facets that face the lower brick
+    message = refused(scene, rf'pairing="nodes".*: {(N + 1) * facing} nodes', node_to_node(scene))
     where = re.search(r"at \(([-\d.]+), ([-\d.]+), ([-\d.]+)\)", message)
     assert where is not None
     x, y, z = (float(value) for value in where.groups())
     assert 0 <= x <= 2 and 0 <= y <= 1 and z == 1.0
-    value = float(re.search(r"by ([\d.]+) times", message)[1])
-    # relative to the diagonal of a facet, 2/N x h; one of two opposite facets is a cell further
-    assert value * np.hypot(2 / N, h) / h == pytest.approx(max(size, 1 - size), rel=0.1)
+    value = float(re.search(r"by up to ([\d.]+) at", message)[1])
+    # the last cells face, in part, lower cells at the edge alone
+    assert value / h == pytest.approx(size, rel=0.1)
 
 
 @pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
-def test_auto_pairing_of_meshes_that_do_not_match_is_mortar(comm, caplog, shift, size):
-    """The log says why."""
-    N = 5
-    scene = two_bricks(comm, N, Shift=shift / (N - 1), hexahedra=True)
-    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        operators = scene.operators()
-    assert operators.pairing == "mortar"
-    text = logged(caplog)
-    if comm.rank == 0:
-        assert "mortar since" in text and "face the primary side away from its nodes" in text
-        assert re.search(r"by 0\.\d+ times the size of its facet \(allowed: 1e-08\)", text)
-    assert np.abs(operators.gap).max(initial=0.0) <= 100 * EPS
+def test_meshes_need_not_match(comm, shift, size):
+    scene = two_bricks(comm, 5, Shift=shift / 4, hexahedra=True)
+    assert np.abs(scene.operators().gap).max(initial=0.0) <= 100 * EPS
     with scene.problem() as problem:
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
 @pytest.mark.parallel
-def test_log_of_matching_meshes(comm, caplog):
+def test_log_of_the_pairing(comm, caplog):
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        assert two_bricks(comm, 3).operators().pairing == "node-to-node"
+        two_bricks(comm, 3).operators()
     if comm.rank == 0:
         text = logged(caplog)
-        assert "node-to-node since the meshes match" in text
-        assert "9 of 12 secondary nodes carry multipliers, 3 are prescribed" in text
+        assert "upper_contact on lower_contact: 9 of 12 secondary nodes carry" in text
+        assert "multipliers, 3 are prescribed" in text
     else:
         assert not caplog.records
-
-
-def test_auto_pairing_of_degree_2_is_mortar(comm, caplog):
-    scene = patch(comm, "hexahedron", 2, upper=(3, 2), lower=(3, 2), distort=0.0)
-    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        assert scene.operators().pairing == "mortar"
-    if comm.rank == 0:
-        assert "mortar since displacements have degree 2" in logged(caplog)
-    with pytest.raises(PairingError, match=r"node-to-node: displacements have degree 2.*degree 1"):
-        scene.but(pairing="nodes").operators()
 
 
 @pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
 def test_nodes_have_one_tangent_in_2D(comm, kind):
     scene = patch(comm, kind, upper=(4, 2), lower=(4, 2), distort=0.0, friction=Tresca(0.1))
     operators = scene.operators()
-    assert operators.pairing == "node-to-node"
     n = len(operators.nodes)
     assert total(comm, n) == 5
     assert operators.N.shape[0] == operators.T.shape[0] == n
@@ -206,8 +187,7 @@ def test_surfaces_that_do_not_overlap_are_an_error(comm, beside):
 def test_nested_meshes_do_not_match(comm, kind, upper, lower):
     """All nodes of the coarse side match nodes of the fine side, but not the reverse."""
     scene = patch(comm, kind, upper=(upper, 1), lower=(lower, 1), distort=0.0)
-    assert scene.operators().pairing == "mortar"
-    with pytest.raises(PairingError, match="cannot be paired node-to-node"):
+    with pytest.raises(PairingError, match="do not match"):
         scene.but(pairing="nodes").operators()
 
 
@@ -217,9 +197,9 @@ def test_single_coincident_node_is_no_match(comm):
     scene = patch(
         comm, "quadrilateral", upper=(3, 1), lower=(4, 1), distort=0.0, span=[(-0.75, 0.25)]
     )
-    operators = scene.operators()
-    assert operators.pairing == "mortar"
-    assert total(comm, operators.weights) == pytest.approx(0.25, rel=1e-6)
+    assert total(comm, scene.operators().weights) == pytest.approx(0.25, rel=1e-6)
+    with pytest.raises(PairingError, match="do not match"):
+        scene.but(pairing="nodes").operators()
 
 
 @pytest.mark.parallel
@@ -295,6 +275,49 @@ def bump(x: np.ndarray) -> np.ndarray:
     """Bend space by a smooth function of x and y, so that matching surfaces still match."""
     x[:, 2] += 0.15 * np.sin(2.0 * x[:, 0]) * np.cos(3.0 * x[:, 1])
     return x
+
+
+def ring(x: np.ndarray) -> np.ndarray:
+    """Map plane blocks to a quarter of two rings, the upper block outside."""
+    radius, angle = 1.0 + x[:, 1], 1.5 * x[:, 0]
+    return np.column_stack([radius * np.sin(angle), radius * np.cos(angle), x[:, 2]])
+
+
+def barrel(x: np.ndarray) -> np.ndarray:
+    """Map blocks to a part of two tubes, the upper block outside."""
+    return ring(x[:, [0, 2, 1]])[:, [0, 2, 1]]
+
+
+@pytest.mark.parallel(kind=["triangle", "hexahedron"])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("start", [0.0, 0.2])
+def test_rings_that_match_have_the_jumps_of_opposite_nodes(comm, kind, degree, start):
+    """The gap is zero, also at the rim of the outer ring, to which the inner one is no rim.
+
+    Rows have the entries of the node and its opposite node alone, times the normal.
+    """
+    d = dim_of(kind)
+    scene = patch(comm, kind, degree, upper=(5, 2), lower=(5, 2), distort=0.0, pairing="nodes",
+                  span=[(start, 1.0 + start)] * (d - 1))  # fmt: skip
+    scene = scene.moved(ring if d == 2 else barrel)
+    found = scene.operators()
+    assert total(comm, len(found.nodes)) == (6 if start == 0.0 else 5) ** (d - 1)
+    assert np.abs(found.gap).max(initial=0.0) <= 100 * EPS
+    if degree == 2:
+        return
+    V = scene.V
+    u = fem.Function(V)
+    rng = np.random.default_rng(1)
+    scale, phase = rng.normal(size=(2, d, 3))
+    u.interpolate(lambda x: np.sin(scale @ x + phase[:, :1]))
+    upper, lower = (scene.cell_tags.find(tag) for tag in (UPPER_BLOCK, LOWER_BLOCK))
+    points = V.tabulate_dof_coordinates()[found.nodes]
+    wanted = np.sin(scale @ points.T + phase[:, :1]).T
+    for cells, sign in ((upper, 1.0), (lower, 0.0)):
+        u.interpolate(lambda x, s=sign: s * np.sin(scale @ x + phase[:, :1]), cells)
+    normal, _ = jumps(comm, scene, found, u)
+    assert np.allclose(normal, np.einsum("ni,ni->n", wanted, found.normals), atol=1e3 * EPS)
 
 
 @pytest.mark.parallel(hexahedra=[False])

@@ -90,14 +90,9 @@ def test_nested_meshes_pass_too(comm, kind, upper, lower):
 
 @pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_matching_meshes_pass_with_either_pairing(comm, kind):
-    for pairing, used in (
-        ("auto", "node-to-node"),
-        ("nodes", "node-to-node"),
-        ("mortar", "mortar"),
-    ):
-        scene = patch(comm, kind, upper=(3, 2), lower=(3, 2), distort=0.0, pairing=pairing)
-        check_patch(comm, scene, kind=used)
+def test_matching_meshes_pass_too(comm, kind):
+    scene = patch(comm, kind, upper=(3, 2), lower=(3, 2), distort=0.0, pairing="nodes")
+    check_patch(comm, scene)
 
 
 @pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.5), Bonded()])
@@ -162,7 +157,6 @@ def test_blocks_that_overlap_in_part(comm, kind, shift):
     dim = dim_of(kind)
     scene = patch(comm, kind, span=[(shift, 1.0 + shift)] * (dim - 1), gap=0.001)
     operators = scene.operators()
-    assert operators.pairing == "mortar"
     # nodes with a very small covered part give it to their neighbours
     area = comm.allreduce(operators.weights.sum())
     assert area == pytest.approx(scene.data.overlap, rel=1e4 * EPS)
@@ -326,15 +320,13 @@ def test_nodes_shared_by_both_sides_carry_no_multiplier(comm, kind):
     scene = patch(
         comm, kind, upper=(n, 2), lower=(n, 2), distort=0.0, merge=lambda x: x[:, 0] < 0.51
     )
-    for pairing in ("nodes", "mortar"):
-        operators = scene.but(pairing=pairing).operators()
-        assert comm.allreduce(len(operators.nodes)) == (2 if dim_of(kind) == 2 else 2 * (n + 1))
-        with scene.but(pairing=pairing).problem() as problem:
-            solution = problem.solve(rtol=RTOL)
-        assert solution.status is ContactStatus.CONVERGED
-        size = largest(comm, scene.data.exact.x.array)
-        if pairing == "nodes":
-            assert largest(comm, solution.u.x.array - scene.data.exact.x.array) <= TOLERANCE * size
+    operators = scene.operators()
+    assert comm.allreduce(len(operators.nodes)) == (2 if dim_of(kind) == 2 else 2 * (n + 1))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    size = largest(comm, scene.data.exact.x.array)
+    assert largest(comm, solution.u.x.array - scene.data.exact.x.array) <= TOLERANCE * size
 
 
 @pytest.mark.parallel

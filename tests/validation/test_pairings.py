@@ -1,13 +1,9 @@
-"""Two kinds of pairing, and the two ways round, have one solution."""
+"""The two ways round have one solution."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
-from mpi4py import MPI
-
-import numpy as np
 import pytest
 
 import ufl
@@ -15,38 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca._base.parallel import reduce_array
-from scenes.nodal import nodal
 from scenes.rubbing import rubbing
-from scenes.two_bricks import ENDS, two_bricks
-
-
-@pytest.mark.parallel(end=["free_end_1"], hexahedra=[False])
-@pytest.mark.parametrize("hexahedra", [False, True])
-@pytest.mark.parametrize("end", ENDS)
-def test_on_matching_meshes_mortar_is_node_to_node(comm, end, hexahedra):
-    """The dual multiplier basis makes the mortar matrices diagonal: even iterates are the same.
-
-    That is, until rounding shows: to a residual of 1e-8. Fields agree to the residual times the
-    condition number of A (below 1e3).
-    """
-    scene = two_bricks(comm, 5, end=end, hexahedra=hexahedra)
-    solutions = []
-    for pairing, kind in (("nodes", "node-to-node"), ("mortar", "mortar")):
-        pair = dataclasses.replace(scene.pair, pairing=pairing)
-        with scene.problem(pairs=[pair]) as problem:
-            assert kind in str(problem)
-            solutions.append(problem.solve(rtol=1e-11))
-    nodes, mortar = solutions
-    assert nodes.status is mortar.status is ContactStatus.CONVERGED
-    assert mortar.counts == nodes.counts
-    steps = sum(residual > 1e-8 for residual in nodes.residuals)
-    assert steps >= 1
-    assert mortar.residuals[:steps] == pytest.approx(nodes.residuals[:steps], rel=1e-3)
-    for field in ("pressure", "traction", "slip", "gap", "u"):
-        wanted, found = (nodal(getattr(solution, field)) for solution in solutions)
-        size = comm.allreduce(np.abs(wanted).max(initial=0.0), op=MPI.MAX)
-        assert np.abs(found - wanted).max(initial=0.0) <= 1e-8 * size, field
-    assert mortar.normal_force == pytest.approx(nodes.normal_force, rel=1e-8)
 
 
 def swapped(scene):

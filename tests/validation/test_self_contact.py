@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     SolverOptions,
 )
 from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
+from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from scenes.boxes import Body, boxes
 from scenes.elasticity import fixed
@@ -150,7 +151,9 @@ def test_a_folded_strip(comm):
     free = np.zeros(V.dofmap.index_map.size_local * 2, dtype=np.bool_)
     by_hand = ContactPair(tags, left, right, Frictionless(), sliding="finite")
     one, other = (
-        pair_displaced_surfaces(V, pair, Undeformed.of(V, free, pair), u.x.array.reshape(-1, 2))
+        pair_displaced_surfaces(
+            V, Undeformed.of(V, free, PairGroup.of([pair])), u.x.array.reshape(-1, 2)
+        )[0]
         for pair in (by_hand, itself(comm, tags, Frictionless(), sliding="finite"))
     )
     expected, found = (
@@ -250,9 +253,11 @@ def test_nothing_that_can_touch(comm):
     [
         ([], [], r"a list of tags must have the integer tags .*found \[\]"),
         ([1, "a"], [1, "a"], "a list of tags must have the integer tags"),
-        ([1, 2], [2, 3], r"give the same list as primary, found \[2, 3\]"),
-        ([1, 2], 3, "give the same list as primary, found 3"),
-        (1, [1, 2], "primary must be the integer tag"),
+        ([1, 2], [2, 3], r"the tags \[2\] are on both sides, and others are not"),
+        ([1, 2], 2, r"the tags \[2\] are on both sides"),
+        (1, [1, 2], r"the tags \[1\] are on both sides"),
+        (1, [2, "a"], "a list of tags must have the integer tags"),
+        (1, [2, 2**40], "a list of tags must have the integer tags"),
     ],
 )
 def test_lists_of_tags(secondary, primary, message):

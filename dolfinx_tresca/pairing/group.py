@@ -1,0 +1,211 @@
+"""Contact pairs whose sides are parts of the same surfaces, and so are paired together."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.compat import same_topology
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
+from dolfinx_tresca.surface.matching import RIM_PART
+from dolfinx_tresca.surface.numbering import label_bodies
+
+#: Arguments that pairs of a group must have in common.
+COMMON = ("sliding", "search_distance", "pairing", "geometry")
+
+
+@dataclass(frozen=True)
+class PairGroup:
+    """Pairs that are paired as one pair of surfaces, so that a node has one multiplier.
+
+    Attributes:
+        numbers: the position of each pair in the list of the problem.
+        pairs: the pairs.
+        surfaces: the pair of surfaces with the tags of all pairs.
+        pair_of_tags: (secondary tags, primary tags) index in `pairs` of the pair between two tags
+            of `surfaces`; -1 if there is none, so that facets with these tags are not paired.
+        rank: (pairs,) rank of the laws, equal for pairs with the same law and the same added gap.
+            Of the pairs that meet at a node, those with the largest rank determine its law; the
+            first pair with this rank has the multiplier.
+    """
+
+    numbers: tuple[int, ...]
+    pairs: tuple[ContactPair, ...]
+    surfaces: ContactPair
+    pair_of_tags: Indices
+    rank: Indices
+
+    @classmethod
+    def of(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
+        """Return the group of some pairs. Not collective.
+
+        Raises:
+            InputError: the pairs differ in their `facet_tags`, or in an argument of `COMMON`.
+        """
+        first = pairs[0]
+        for pair in pairs[1:]:
+            differ = [name for name in COMMON if getattr(pair, name) != getattr(first, name)]
+            given, others = (one.given_tags("secondary")[0] for one in (first, pair))
+            if given._cpp_object is not others._cpp_object:
+                differ.append("facet_tags")
+            if differ:
+                raise InputError(
+                    f"contact pairs {first} and {pair} are parts of the same surfaces, whose nodes "
+                    f"they share, but differ in {' and '.join(differ)}: give both the same."
+                )
+        own = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+        secondary, primary = (
+            list(dict.fromkeys(tag for tags in both for tag in tags))
+            for both in zip(*own, strict=True)
+        )
+        pair_of_tags = np.full((len(secondary), max(len(primary), 1)), -1)
+        for k, (some, others) in enumerate(own):
+            columns = [primary.index(tag) for tag in others] or [0]
+            pair_of_tags[np.ix_([secondary.index(tag) for tag in some], columns)] = k
+        alike = [next(k for k, other in enumerate(pairs) if _same(pair, other)) for pair in pairs]
+        strengths = [(_strength(pairs[k].friction), -k) for k in alike]
+        rank = np.array([sorted(set(strengths)).index(strength) for strength in strengths])
+        surfaces = first
+        if len(pairs) > 1:
+            dry = [pair.friction for pair in pairs if isinstance(pair.friction, DryFriction)]
+            surfaces = replace(
+                first,
+                facet_tags=first.given_tags("secondary")[0],
+                secondary=secondary,
+                primary=primary or first.primary,
+                friction=[*dry, first.friction][0],
+                gap=None,
+                name="; ".join(map(str, pairs)),
+            )
+        return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank)
+
+    def owners(self, shares: Array) -> Indices:
+        """Return for each node (n,) the index of the pair that has its multiplier.
+
+        Args:
+            shares: (n, pairs) parts of the nodes' areas that belong to each pair.
+        """
+        belongs = shares > RIM_PART * shares.sum(axis=1, keepdims=True)
+        strongest = np.where(belongs, self.rank, -1).max(axis=1, keepdims=True)
+        return np.asarray(np.argmax(self.rank == strongest, axis=1))
+
+    def say_laws(self, comm: MPI.Comm, shares: Array) -> None:
+        """Log which law acts at nodes of pairs with different laws or gaps. Collective."""
+        belongs = shares > RIM_PART * shares.sum(axis=1, keepdims=True)
+        for i, j in combinations(range(len(self.pairs)), 2):
+            if self.rank[i] == self.rank[j]:
+                continue
+            number = comm.allreduce(int((belongs[:, i] & belongs[:, j]).sum()))
+            if number:
+                stronger = self.pairs[i if self.rank[i] > self.rank[j] else j]
+                log(
+                    comm,
+                    "pairing: %d nodes belong to %s and to %s: they follow the law of %s, %s",
+                    *(number, self.pairs[i], self.pairs[j], stronger, stronger.friction),
+                    level=logging.WARNING,
+                    about=f"{self.pairs[i]}, {self.pairs[j]}",
+                )
+
+
+def _same(pair: ContactPair, other: ContactPair) -> bool:
+    """Return whether two pairs have the same kind of law, its same arguments, and the same gap."""
+    laws = pair.friction, other.friction
+    arguments = [(pair.gap, other.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
+    return type(laws[0]) is type(laws[1]) and all(bool(np.all(a == b)) for a, b in arguments)
+
+
+def _strength(law: Friction) -> tuple[int, float, float]:
+    """Return the kind of a law, its coefficient and its constant bound, in ascending order.
+
+    A coefficient or bound that is no number and no Constant counts as 0.
+    """
+    if not isinstance(law, DryFriction):
+        return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
+    sizes = []
+    for bound in (law.terms.coefficient, law.terms.constant):
+        values = [
+            real(one.value.item() if isinstance(one, fem.Constant) else one)
+            for one in (bound if isinstance(bound, tuple) else (bound,))
+        ]
+        sizes.append(max(value or 0.0 for value in values))
+    return 1, sizes[0], sizes[1]
+
+
+def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
+    """Return the pairs in groups: pairs that share secondary nodes and a primary body. Collective.
+
+    Surfaces that touch themselves are groups of their own.
+
+    Raises:
+        InputError: pairs that must be paired together differ in an argument that must be the same.
+    """
+    single = [
+        not pair.touches_itself
+        and same_topology(pair.facet_tags, V.mesh)
+        and pair.facet_tags.dim == V.mesh.topology.dim - 1
+        for pair in pairs
+    ]
+    deformable = np.array([not isinstance(pair.primary, RigidObstacle) for pair in pairs])
+    obstacles = np.where(deformable, 0, [id(pair.primary) for pair in pairs])
+    linked = np.outer(single, single) & np.equal.outer(obstacles, obstacles)
+    np.fill_diagonal(linked, False)
+    if linked.any():
+        linked &= _shared(V, pairs, linked.any(axis=0), "secondary", None)
+    some = linked.any(axis=0) & deformable
+    if some.any():
+        linked &= ~deformable | _shared(V, pairs, some, "primary", label_bodies(V))
+    count, group = connected_components(csr_array(linked), directed=False)
+    members = [[k for k in range(len(pairs)) if group[k] == one] for one in range(count)]
+    return [PairGroup.of([pairs[k] for k in some], some) for some in members]
+
+
+def _shared(
+    V: Any,
+    pairs: Sequence[ContactPair],
+    some: Mask,
+    side: SideName,
+    label: npt.NDArray[np.int64] | None,
+) -> Mask:
+    """Return which pairs (pairs, pairs) share nodes, or bodies, on a side. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pairs: the pairs.
+        some: (pairs,) whether a pair is compared.
+        side: name of the side, which is deformable.
+        label: (nodes of V,) the body of each node on this rank; None: nodes are compared.
+    """
+    comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
+    V.mesh.topology.create_connectivity(dim, dim + 1)
+    rows = [np.zeros((0, 2), dtype=np.int64)]
+    for k in np.flatnonzero(some):
+        facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
+        nodes = fem.locate_dofs_topological(V, dim, facets)
+        number = V.dofmap.index_map.local_to_global(nodes) if label is None else label[nodes]
+        rows.append(np.unique(np.column_stack([number, np.full(len(nodes), k)]), axis=0))
+    together = np.concatenate(rows).astype(np.int64)
+    together, _ = exchange(comm, together, together[:, 0] % comm.size)
+    unique = np.unique(together, axis=0)
+    _, row = np.unique(unique[:, 0], return_inverse=True)
+    ones, shape = np.ones(len(row)), (int(row.max(initial=-1)) + 1, len(pairs))
+    incidence = coo_array((ones, (row.ravel(), unique[:, 1])), shape=shape).tocsr()
+    return np.asarray(reduce_array(comm, (incidence.T @ incidence).toarray()) > 0.0)
