@@ -78,8 +78,8 @@ class AugmentedLagrangian:
         """
         store, G = program.known_products(), program.constraints.columns
         e, transposed = program.constraints.values, csr_array(G.T)
-        inverse = factored(csr_array(transposed @ G))
-        assert inverse is not None
+        factors = factored(csr_array(transposed @ G))
+        assert factors is not None
         self.products, self.outer, self._residual = 0, 0, residual
 
         def apply(x: np.ndarray) -> np.ndarray:
@@ -89,12 +89,12 @@ class AugmentedLagrangian:
             )
 
         def Q(x: np.ndarray) -> np.ndarray:
-            return G @ inverse(transposed @ x)
+            return G @ factors.solve(transposed @ x)
 
         def P(x: np.ndarray) -> np.ndarray:
             return x - Q(x)
 
-        origin = G @ inverse(e)  # G'origin = e
+        origin = G @ factors.solve(e)  # G'origin = e
         slope = apply(origin) - program.b
         if springs:
             weight = float((1.0 / program.compliance.nodal_stiffness).mean()) / STIFFNESS
