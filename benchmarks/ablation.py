@@ -358,7 +358,7 @@ CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS "
+    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS WATCHDOG "
     "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
     "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",

@@ -251,8 +251,9 @@ def _motions_of_pair(
     scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
     if scatters and sliding > SLIDING_FORCE * total:
         text += (
-            f", {in_facets:.2g} times the size of a facet: no friction holds any part of the contact, "
-            f"and only the scatter of the normals from node to node, {scatter:.1g} rad, resists"
+            f", {in_facets:.2g} times the size of a facet: no friction holds any part of the "
+            "contact, and only the scatter of the normals from node to node, "
+            f"{scatter:.1g} rad, resists"
         )
         yield Departure(in_facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
 

@@ -86,13 +86,11 @@ class EqualityConstraints:
 
     def softness_with(self, added: float) -> csr_array:
         """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
-        return csr_array(self.softness + added * self._exact) if len(self) else self.softness
-
-    @cached_property
-    def _exact(self) -> csr_array:
-        """The projector I - V V' (k, k) onto motions that no soft spring resists."""
+        if len(self) == 0:
+            return self.softness
         vectors = self.soft_directions[1]
-        return csr_array(eye_array(len(self), format="csr") - vectors @ vectors.T)
+        exact = eye_array(len(self), format="csr") - vectors @ vectors.T
+        return csr_array(self.softness + added * exact)
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""

@@ -25,6 +25,12 @@ RHO_DIAGONAL, RHO_DIAGONAL_CONVEX = 0.2, 1.0
 #: scene of `tests/extremes` is not solved.
 MOST_HALVINGS = 6
 
+#: After this number of steps without progress, a whole step is taken, with the constraints as stiff
+#: as at first, even if the residual grows (watchdog technique, Chamberlain et al. 1982): halved
+#: steps with ever softer constraints may end where a brick is not held to the last digits. With 8,
+#: or without, a wall of 1,104 bricks takes two to ten times the time, as rounding decides.
+WATCHDOG = 5
+
 #: Limit on products with the near field in one iteration.
 MOST_NEAR_PRODUCTS = 8
 
@@ -179,28 +185,27 @@ class SemismoothNewton:
             solved = best.residual <= (tolerance if idle else ROUNDING * start.residual)
             if solved or idle == PATIENCE:
                 break
-            before, point = point, self._part_of_step(point, *self.step(point, softness))
-            failed = point.residual > PROGRESS * before.residual
-            softness = softness * SOFTER if failed else softness / SOFTER
+            whole = idle % WATCHDOG == WATCHDOG - 1
+            softness = softer * self.softness if whole else softness
+            before, point = point, self._part_of_step(point, *self.step(point, softness), whole)
+            softness *= SOFTER if point.residual > PROGRESS * before.residual else 1.0 / SOFTER
             idle = 0 if point.residual < PROGRESS * best.residual else idle + 1
             best = min(best, point, key=lambda candidate: candidate.residual)
         return best
 
-    def _part_of_step(self, point: NewtonPoint, change: Array, change_c: Array) -> NewtonPoint:
+    def _part_of_step(self, point: NewtonPoint, dx: Array, dc: Array, whole: bool) -> NewtonPoint:
         """Return the end of the longest part 2^-n of a step that reduces the residual.
 
-        If no part does, the end with the least residual is returned.
+        If no part does, the end with the least residual is returned. With `whole`, the result is
+        the end of the whole step.
         """
-        change_r = self.model.apply(change) - self.problem.constraints.columns @ change_c
+        dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
         trials = []
-        for halvings in range(MOST_HALVINGS + 1):
+        for halvings in range(1 if whole else MOST_HALVINGS + 1):
             part = 0.5**halvings
-            trials.append(
-                self.point(
-                    point.x + part * change, point.c + part * change_c, point.r + part * change_r
-                )
-            )
-            if trials[-1].residual < PROGRESS * point.residual:
+            trial = self.point(point.x + part * dx, point.c + part * dc, point.r + part * dr)
+            trials.append(trial)
+            if trial.residual < PROGRESS * point.residual:
                 break
         return min(trials, key=lambda trial: trial.residual)
 
