@@ -28,7 +28,7 @@ MOST_HALVINGS = 6
 #: After this number of steps without progress, a whole step is taken, with the constraints as stiff
 #: as at first, even if the residual grows (watchdog technique, Chamberlain et al. 1982): halved
 #: steps with ever softer constraints may end where a brick is not held to the last digits. With 5,
-#: a wall of 1,104 bricks takes half the time, but pile 28 of `tests/validation/test_random_piles.py`
+#: a wall of 1,104 bricks takes half the time, but pile 28 of tests/validation/test_random_piles.py
 #: is not solved on each machine; without, the wall may not be solved, as rounding decides.
 WATCHDOG = 8
 
