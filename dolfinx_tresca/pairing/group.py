@@ -185,7 +185,7 @@ def _shared(
     side: SideName,
     label: npt.NDArray[np.int64] | None,
 ) -> Mask:
-    """Return which pairs (pairs, pairs) share nodes, or bodies, on a side. Collective.
+    """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
     Args:
         V: the space of the displacement.

@@ -130,7 +130,7 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
 
 
 def _declared(path: Path, names: Sequence[str]) -> list[str]:
-    """Return those of the names that a `.geo` file declares as parameters.
+    """Return the names, among the given ones, that a `.geo` file declares as parameters.
 
     Gmsh's list of names does not tell the names in `DefineConstant` from the file's own variables.
     """

@@ -128,9 +128,10 @@ class ContactCompliance(PetscOwner):
 
         The first call computes A if it is sparse, or if it has few rows (`FEW`).
         """
+        if self._store is not None:
+            return self._store
         compliance = np.reciprocal(self.nodal_stiffness)
-        if self._store is None:
-            self._store = sparse_model(self.operator, compliance)
+        self._store = sparse_model(self.operator, compliance)
         if self._store is None:
             jump, size = self.jump, self.jump.matrix.getSize()[0]
             # in a mixed space, clamped nodes round the near field would fix its volume
