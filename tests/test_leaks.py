@@ -41,7 +41,8 @@ PROBLEMS, BEFORE = 20, 3
 COMMUNICATORS = 2100
 
 #: Memory [MB] that may come with `PROBLEMS`, since the allocator does not give all back: held by
-#: references, those of `linear` take 200.
+#: references, those of `linear` take 200. It also keeps some 12 MB after one problem that it gives
+#: back after another, so that the least of the last `PROBLEMS / 2` counts.
 KEPT = 8.0
 
 
@@ -154,16 +155,19 @@ def test_nothing_stays(
         PETSc.garbage_cleanup(comm)
         return petsc_objects(comm, folder / "log.txt"), free_communicators(comm), memory()
 
+    used_after = []
     PETSc.Log.begin()
     for _ in range(BEFORE // each + 1):
         solve(comm)
     objects, communicators, used = state()
     for _ in range(PROBLEMS // each):
         solve(comm)
-    objects_after, communicators_after, used_after = state()
+        gc.collect()
+        used_after.append(memory())
+    objects_after, communicators_after, _ = state()
     assert objects_after - objects == Counter()
     assert communicators_after == communicators
-    assert used_after - used <= KEPT
+    assert min(used_after[-PROBLEMS // each // 2 :]) - used <= KEPT
 
 
 @pytest.mark.parallel
