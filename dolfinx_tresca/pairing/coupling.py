@@ -31,12 +31,12 @@ class Coupling:
         weights: (n,) covered area of each node: the part that faces the primary side [length^2, in
             2D length].
         shares: (n, pairs) part of each node's weight that belongs to each pair of the group.
-        normals: (n, 3) outward unit normals of the secondary side.
+        normals: (n, 3) contact normals, which point out of the secondary side.
         jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, with global column
             numbers.
         primary: (n, nodes of V) sparse matrix of the primary part, which is subtracted in `jump`.
             Rows sum to 1, or are empty for an obstacle.
-        gap_vector: (n, 3) vectors from the secondary to the primary side [length].
+        gap: (n,) distance of the sides along the contact normal, positive if open [length].
         place: (n, 3) points of application of the resultant nodal forces on the secondary side
             [length].
         secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
@@ -49,7 +49,7 @@ class Coupling:
     normals: Array
     jump: Any
     primary: Any
-    gap_vector: Array
+    gap: Array
     place: Array
     secondary_sagitta: Array
 

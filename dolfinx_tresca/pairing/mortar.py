@@ -9,10 +9,10 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca.pairing.contact_normal import nodal_contact_normals
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
 from dolfinx_tresca.pairing.dual_basis import (
     assemble_rows,
@@ -74,9 +74,8 @@ def couple(
 ) -> Coupling:
     """Find the jumps at secondary nodes by integrals over the overlap. Collective.
 
-    If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
-    is the negative jump of the positions, minus the heights of both curved surfaces over their
-    facets (sagitta).
+    The gap is the mean distance of the smooth surfaces along the contact normal: of the exact
+    surfaces where they are known, else of the facets with the heights of fitted surfaces over them.
 
     Args:
         V: the space of the displacement.
@@ -104,26 +103,23 @@ def couple(
     scale: Array = np.reciprocal(weights)
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
-    normals = nodes.normals[position]
-    along = normals / weights[:, None]
-    if any_known_surface(facets, others):
-        gap_vector = found.distance[position][:, None] * along
-    else:
-        gap_vector = -_jump_of_positions(jump, [facets, others])
-        gap_vector -= found.sagitta[position][:, None] * along
-        if not moved:
-            gap = np.einsum("ni,ni->n", gap_vector, normals)
-            _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
+    means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
+    # functions of the dual basis are negative in part, so that a mean can be less than all distances
+    least = np.full(len(nodes.numbers), np.inf)
+    np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
+    gap = np.maximum(found.distance[position] / weights, least[position])
+    if not moved and not any_known_surface(facets, others):
+        _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # only displacements of degree 2 can bend facets and so make up for the sagitta
     secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
     return Coupling(
         position,
         weights,
         shares * (weights / shares.sum(axis=1))[:, None],
-        normals,
+        nodal_contact_normals(means, nodes)[position],
         jump,
         primary,
-        gap_vector,
+        gap,
         place,
         secondary_sagitta,
     )
@@ -168,18 +164,6 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
         )
 
 
-def _jump_of_positions(jump: Any, sides: list[Facets]) -> Array:
-    """Apply a jump (n, nodes of V) to the positions of the nodes and return the result (n, 3)."""
-    numbers, first = np.unique(
-        np.concatenate([side.nodes.ravel() for side in sides]), return_index=True
-    )
-    points = np.concatenate([side.points.reshape(-1, 3) for side in sides])[first]
-    columns = np.searchsorted(numbers, jump.indices)
-    compact = csr_array((jump.data, columns, jump.indptr), shape=(jump.shape[0], len(numbers)))
-    # relative to the mean: differences of large coordinates lose digits
-    return np.asarray(compact @ (points - points.sum(axis=0) / max(len(points), 1)))
-
-
 @dataclass(frozen=True)
 class MortarRows:
     """Weighted jumps at the nodes of the secondary side.
@@ -190,8 +174,8 @@ class MortarRows:
         primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
         sagitta: (n,) sum of the heights of both curved surfaces over their facets, times weight.
         secondary_sagitta: (n,) height of the secondary surface over its facets, times weight.
-        distance: (n,) distance of the exact surfaces, times weight; zero if no exact surface is
-            known.
+        distance: (n,) distance of the surfaces along the contact normal, times weight.
+        normals: (n, 3) contact normals, times weight.
         force_moments: (n, 3) points of application of the nodal forces, times weight.
     """
 
@@ -201,6 +185,7 @@ class MortarRows:
     sagitta: Array
     secondary_sagitta: Array
     distance: Array
+    normals: Array
     force_moments: Array
 
 
@@ -244,11 +229,15 @@ def mortar_rows(
         summed(np.einsum("nab,nb->na", dual, of_hats))
         for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)
     )
+    normals = np.stack(
+        [summed(np.einsum("nab,nb->na", dual, integrals.normals[:, :, i])) for i in range(3)],
+        axis=1,
+    )
     acting = force_moments(nodes, nodes.facet_nodes, secondary.points, own)
     jump, across = (
         drop_rounding(matrix, secondary, nodes.facet_nodes, weights) for matrix in (jump, across)
     )
-    return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, acting)
+    return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, normals, acting)
 
 
 def nodes_without_multiplier(

@@ -41,10 +41,12 @@ class MortarIntegrals:
     Attributes:
         own: integrals of products of two secondary functions, for all secondary facets.
         sagitta: (n, corners) integrals of hat functions times the heights of both curved surfaces
-            over their facets, which reduce the gap; zero over facets that coincide.
+            over their facets; zero over facets that coincide, or if an exact surface is known.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
-        distance: (n, corners) integrals of hat functions times the distance of the exact surfaces;
-            zero if no exact surface is known.
+        distance: (n, corners) integrals of hat functions times the distance of the surfaces along
+            the contact normal.
+        normals: (n, corners, 3) integrals of hat functions times the contact normal.
+        least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
         full: (n,) whether the whole facet is covered.
         secondary: (p,) secondary facet of each overlapping pair.
         primary: (p,) primary facet of each overlapping pair.
@@ -60,6 +62,8 @@ class MortarIntegrals:
     sagitta: Array
     secondary_sagitta: Array
     distance: Array
+    normals: Array
+    least: Array
     full: Mask
     secondary: Indices
     primary: Indices
@@ -103,6 +107,7 @@ class MortarIntegrals:
         covered = np.zeros(len(pieces.facet))
         hats, values = np.zeros((n, corners, corners)), np.zeros((n, corners, k))
         sagitta, secondary_sagitta, distance = (np.zeros((n, corners)) for _ in range(3))
+        normals, least = np.zeros((n, corners, 3)), np.full(n, np.inf)
         nothing: Indices = np.zeros(0, dtype=np.intp)
         none: Array = np.zeros((0, corners, primary.nodes.shape[1]))
         parts = [(nothing, nothing, none, none[:, 0, 0])]
@@ -122,8 +127,10 @@ class MortarIntegrals:
                 (sagitta, overlap.sagitta),
                 (secondary_sagitta, overlap.secondary_sagitta),
                 (distance, overlap.distance),
+                (normals, overlap.normals),
             ):
                 total[facet] += np.add.reduceat(part, first, axis=0)
+            np.minimum.at(least, overlap.secondary, overlap.least)
             np.add.at(covered, overlap.piece, overlap.area)
             some = overlap.area > 0.0
             facet = overlap.secondary[some]
@@ -137,6 +144,8 @@ class MortarIntegrals:
             sagitta,
             secondary_sagitta,
             distance,
+            normals,
+            least,
             np.bincount(pieces.facet, missing, minlength=n) == 0.0,
             np.concatenate([part[0] for part in parts]),
             np.concatenate([part[1] for part in parts]),

@@ -20,9 +20,9 @@ from dolfinx_tresca.pairing.dual_basis import (
 )
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.surface.smooth_surface import SmoothSurface
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 
@@ -33,7 +33,7 @@ def couple(
 
     The signed distance is interpolated like a displacement and averaged with the dual basis; with
     degree 1, gap and jump are then the nodal values. With degree 2 the distance at nodes on
-    straight edges is measured from the smooth curved surface (`Sagitta`), since a body of degree 2
+    straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of degree 2
     can take the shape of the obstacle. The normals are the negative normals of the obstacle. Only
     facets that face the obstacle contribute.
 
@@ -48,7 +48,7 @@ def couple(
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
         height = np.zeros_like(distance)
         if facets.degree > 1:
-            surface = Sagitta(facets, nodes).nodes_on_surface(facets)
+            surface = SmoothSurface(facets, nodes).nodes_on_surface()
             height = distance - obstacle.at(surface.reshape(-1, 3))[0]
         _, obstacle_normals = obstacle.at(nodes.points[node_entry])
         faces = _facing_corners(facets, obstacle, obstacle_normals[nodes.facet_nodes])
@@ -90,7 +90,7 @@ def couple(
         normals,
         jump[position],
         csr_array((len(position), columns)),
-        gap[position, None] * normals,
+        gap[position],
         place[position],
         secondary_sagitta[position],
     )

@@ -153,7 +153,7 @@ class PairOperators:
         along, tangent_node = _free_tangents(normals, frame, tangential)
         rubs = ~smooth[tangent_node]
         along, tangent_node = along[rubs], tangent_node[rubs]
-        distance = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
+        distance = coupling.gap.copy()
         distance[np.abs(distance) <= ROUNDING * whole.largest_coordinate] = 0.0
         first = V.dofmap.index_map.local_range[0]
         together = cls(

@@ -7,16 +7,17 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca.pairing.contact_normal import contact_normals
 from dolfinx_tresca.surface.clipping import overlaps
-from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature, rounding_of
 from dolfinx_tresca.surface.matching import facets_coincide
 from dolfinx_tresca.surface.nearest import nearest_layer_weights
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface, normals_at, offsets_at
+from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
 from dolfinx_tresca.surface.self_contact import SelfContact
+from dolfinx_tresca.surface.smooth_surface import SmoothSurface
 from dolfinx_tresca.surface.visibility import Visibility
 
 
@@ -31,11 +32,13 @@ class Overlap:
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         other: (n, corners, k) integrals of secondary hat times primary basis functions.
         sagitta: (n, corners) integrals of secondary hat functions times the heights of both curved
-            surfaces over their facets, which reduce the gap; zero if the facets coincide, or if an
-            exact surface is known.
+            surfaces over their facets; zero if the facets coincide, or if an exact surface is
+            known.
         secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
-        distance: (n, corners) integrals of secondary hat functions times the distance of the exact
-            surfaces; zero if no exact surface is known.
+        distance: (n, corners) integrals of secondary hat functions times the distance of the
+            surfaces along the contact normal.
+        normals: (n, corners, 3) integrals of secondary hat functions times the contact normal.
+        least: (n,) least distance of the surfaces along the contact normal [length].
         piece: (n,) secondary piece of each pair.
         area: (n,) area of the overlap in the plane of the piece [length^2, in 2D length].
         opposite: (n,) whether the facets see each other, but with exchanged roles, on a surface
@@ -51,6 +54,8 @@ class Overlap:
     sagitta: Array
     secondary_sagitta: Array
     distance: Array
+    normals: Array
+    least: Array
     piece: Indices
     area: Array
     opposite: Mask
@@ -82,8 +87,8 @@ class OverlapIntegrals:
         self._secondary, self._primary = secondary, primary
         self._pieces, self._others = pieces, others
         self._frames = pieces.frames()
-        self._sagitta = Sagitta(secondary, nodes)
-        self._primary_sagitta = Sagitta(primary, primary_nodes)
+        self._surface = SmoothSurface(secondary, nodes)
+        self._primary_surface = SmoothSurface(primary, primary_nodes)
         self._known = any_known_surface(secondary, primary)
         self._visibility = Visibility(
             pieces, others, None if order is None else order.body[pieces.facet]
@@ -94,10 +99,12 @@ class OverlapIntegrals:
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif self._known:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
+        elif self._surface.nonzero or self._primary_surface.nonzero:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
         degree += secondary.axisymmetric  # the radius is linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
+        x, _ = self._rule
+        self._to_corners = np.linalg.pinv(np.column_stack([1.0 - x.sum(axis=1), x])).T
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
         _, size, piece = overlaps(flat, flat)
@@ -154,6 +161,14 @@ class OverlapIntegrals:
         weight = nearest_layer_weights(
             first, pair, simplices, size, places, apart, weight, self.piece_area
         )
+        own_facet, their_facet = facet[point_pair], other[point_pair]
+        to_surface, outward = self._surface.at(own_facet, x_own)
+        to_other_surface, their_outward = self._primary_surface.at(their_facet, x_their)
+        normals, opposed = contact_normals(
+            *(outward, self._surface.turns[own_facet]),
+            *(their_outward, self._primary_surface.turns[their_facet]),
+        )
+        weight = weight * opposed
         seen = weight
         opposite: Mask = np.zeros(len(first), dtype=np.bool_)
         if self._order is not None:
@@ -179,21 +194,23 @@ class OverlapIntegrals:
 
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
-        sagitta: Array = np.zeros(len(area))
-        secondary_sagitta: Array = np.zeros(len(area))
-        distance: Array = np.zeros(len(area))
-        if self._known:
-            between = apart[:, None] * pieces.normals[first][point_pair]
-            distance = self._distance(facet[point_pair], x_own, other[point_pair], x_their, between)
-        else:
-            if self._sagitta.nonzero:
-                secondary_sagitta = self._sagitta.heights(facet[point_pair], hats)
-                sagitta += secondary_sagitta
-            if self._primary_sagitta.nonzero:
-                sagitta += self._primary_sagitta.heights(other[point_pair], primary.hats(x_their))
-            if sagitta.any():
-                # at the rim of one side the fitted surfaces differ, though the facets coincide
-                sagitta *= ~facets_coincide(secondary, facet, primary, other)[point_pair]
+        sagitta = secondary_sagitta = np.zeros(len(area))
+        if not self._known:
+            # at the rim of one side the fitted surfaces differ, though the facets coincide
+            differ = ~facets_coincide(secondary, facet, primary, other)[point_pair]
+            secondary_sagitta = differ * self._surface.heights(own_facet, hats)
+            their_hats = primary.hats(x_their)
+            sagitta = secondary_sagitta + differ * self._primary_surface.heights(
+                their_facet, their_hats
+            )
+            to_other_surface[~differ], to_surface[~differ] = 0.0, 0.0
+        # a vector between the surfaces: the distance of the facets minus both heights would lose
+        # accuracy for closely fitting bodies, for which heights are much larger than the distance
+        between = apart[:, None] * pieces.normals[first][point_pair]
+        distance = np.einsum("ni,ni->n", between + to_other_surface - to_surface, normals)
+        # at the corners of the simplices: of the linear function that fits the distances best
+        least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
+        least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],
@@ -203,31 +220,13 @@ class OverlapIntegrals:
             sagitta=summed((area * sagitta)[:, None] * hats),
             secondary_sagitta=summed((area * secondary_sagitta)[:, None] * hats),
             distance=summed((area * distance)[:, None] * hats),
+            normals=products(normals),
+            least=np.minimum.reduceat(least, simplex_starts),
             piece=first[kept],
             area=summed(weight),
             opposite=opposite[kept],
             seen=summed(seen),
         )
-
-    def _distance(
-        self, facet: Indices, x: Array, other: Indices, y: Array, between: Array
-    ) -> Array:
-        """Return the distances (n,) of the exact surfaces along the secondary normals [length].
-
-        These distances are computed from vectors between points on the exact surfaces. The distance
-        of the facets minus both heights would lose accuracy for closely fitting bodies, for which
-        the heights are much larger than the distance.
-
-        Args:
-            facet: (n,) secondary facets.
-            x: (n, dim) reference points on the secondary facets.
-            other: (n,) primary facets.
-            y: (n, dim) reference points on the primary facets.
-            between: (n, 3) vectors from the secondary to the primary points [length].
-        """
-        own, along = _surface_at(self._secondary, self._sagitta, facet, x)
-        theirs, _ = _surface_at(self._primary, self._primary_sagitta, other, y)
-        return np.asarray(np.einsum("ni,ni->n", between + theirs - own, along))
 
     def _stretch(self, facet: Indices, x: Array, piece: Indices) -> Array:
         """Return ratios (n,) of areas on curved facets to areas in the planes of their pieces."""
@@ -235,18 +234,3 @@ class OverlapIntegrals:
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)
 
-
-def _surface_at(facets: Facets, sagitta: Sagitta, facet: Indices, x: Array) -> tuple[Array, Array]:
-    """Return the vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
-
-    The surface is the exact one if it is known, else the smooth surface of `Sagitta`.
-    """
-    hats = facets.hats(x)
-    normals = sagitta.normals(facet, hats)
-    heights = sagitta.heights(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
-    offsets = heights[:, None] * normals
-    if facets.offsets.shape[1]:
-        exact = ~np.isnan(facets.offsets[facet, 0, 0])
-        offsets[exact] = offsets_at(facets, facet[exact], x[exact])
-        normals[exact] = normals_at(facets, facet[exact], x[exact])
-    return offsets, normals

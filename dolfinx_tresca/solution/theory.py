@@ -245,7 +245,7 @@ def _motions_of_pair(
             yield Departure(part, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
     tilt = normals @ (direction / (np.linalg.norm(direction) or 1.0))
     affine = np.column_stack([np.ones(len(tilt)), operators.places / size, tilt])
-    gram = reduce_array(comm, affine.T @ (operators.weights[:, None] * affine))
+    gram = reduce_array(comm, affine.T @ ((operators.weights * pressed)[:, None] * affine))
     fitted = gram[-1, :-1] @ np.linalg.pinv(gram[:-1, :-1], hermitian=True) @ gram[:-1, -1]
     scatter = np.sqrt(max(gram[-1, -1] - fitted, 0.0) / gram[0, 0])
     scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))

@@ -132,9 +132,18 @@ class Halo:
         self._send_facets(self._owned, *np.concatenate(pairs).T)
 
     def add_neighbours(self, numbers: GlobalNumbers) -> None:
-        """Add all facets at the corners of the facets with global numbers (m,). Collective."""
+        """Add two rings of facets around those with global numbers (m,). Collective.
+
+        A ring are all facets at the corners of facets: `SmoothSurface` depends on two of them.
+        """
         facets = np.searchsorted(self.numbers, numbers)
         nodes = np.unique(self.facets.nodes[facets, : self.facets.corners])
+        self._add_facets_at(nodes)
+        corners = self.facets.nodes[:, : self.facets.corners]
+        self._add_facets_at(np.unique(corners[np.isin(corners, nodes).any(axis=1)]))
+
+    def _add_facets_at(self, nodes: GlobalNumbers) -> None:
+        """Add all facets with a corner at nodes (m,). Collective."""
         owners = self._owners(nodes)
         elsewhere = owners != self.comm.rank
         nodes, source = exchange(self.comm, nodes[elsewhere], owners[elsewhere])

@@ -106,7 +106,7 @@ class SurfaceNodes:
             points,
             weights,
             corner_weights,
-            _free_normals(np.where(has_no_normal[:, None], NO_NORMAL, vectors), free),
+            free_normals(np.where(has_no_normal[:, None], NO_NORMAL, vectors), free),
             free,
             position.reshape(-1, corners),
             has_no_normal,
@@ -133,7 +133,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     return np.asarray(normals), weights
 
 
-def _free_normals(vectors: Array, free: Mask) -> Array:
+def free_normals(vectors: Array, free: Mask) -> Array:
     """Return unit normals (n, 3) along vectors (n, 3), without prescribed components.
 
     A vector keeps all components if its free part is at most `FREE_PART` of its length.

@@ -1,0 +1,240 @@
+"""The smooth surface that facets approximate: its height over them, its normals, how they turn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
+from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.nodes import NEIGHBOURS, REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.surface.offsets import normals_at, offsets_at
+
+#: Least cosine between a facet's normal and the normals at its corners (26 degrees). Below it a
+#: corner is on an edge, and the facet counts as flat.
+SMOOTH_COSINE = 0.9
+
+#: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
+#: the surface counts as curved over the side. The height falls to zero where the sum is equal to
+#: the difference: at a kink between flat facets. (With half of this, errors of nodal normals would
+#: change the heights on irregular meshes.)
+UNEVEN = 0.5
+
+#: Sagitta, relative to the size of a facet, that counts as rounding, in addition to the rounding
+#: of coordinates.
+HEIGHT_ROUNDING = 1e-10
+
+#: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
+#: neighbour's height: the weights of the two slopes, of the mean curvature and of the two
+#: differences of curvatures. With few neighbours the fit stays close to a sphere with the mean
+#: normal.
+TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
+
+
+class SmoothSurface:
+    """The smooth surface that facets approximate: exact where its geometry is given, else fitted.
+
+    The normals n_c of the fitted surface are known at the corners x_c (`fitted_normals`). Over each
+    point of a straight facet the mean of the heights of the tangent planes, weighted with the hat
+    functions h_c, is twice the height (sagitta) of a parabolic surface. So this height is the sum
+    over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
+    size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
+    is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
+    large as the difference, and the height is zero. At the rim of the surface, where the nodal
+    normal is a mean over one side, the normal is turned until the sum is zero.
+
+    Facets with curved edges (degree 2) have no height, and normals of their own.
+
+    Attributes:
+        nonzero: whether any facet of this rank has a fitted height above rounding.
+        turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
+            between the normal of the facet and the normals at its corners. On a circle this is the
+            angle that the facet spans. A fitted facet at a sharp edge, or at the rim of the
+            surface, turns by a right angle at least, since the smooth surface ends there.
+    """
+
+    def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
+        """Fit the surface. Not collective.
+
+        The result is valid for facets around which two rings of neighbours are on this rank.
+        """
+        self._facets, corner_nodes = facets, nodes.facet_nodes
+        self._corners = facets.points[:, : facets.corners]
+        self._first, self._second = np.triu_indices(facets.corners, 1)
+        mean, rim = facets.mean_normals, _rim_nodes(facets, nodes)
+        self._normals = fitted_normals(facets, nodes)[corner_nodes]
+        self._turn_rim_normals(corner_nodes, rim)
+        cosine = np.einsum("nci,ni->nc", self._normals, mean).min(axis=1, initial=1.0)
+        edge = cosine < SMOOTH_COSINE
+        self._mean = np.where(edge[:, None], mean, 0.0)
+        self._normals[edge] = 0.0
+        difference, smooth = self._curvature()
+        self._heights = 0.5 * difference * smooth[:, None]
+        size = np.ptp(self._corners, axis=1).max(axis=1)
+        rounding = (HEIGHT_ROUNDING + facets.rounding) * size
+        above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
+        self.nonzero = not facets.bent and bool(above.any())
+        _, number, patches = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
+        ends = (rim | (patches[number] > 1))[corner_nodes].any(axis=1)
+        turns = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
+        self.turns = np.where(ends, np.maximum(turns, 0.5 * np.pi), turns)
+        self._exact = np.zeros(len(self._corners), dtype=np.bool_)
+        if facets.offsets.shape[1]:
+            self._exact = ~np.isnan(facets.offsets[:, 0, 0])
+            facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
+            x = np.tile(REFERENCE_CORNERS[facets.cell], (len(facet) // facets.corners, 1))
+            cosine = np.einsum("ni,ni->n", normals_at(facets, facet, x), mean[facet])
+            cosine = cosine.reshape(-1, facets.corners).min(axis=1, initial=1.0)
+            self.turns[self._exact] = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
+
+    def _curvature(self) -> tuple[Array, Array]:
+        """Return how far normals turn over facets, and how smoothly.
+
+        Returns:
+            (n_d - n_c).(x_d - x_c) for each pair of corners (n, pairs) [length], and a factor (n,),
+            1 on parabolic surfaces and 0 next to kinks.
+        """
+        along = self._corners[:, self._second] - self._corners[:, self._first]
+        start, end = (
+            np.einsum("nci,nci->nc", self._normals[:, side], along)
+            for side in (self._first, self._second)
+        )
+        turned = np.abs(end - start).max(axis=1, initial=0.0)
+        uneven = np.abs(end + start).max(axis=1, initial=0.0)
+        excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
+        return end - start, np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
+
+    def _turn_rim_normals(self, corner_nodes: Indices, rim: Mask) -> None:
+        """Turn the normals at the rim, so that the surface is parabolic over the facets there.
+
+        At a rim corner c and an inner corner d of a facet (n_c + n_d).(x_d - x_c) becomes zero, as
+        far as the surface is smooth at d: over the facets at d that are not at the rim.
+
+        Args:
+            corner_nodes: (n, corners) nodes at the corners of each facet.
+            rim: (nodes,) whether a node is at the rim.
+        """
+        at_rim = rim[corner_nodes]
+        inner = ~at_rim.any(axis=1)
+        kinked, surrounded = np.zeros(len(rim)), np.zeros(len(rim))
+        np.maximum.at(kinked, corner_nodes[inner], 1.0 - self._curvature()[1][inner, None])
+        surrounded[corner_nodes[inner]] = 1.0
+        smooth = (surrounded - kinked)[corner_nodes]
+        change, count = np.zeros_like(self._normals), np.zeros(at_rim.shape)
+        for c, d in zip(
+            [*self._first, *self._second], [*self._second, *self._first], strict=True
+        ):
+            across = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
+            along = self._corners[across, d] - self._corners[across, c]
+            along /= np.linalg.norm(along, axis=1)[:, None]
+            both = self._normals[across, c] + self._normals[across, d]
+            lean = np.einsum("ni,ni->n", both, along) * smooth[across, d]
+            change[across, c] -= lean[:, None] * along
+            count[across, c] += 1.0
+        self._normals += change / np.maximum(count, 1.0)[:, :, None]
+        self._normals /= np.linalg.norm(self._normals, axis=2)[:, :, None]
+
+    def nodes_on_surface(self) -> Array:
+        """Return the nodes (n, k, 3) of the displacement, moved to the fitted surface [length].
+
+        Corners are on the surface already; the other nodes of degree 2 are on straight edges.
+        """
+        facets = self._facets
+        if not self.nonzero:
+            return facets.points
+        hats = facets.hats_at_nodes
+        count = len(facets.points)
+        heights = self.heights(np.repeat(np.arange(count), len(hats)), np.tile(hats, (count, 1)))
+        raised = heights.reshape(count, -1, 1) * facets.mean_normals[:, None]
+        return np.asarray(facets.points + raised)
+
+    def heights(self, facet: Indices, hats: Array) -> Array:
+        """Return the fitted heights (n,) over facets, along the outward normal [length].
+
+        Args:
+            facet: (n,) the facet of each point.
+            hats: (n, corners) values of the facet's hat functions at each point.
+        """
+        if not self.nonzero:
+            return np.zeros(len(facet))
+        products = hats[:, self._first] * hats[:, self._second]
+        return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
+
+    def at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
+        """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
+
+        Args:
+            facet: (n,) the facet of each point.
+            x: (n, dim) reference coordinates of each point on its facet.
+        """
+        facets = self._facets
+        hats = facets.hats(x)
+        if facets.bent:
+            normals = facets.area_vectors_at(facet, x)
+        else:
+            normals = np.einsum("nc,nci->ni", hats, self._normals[facet]) + self._mean[facet]
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        offsets = self.heights(facet, hats)[:, None] * normals
+        exact = self._exact[facet]
+        if exact.any():
+            offsets[exact] = offsets_at(facets, facet[exact], x[exact])
+            normals[exact] = normals_at(facets, facet[exact], x[exact])
+        return offsets, normals
+
+
+def _rim_nodes(facets: Facets, nodes: SurfaceNodes) -> Mask:
+    """Return whether each of the nodes (n,) is on a side that belongs to one facet only."""
+    corner_nodes = nodes.facet_nodes
+    if facets.dim == 1:
+        return np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1
+    following = corner_nodes[:, list(NEIGHBOURS[facets.cell][0])]
+    sides = np.sort(np.stack([corner_nodes.ravel(), following.ravel()], axis=1), axis=1)
+    sides, count = np.unique(sides, axis=0, return_counts=True)
+    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    result[sides[count == 1]] = True
+    return result
+
+
+def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
+    """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
+
+    The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
+    with facets of different sizes and shapes, as after local refinement, the error of the mean is a
+    fixed part of the angle between facets. Then the relative error of the sagitta (the height of
+    the surface over a facet) does not vanish as the mesh is refined. A least-squares fit of a
+    quadratic height function does not have this error (Cazals and Pouget 2005, Estimating
+    differential quantities using polynomial fitting of osculating jets). With too few neighbours
+    the mean normal is kept. The result is valid at nodes whose adjacent facets are all on this
+    rank.
+
+    Not collective.
+
+    Args:
+        facets: the facets of a surface.
+        nodes: the corners of the facets.
+    """
+    count, corners = len(nodes.numbers), facets.corners
+    node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
+    neighbour = np.tile(nodes.facet_nodes, corners).ravel()
+    node, neighbour = node[node != neighbour], neighbour[node != neighbour]
+    across = np.eye(3)[np.abs(nodes.normals).argmin(axis=1)]
+    if facets.dim == 1:
+        across = np.broadcast_to([0.0, 0.0, 1.0], across.shape)
+    x_axis = cross(across, nodes.normals)
+    x_axis /= np.linalg.norm(x_axis, axis=1)[:, None]
+    y_axis = cross(nodes.normals, x_axis)
+    offset = nodes.points[neighbour] - nodes.points[node]
+    squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
+    size = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
+    offset = offset / size[node][:, None]
+    x, y, height = (
+        np.einsum("ni,ni->n", offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals)
+    )
+    # equal weights of the last two terms make the fit independent of the choice of axes
+    terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
+    matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))
+    np.add.at(matrix, node, terms[:, :, None] * terms[:, None, :])
+    np.add.at(load, node, terms * height[:, None])
+    matrix += np.diag(np.square([TILT_COST, TILT_COST, *CURVATURE_COSTS]))
+    slopes = np.linalg.solve(matrix, load[:, :, None])[:, :2, 0]
+    normals = nodes.normals - slopes[:, :1] * x_axis - slopes[:, 1:] * y_axis
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
