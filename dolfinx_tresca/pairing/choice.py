@@ -85,8 +85,7 @@ def _pair(
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
-        # heights over facets need nodal normals, which are means over all facets at a node
-        if halo.comm.size > 1 and halo.facets.degree > 1:
+        if halo.comm.size > 1:
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_on_this_rank(V, moved)
         coupling = obstacle.couple(V, group, pair.primary, secondary.halo.facets, nodes)

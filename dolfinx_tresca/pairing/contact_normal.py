@@ -33,7 +33,7 @@ FLAT_ANGLE = 1e-3
 #: after small rotations.
 OPPOSED_ANGLE = 0.5
 
-#: Length of the mean of unit normals up to which they cancel, and a node keeps its own normal.
+#: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
 
@@ -56,15 +56,16 @@ def contact_normals(
     normals = share * own - (1.0 - share) * partner
     angle = np.arccos(np.clip(-np.einsum("ni,ni->n", own, partner), -1.0, 1.0))
     length = np.linalg.norm(normals, axis=1)[:, None]
-    return normals / length, angle <= OPPOSED_ANGLE + own_turn + partner_turn
+    normals = np.divide(normals, length, out=own.copy(), where=length > CANCELLED)
+    return normals, angle <= OPPOSED_ANGLE + own_turn + partner_turn
 
 
 def nodal_contact_normals(means: Array, nodes: SurfaceNodes) -> Array:
     """Return unit contact normals (n, 3) at nodes, without prescribed components. Not collective.
 
     Args:
-        means: (n, 3) means of the contact normals around each node; zero at nodes that face nothing,
-            which keep their own normals.
+        means: (n, 3) means of the contact normals around each node; zero at nodes that face
+            nothing, which keep their own normals.
         nodes: the nodes of the secondary side.
     """
     kept = np.linalg.norm(means, axis=1) <= CANCELLED

@@ -104,7 +104,7 @@ def couple(
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
     means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
-    # functions of the dual basis are negative in part, so that a mean can be less than all distances
+    # functions of the dual basis are negative in part: a mean may be less than all distances
     least = np.full(len(nodes.numbers), np.inf)
     np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
     gap = np.maximum(found.distance[position] / weights, least[position])

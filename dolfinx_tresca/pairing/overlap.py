@@ -233,4 +233,3 @@ class OverlapIntegrals:
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)
-

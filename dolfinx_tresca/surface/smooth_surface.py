@@ -120,9 +120,7 @@ class SmoothSurface:
         surrounded[corner_nodes[inner]] = 1.0
         smooth = (surrounded - kinked)[corner_nodes]
         change, count = np.zeros_like(self._normals), np.zeros(at_rim.shape)
-        for c, d in zip(
-            [*self._first, *self._second], [*self._second, *self._first], strict=True
-        ):
+        for c, d in zip([*self._first, *self._second], [*self._second, *self._first], strict=True):
             across = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
             along = self._corners[across, d] - self._corners[across, c]
             along /= np.linalg.norm(along, axis=1)[:, None]
@@ -158,6 +156,11 @@ class SmoothSurface:
             return np.zeros(len(facet))
         products = hats[:, self._first] * hats[:, self._second]
         return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
+
+    @property
+    def corner_normals(self) -> Array:
+        """Outward unit normals (n, corners, 3) of the fitted surface at the corners of facets."""
+        return self._normals + self._mean[:, None]
 
     def at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
