@@ -83,7 +83,7 @@ def test_rubbed_over_a_ball(comm):
     """
     forces, moments = [], []
     for parts, rounds in ((1, 8), (2, 8), (2, 1)):
-        problem, centre, motion = pushed(comm, PUSH, friction=Coulomb(F), n=(6, 2))
+        problem, centre, motion = pushed(comm, PUSH, friction=Coulomb(F), n=(10, 4))
         with problem:
             whole = motion.value.copy()
             for part in range(1, parts + 1):
