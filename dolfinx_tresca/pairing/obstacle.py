@@ -27,10 +27,11 @@ from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
 from dolfinx_tresca.surface.smooth_surface import SmoothSurface
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
-#: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the first
-#: one the mesh resolves the obstacle, and its exact normals at the nodes count; from the second one
-#: on, the rule of both sides (`contact_normals`) holds. With half of both the moment of a wheel of
-#: 32 cells is wrong by 0.3 %; with twice of both a strip on rollers misses the elastica by 5 %.
+#: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the
+#: first one the mesh resolves the obstacle, and its exact normals at the nodes count; from the
+#: second one on, the rule of both sides (`contact_normals`) holds. With half of both the moment of
+#: a wheel of 32 cells is wrong by 0.3 %; with twice of both the force on a snap-fit hook jumps by
+#: half of its value from one position to the next.
 RESOLVED_ANGLES = math.radians(10.0), math.radians(20.0)
 
 
@@ -41,12 +42,12 @@ def couple(
 
     The signed distance is interpolated like a displacement and averaged with the dual basis; with
     degree 1, gap and jump are then the nodal values. With degree 2 the distance at nodes on
-    straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of degree 2
-    can take the shape of the obstacle. The direction at each node is the mean of the contact normals
-    of its facets (`contact_normals`): where the obstacle turns over a facet by more than the body
-    does, this is the body's normal, since a small obstacle that touches the facet between its nodes
-    pushes along the normal of the facet. The gap along it is the distance divided by the cosine
-    between both normals. Only facets that face the obstacle contribute.
+    straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of
+    degree 2 can take the shape of the obstacle. The direction at each node is the mean of the
+    contact normals of its facets (`contact_normals`): where the obstacle turns over a facet by more
+    than the body does, this is the body's normal, since a small obstacle that touches the facet
+    between its nodes pushes along the normal of the facet. The gap along it is the distance divided
+    by the cosine between both normals. Only facets that face the obstacle contribute.
 
     Raises:
         InputError: the signed distance does not return distances and unit normals.

@@ -120,6 +120,14 @@ class Facets:
         plane = not bent and _flat(self.cell, corners, size, rounding)
         return replace(self, points=points, bent=bent, plane=plane)
 
+    def frames(self) -> Array:
+        """Return right-handed orthonormal axes (n, 3, 3) in rows: a side, across it, the normal."""
+        normals = self.mean_normals
+        first = self.points[:, 1] - self.points[:, 0]
+        first -= np.einsum("ni,ni->n", first, normals)[:, None] * normals
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        return np.stack([first, cross(normals, first), normals], axis=1)
+
     def area_vectors(self, x: Array) -> Array:
         """Return outward normals (n, q, 3) whose length is the area element at reference points.
 

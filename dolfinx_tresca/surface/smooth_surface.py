@@ -39,7 +39,7 @@ class SmoothSurface:
     over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
     size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
     is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
-    large as the difference, and the height is zero. At the rim of the surface, where the nodal
+    large as the difference, and the height is zero. At the ends of a curve in 2D, where the nodal
     normal is a mean over one side, the normal is turned until the sum is zero.
 
     Facets with curved edges (degree 2) have no height, and normals of their own.
@@ -62,13 +62,15 @@ class SmoothSurface:
         self._first, self._second = np.triu_indices(facets.corners, 1)
         mean, rim = facets.mean_normals, _rim_nodes(facets, nodes)
         self._normals = fitted_normals(facets, nodes)[corner_nodes]
-        self._turn_rim_normals(corner_nodes, rim)
+        smooth = self._smoothness(corner_nodes, rim)
+        if facets.dim == 1:
+            self._turn_end_normals(rim[corner_nodes], smooth)
         cosine = np.einsum("nci,ni->nc", self._normals, mean).min(axis=1, initial=1.0)
         edge = cosine < SMOOTH_COSINE
         self._mean = np.where(edge[:, None], mean, 0.0)
         self._normals[edge] = 0.0
-        difference, smooth = self._curvature()
-        self._heights = 0.5 * difference * smooth[:, None]
+        start, end = self._slopes()
+        self._heights = 0.5 * (end - start) * smooth[:, None]
         size = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (HEIGHT_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
@@ -86,49 +88,55 @@ class SmoothSurface:
             cosine = cosine.reshape(-1, facets.corners).min(axis=1, initial=1.0)
             self.turns[self._exact] = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
 
-    def _curvature(self) -> tuple[Array, Array]:
-        """Return how far normals turn over facets, and how smoothly.
-
-        Returns:
-            (n_d - n_c).(x_d - x_c) for each pair of corners (n, pairs) [length], and a factor (n,),
-            1 on parabolic surfaces and 0 next to kinks.
-        """
+    def _slopes(self) -> tuple[Array, Array]:
+        """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
         along = self._corners[:, self._second] - self._corners[:, self._first]
         start, end = (
             np.einsum("nci,nci->nc", self._normals[:, side], along)
             for side in (self._first, self._second)
         )
-        turned = np.abs(end - start).max(axis=1, initial=0.0)
-        uneven = np.abs(end + start).max(axis=1, initial=0.0)
-        excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
-        return end - start, np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
+        return start, end
 
-    def _turn_rim_normals(self, corner_nodes: Indices, rim: Mask) -> None:
-        """Turn the normals at the rim, so that the surface is parabolic over the facets there.
+    def _smoothness(self, corner_nodes: Indices, rim: Mask) -> Array:
+        """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
-        At a rim corner c and an inner corner d of a facet (n_c + n_d).(x_d - x_c) becomes zero, as
-        far as the surface is smooth at d: over the facets at d that are not at the rim.
+        Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
+        surround its other corners.
 
         Args:
             corner_nodes: (n, corners) nodes at the corners of each facet.
             rim: (nodes,) whether a node is at the rim.
         """
+        start, end = self._slopes()
+        turned = np.abs(end - start).max(axis=1, initial=0.0)
+        uneven = np.abs(end + start).max(axis=1, initial=0.0)
+        excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
+        result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
         at_rim = rim[corner_nodes]
-        inner = ~at_rim.any(axis=1)
-        kinked, surrounded = np.zeros(len(rim)), np.zeros(len(rim))
-        np.maximum.at(kinked, corner_nodes[inner], 1.0 - self._curvature()[1][inner, None])
-        surrounded[corner_nodes[inner]] = 1.0
-        smooth = (surrounded - kinked)[corner_nodes]
-        change, count = np.zeros_like(self._normals), np.zeros(at_rim.shape)
-        for c, d in zip([*self._first, *self._second], [*self._second, *self._first], strict=True):
-            across = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
-            along = self._corners[across, d] - self._corners[across, c]
+        outer = at_rim.any(axis=1)
+        of_nodes = np.ones(len(rim))
+        np.minimum.at(of_nodes, corner_nodes[~outer], result[~outer, None])
+        of_corners = np.where(at_rim, 1.0, of_nodes[corner_nodes]).min(axis=1, initial=1.0)
+        return np.where(outer, of_corners, result)
+
+    def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
+        """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
+
+        With the end c of a curve and the other corner d of its facet (n_c + n_d).(x_d - x_c)
+        becomes zero, as far as the curve is smooth at d. (In 3D a node at the rim has neighbours
+        enough for its fitted normal.)
+
+        Args:
+            at_rim: (n, 2) whether the corners of each facet are at an end.
+            smooth: (n,) factor of `_smoothness`.
+        """
+        for c, d in ((0, 1), (1, 0)):
+            ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
+            along = self._corners[ends, d] - self._corners[ends, c]
             along /= np.linalg.norm(along, axis=1)[:, None]
-            both = self._normals[across, c] + self._normals[across, d]
-            lean = np.einsum("ni,ni->n", both, along) * smooth[across, d]
-            change[across, c] -= lean[:, None] * along
-            count[across, c] += 1.0
-        self._normals += change / np.maximum(count, 1.0)[:, :, None]
+            both = self._normals[ends, c] + self._normals[ends, d]
+            lean = np.einsum("ni,ni->n", both, along) * smooth[ends]
+            self._normals[ends, c] -= lean[:, None] * along
         self._normals /= np.linalg.norm(self._normals, axis=2)[:, :, None]
 
     def nodes_on_surface(self) -> Array:
@@ -188,7 +196,7 @@ def _rim_nodes(facets: Facets, nodes: SurfaceNodes) -> Mask:
     """Return whether each of the nodes (n,) is on a side that belongs to one facet only."""
     corner_nodes = nodes.facet_nodes
     if facets.dim == 1:
-        return np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1
+        return np.asarray(np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1)
     following = corner_nodes[:, list(NEIGHBOURS[facets.cell][0])]
     sides = np.sort(np.stack([corner_nodes.ravel(), following.ravel()], axis=1), axis=1)
     sides, count = np.unique(sides, axis=0, return_counts=True)

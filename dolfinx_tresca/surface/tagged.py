@@ -73,7 +73,7 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
 
 
 def displaced(V: Any, facets: Facets, u: Array, surface: str, side: str) -> Facets:
-    """Return facets that this rank owns, displaced. Collective.
+    """Return facets that this rank owns, displaced; their `offsets` turn with them. Collective.
 
     Args:
         V: the space of the displacement.
@@ -88,7 +88,11 @@ def displaced(V: Any, facets: Facets, u: Array, surface: str, side: str) -> Face
     node = V.dofmap.index_map.global_to_local(facets.nodes.ravel()).reshape(facets.nodes.shape)
     points = facets.points.copy()
     points[:, :, : u.shape[1]] += u[node]
-    return checked(V.mesh.comm, facets.moved_to(points), surface, side)
+    moved = facets.moved_to(points)
+    if facets.offsets.shape[1]:
+        local = np.einsum("nqi,ndi->nqd", facets.offsets, facets.frames())
+        moved = replace(moved, offsets=np.einsum("nqd,ndi->nqi", local, moved.frames()))
+    return checked(V.mesh.comm, moved, surface, side)
 
 
 def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:

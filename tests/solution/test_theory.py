@@ -112,9 +112,10 @@ def pin_in_ring(comm, folder, *, twist: bool) -> tuple[ContactProblem, fem.Const
 @pytest.mark.parallel
 @pytest.mark.parametrize("twist", [False, True])
 def test_beyond_friction(comm, folder, caplog, twist):
-    """Only normals that are not those of a cylinder hold a pin that is pulled or turned too hard.
+    """Nothing holds a pin that is pulled too hard; one that is turned leaves linear theory.
 
-    Below the limit of friction the pin hardly moves, and nothing is said.
+    Contact normals are those of a cylinder, without a part along the axis. Below the limit of
+    friction the pin hardly moves, and nothing is said.
     """
     problem, load, limit = pin_in_ring(comm, folder, twist=twist)
     with problem:
@@ -126,13 +127,15 @@ def test_beyond_friction(comm, folder, caplog, twist):
         for share in (1.1, 2.0):
             load.value = share * limit
             solution = problem.solve()
-            assert solution.status is ContactStatus.OUTSIDE_THEORY
-            said = "(pin), between" if twist else "the fit: pressed nodes have slid by"
-            assert said in solution.sliding
-            with pytest.raises(OutsideTheoryError, match="left its theory") as caught:
+            # normals of other directions than the cylinder's, if rounding leaves any, are told
+            wedged = solution.status is ContactStatus.OUTSIDE_THEORY
+            assert wedged or (not twist and solution.status is ContactStatus.NO_FIXED_POINT)
+            said = ["(pin), between"] if twist else ["pressed nodes have slid", "along z"]
+            assert any(text in solution.sliding for text in said)
+            with pytest.raises(ConvergenceError) as caught:
                 solution.raise_if_failed()
-            assert caught.value.motion is solution.u
-            with pytest.raises(ConvergenceError, match="OUTSIDE_THEORY"):
+            assert isinstance(caught.value, OutsideTheoryError) == wedged
+            with pytest.raises(ConvergenceError, match=solution.status.name):
                 problem.accept()
         problem.accept(unconverged=True)
 

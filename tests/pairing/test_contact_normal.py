@@ -1,0 +1,166 @@
+"""The contact normal: of two sides the one whose normal turns less over its facets decides."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactPair,
+    ContactProblem,
+    Frictionless,
+    RigidSphere,
+    read_gmsh,
+)
+from dolfinx_tresca.pairing.choice import pair_surfaces
+from scenes.elasticity import elasticity, fixed, no_load
+
+GAP = 0.03
+
+#: A block of 4 x 10, chamfered at its right ends by `depth` at an angle, and a wall beside it.
+CHAMFER = """
+SetFactory("OpenCASCADE");
+DefineConstant[ angle = 45, h = 0.5 ];
+depth = 0.3 * Tan(angle * Pi / 180);
+Point(1) = {0, 0, 0, h}; Point(2) = {4.1 - depth, 0, 0, h}; Point(3) = {4.1, 0.3, 0, h};
+Point(4) = {4.1, 9.7, 0, h}; Point(5) = {4.1 - depth, 10, 0, h}; Point(6) = {0, 10, 0, h};
+Point(7) = {4.13, -2, 0, h}; Point(8) = {4.73, -2, 0, h}; Point(9) = {4.73, 13, 0, h};
+Point(10) = {4.13, 13, 0, h};
+For i In {1:5}
+  Line(i) = {i, i + 1};
+EndFor
+Line(6) = {6, 1}; Line(7) = {7, 8}; Line(8) = {8, 9}; Line(9) = {9, 10}; Line(10) = {10, 7};
+Curve Loop(1) = {1:6}; Curve Loop(2) = {7:10};
+Plane Surface(1) = {1}; Plane Surface(2) = {2};
+Physical Surface("block") = {1}; Physical Surface("wall") = {2};
+Physical Curve("side") = {2, 3, 4}; Physical Curve("axis") = {6};
+Physical Curve("inner") = {10}; Physical Curve("outer") = {8};
+"""
+
+#: Half a ring round a disc with the same radius; the ring ends 4 degrees above the x-axis.
+EXACT_FIT = """
+R = 15; c = Cos(4 * Pi / 180); s = Sin(4 * Pi / 180);
+Point(1) = {0, 0, 0};
+Point(2) = {R, 0, 0}; Point(3) = {0, R, 0}; Point(4) = {-R, 0, 0}; Point(5) = {0, -R, 0};
+For i In {1:4}
+  Circle(i) = {1 + i, 1, i < 4 ? 2 + i : 2};
+EndFor
+Point(6) = {R * c, R * s, 0}; Point(7) = {0, R, 0}; Point(8) = {-R * c, R * s, 0};
+Point(9) = {-(R + 5) * c, (R + 5) * s, 0}; Point(10) = {0, R + 5, 0};
+Point(11) = {(R + 5) * c, (R + 5) * s, 0};
+Circle(5) = {6, 1, 7}; Circle(6) = {7, 1, 8}; Line(7) = {8, 9};
+Circle(8) = {9, 1, 10}; Circle(9) = {10, 1, 11}; Line(10) = {11, 6};
+Curve Loop(1) = {1:4}; Curve Loop(2) = {5:10};
+Plane Surface(1) = {1}; Plane Surface(2) = {2};
+Physical Surface("disc") = {1}; Physical Surface("half ring") = {2};
+Physical Curve("outside") = {1:4}; Physical Curve("inside") = {5, 6};
+Mesh.MeshSizeMax = Pi * R / 15; Mesh.MeshSizeExtendFromBoundary = 0;
+"""
+
+
+def read(comm, folder, text, **parameters):
+    path = folder / "scene.geo"
+    if comm.rank == 0:
+        path.write_text(text)
+    comm.barrier()
+    return read_gmsh(path, comm, **parameters)
+
+
+@pytest.mark.parallel(angle=[45], size=[0.5])
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+@pytest.mark.parametrize("angle", [10, 30, 45])
+@pytest.mark.parametrize("size", [0.2, 0.5])
+def test_a_chamfered_block_moves_along_a_wall(comm, folder, angle, size, sliding):
+    """The distance does not change, and nothing is pressed, whichever side is secondary."""
+    tagged = read(comm, folder, CHAMFER, angle=angle, h=size)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    held = [
+        fixed(V, tagged.facet_tags.find(tagged.tags["axis"]), (0.0, 3.0 * GAP)),
+        fixed(V, tagged.facet_tags.find(tagged.tags["outer"]), (0.0, 0.0)),
+    ]
+    for sides in (("side", "inner"), ("inner", "side")):
+        tags = (tagged.tags[name] for name in sides)
+        pair = ContactPair(tagged.facet_tags, *tags, Frictionless(), sliding=sliding)
+        with ContactProblem(elasticity(V, 2e5), no_load(V), [pair], held) as problem:
+            gap = problem.operators[0].gap
+            least = comm.allreduce(gap.min(initial=1.0), MPI.MIN)
+            assert least == pytest.approx(GAP, rel=1e-9)
+            solution = problem.solve()
+            solution.raise_if_failed()
+            assert solution.normal_force == 0.0
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sides", [("inside", "outside"), ("outside", "inside")])
+def test_an_exact_fit_has_no_gap_at_its_rims(comm, folder, sides):
+    """Normals there are radial, though the ring ends: the disc goes on."""
+    tagged = read(comm, folder, EXACT_FIT)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    prescribed = np.zeros(2 * V.dofmap.index_map.size_local, dtype=bool)
+    tags = (tagged.tags[name] for name in sides)
+    found = pair_surfaces(V, prescribed, ContactPair(tagged.facet_tags, *tags, Frictionless()))
+    radial = found.places / np.linalg.norm(found.places, axis=1)[:, None]
+    x, y = found.normals.T
+    sine = np.abs(x * radial[:, 1] - y * radial[:, 0]).max(initial=0.0)
+    sagitta = 15.0 * (1.0 - np.cos(0.5 * np.pi / 15))
+    assert comm.allreduce(sine, MPI.MAX) <= 2e-3
+    assert comm.allreduce(np.abs(found.gap).max(initial=0.0), MPI.MAX) <= 5e-3 * sagitta
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("turned", [20.0, 35.0])
+def test_a_sharp_corner_pushes_along_the_normal_of_a_flat_side(comm, folder, turned):
+    """Both smooth patches of the corner face the plate, one of them at 55 or 70 degrees."""
+    text = """
+    SetFactory("OpenCASCADE");
+    DefineConstant[ angle = 20 ];
+    Rectangle(1) = {0, 0, 0, 1, 1};
+    Rotate { {0, 0, 1}, {0, 0, 0}, angle * Pi / 180 } { Surface{1}; }
+    Rectangle(2) = {-2, -1, 0, 4, 1};
+    Physical Surface("block") = {1}; Physical Surface("plate") = {2};
+    Physical Curve("tip") = {1, 4}; Physical Curve("back") = {2, 3};
+    Physical Curve("top") = {7}; Physical Curve("bottom") = {5};
+    Mesh.MeshSizeMax = 0.15;
+    """
+    tagged = read(comm, folder, text, angle=turned)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    held = [
+        fixed(V, tagged.facet_tags.find(tagged.tags["back"]), (0.02, -0.04)),
+        fixed(V, tagged.facet_tags.find(tagged.tags["bottom"]), (0.0, 0.0)),
+    ]
+    tags = (tagged.tags[name] for name in ("tip", "top"))
+    pair = ContactPair(tagged.facet_tags, *tags, Frictionless())
+    with ContactProblem(elasticity(V, 1e3), no_load(V), [pair], held) as problem:
+        solution = problem.solve(rtol=1e-8)
+        solution.raise_if_failed()
+        force = solution.pair_resultants[0].force
+        assert abs(force[1]) > 1.0 and abs(force[0]) <= 1e-3 * abs(force[1])
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("place", [0.0, 0.25, 0.45])
+def test_a_small_ball_pushes_along_the_normal_of_a_coarse_facet(comm, folder, place):
+    """The ball is smaller than a cell; the nodes beside it do not see its tilted normals."""
+    text = """
+    SetFactory("OpenCASCADE");
+    Rectangle(1) = {-4, 0, 0, 8, 3};
+    Physical Surface("block") = {1};
+    Physical Curve("bottom") = {1}; Physical Curve("top") = {3};
+    Transfinite Curve {1, 3} = 9; Transfinite Curve {2, 4} = 4; Transfinite Surface {1};
+    Recombine Surface {1};
+    """
+    tagged = read(comm, folder, text)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    held = [fixed(V, tagged.facet_tags.find(tagged.tags["top"]), (0.0, -0.6))]
+    ball = RigidSphere(center=(place, -0.8), radius=0.8)
+    pair = ContactPair(tagged.facet_tags, tagged.tags["bottom"], ball, Frictionless())
+    with ContactProblem(elasticity(V, 1e3), no_load(V), [pair], held) as problem:
+        solution = problem.solve(rtol=1e-8)
+        solution.raise_if_failed()
+        (resultant,) = solution.pair_resultants
+        assert resultant.force[1] > 10.0
+        assert abs(resultant.force[0]) <= 1e-3 * resultant.force[1]
