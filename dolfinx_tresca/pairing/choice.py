@@ -88,7 +88,7 @@ def _pair(
         if halo.comm.size > 1:
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_on_this_rank(V, moved)
-        coupling = obstacle.couple(V, group, pair.primary, secondary.halo.facets, nodes)
+        coupling = obstacle.couple(V, group, pair.primary, secondary.halo.facets, nodes, moved)
     else:
         primary = secondary
         if not pair.touches_itself:

@@ -34,11 +34,11 @@ class ContactPair:
 
     The tagged surfaces may include edges or whole boundaries: areas, normals and integrals include
     only facets that face the other side, and facets are not paired through a body whose boundary
-    has one of the tags. Among several layers of facets the nearest one is paired. Nodal normals are
-    averages over the adjacent facets, except across sharp edges, where the normals of facets differ
-    by more than `surface.nodes.EDGE_ANGLE`, 55 degrees. If both sides of a sharp edge are in
-    contact, as in a groove, a node on the edge has one pressure for each side, and friction acts
-    along the edge only.
+    has one of the tags. Among several layers of facets the nearest one is paired. Gaps and
+    pressures are along the contact normal: of two sides the one whose normal turns less from facet
+    to facet decides (docs/theory/pairing.md). If both sides of a sharp edge
+    (`surface.nodes.EDGE_ANGLE`, 55 degrees) are in contact, as in a groove, a node on the edge has
+    one pressure for each side, and friction acts along the edge only.
 
     Attributes:
         facet_tags: `MeshTags` of the facets of the problem's mesh.

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
+from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
 
 from dolfinx_tresca import (
     ContactPair,
@@ -164,3 +165,19 @@ def test_a_small_ball_pushes_along_the_normal_of_a_coarse_facet(comm, folder, pl
         (resultant,) = solution.pair_resultants
         assert resultant.force[1] > 10.0
         assert abs(resultant.force[0]) <= 1e-3 * resultant.force[1]
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(("radius", "warned"), [(0.5, True), (4.0, False)])
+def test_an_obstacle_between_two_nodes_is_told(comm, caplog, radius, warned):
+    """Nodes carry the contact, and do not see what enters the facet between them."""
+    mesh = create_rectangle(comm, [(0.0, 0.0), (8.0, 2.0)], (8, 2), CellType.quadrilateral)
+    top = locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 2.0))
+    tags = meshtags(mesh, 1, top, np.full(len(top), 7, dtype=np.int32))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    bottom = locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0.0))
+    ball = RigidSphere(center=(3.5, 2.0 + radius - 0.1), radius=radius)
+    pair = ContactPair(tags, 7, ball, Frictionless())
+    with ContactProblem(elasticity(V, 1.0), no_load(V), [pair], [fixed(V, bottom)]):
+        told = "100 % of it between their nodes" in caplog.text
+    assert told == (warned and comm.rank == 0)
