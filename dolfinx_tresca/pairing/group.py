@@ -197,7 +197,7 @@ def _shared(
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
     rows = [np.zeros((0, 2), dtype=np.int64)]
-    for k in np.flatnonzero(some).tolist():
+    for k in (int(number) for number in np.flatnonzero(some)):
         facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
         nodes = fem.locate_dofs_topological(V, dim, facets)
         number = V.dofmap.index_map.local_to_global(nodes) if label is None else label[nodes]

@@ -194,15 +194,14 @@ class OverlapIntegrals:
 
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
-        sagitta = secondary_sagitta = np.zeros(len(area))
+        sagitta: Array = np.zeros(len(area))
+        secondary_sagitta: Array = sagitta
         if not self._known:
             # at the rim of one side the fitted surfaces differ, though the facets coincide
             differ = ~facets_coincide(secondary, facet, primary, other)[point_pair]
             secondary_sagitta = differ * self._surface.heights(own_facet, hats)
-            their_hats = primary.hats(x_their)
-            sagitta = secondary_sagitta + differ * self._primary_surface.heights(
-                their_facet, their_hats
-            )
+            heights = self._primary_surface.heights(their_facet, primary.hats(x_their))
+            sagitta = secondary_sagitta + differ * heights
             to_other_surface[~differ], to_surface[~differ] = 0.0, 0.0
         # a vector between the surfaces: the distance of the facets minus both heights would lose
         # accuracy for closely fitting bodies, for which heights are much larger than the distance

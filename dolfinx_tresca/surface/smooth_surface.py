@@ -79,7 +79,7 @@ class SmoothSurface:
         ends = (rim | (patches[number] > 1))[corner_nodes].any(axis=1)
         turns = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
         self.turns = np.where(ends, np.maximum(turns, 0.5 * np.pi), turns)
-        self._exact = np.zeros(len(self._corners), dtype=np.bool_)
+        self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
@@ -168,7 +168,7 @@ class SmoothSurface:
     @property
     def corner_normals(self) -> Array:
         """Outward unit normals (n, corners, 3) of the fitted surface at the corners of facets."""
-        return self._normals + self._mean[:, None]
+        return np.asarray(self._normals + self._mean[:, None])
 
     def at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
