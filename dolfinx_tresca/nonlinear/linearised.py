@@ -356,6 +356,10 @@ class TangentProblem:
         """
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
+    def force_norm(self) -> float:
+        """Return |B'lambda|_{K^-1}, the size of contact forces in the residual's norm. Collective."""
+        return self._norm_of_correction(self.surfaces.contact_forces())
+
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
 
