@@ -97,7 +97,7 @@ class TangentProblem:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
         self.surfaces = self.contact.surfaces
-        self.surfaces.steps.u = u
+        self.surfaces.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.surfaces.obstacles.motions,) * 2
         self._moves_in_parts = False
@@ -150,9 +150,9 @@ class TangentProblem:
         Raises:
             Exception: an error of the user's functions, on all ranks.
         """
-        last = self.surfaces.steps.last
-        if self._has_history and last is not None:
-            with self._at(last[2].x.array):
+        solution = self.surfaces.state.solution
+        if self._has_history and solution is not None:
+            with self._at(solution.w.x.array):
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
@@ -243,7 +243,7 @@ class TangentProblem:
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
         are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
         """
-        jump, multipliers = self.surfaces.jump, self.surfaces.steps.multipliers
+        jump, multipliers = self.surfaces.jump, self.surfaces.state.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
             return self._touching()
         lam = jump.bounded(self.surfaces.slip_bounds()).section(multipliers)
@@ -298,12 +298,13 @@ class TangentProblem:
                 raise InputError(
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
-        steps, before = self.surfaces.steps, self.surfaces.steps.motions
+        before = self.surfaces.state.motions
         self.surfaces.begin_solve()
-        accepted = steps.accepted_u
-        same = accepted is not None and np.array_equal(accepted.x.array, self.displacement.x.array)
+        accepted = self.surfaces.state.accepted
+        u = accepted.displacement
+        same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
-            before = steps.accepted_motions  # a trial may have left obstacles elsewhere
+            before = accepted.motions  # a trial may have left obstacles elsewhere
         self._places = before, self.surfaces.obstacles.motions
         self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
@@ -339,7 +340,7 @@ class TangentProblem:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
         obstacles = self.surfaces.obstacles
         obstacles.motions = obstacles.between(*self._places, fraction)
-        self.surfaces.pair_where_changed(self.surfaces.sliding.origin)
+        self.surfaces.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
@@ -357,7 +358,7 @@ class TangentProblem:
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def force_norm(self) -> float:
-        """Return |B'lambda|_{K^-1}, the size of contact forces in the residual's norm. Collective."""
+        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective."""
         return self._norm_of_correction(self.surfaces.contact_forces())
 
     def _norm_of_correction(self, forces: Array) -> float:

@@ -252,7 +252,7 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the form F of the displacement alone, and not that of a mixed "
                 "space: compare two solutions."
             )
-        if contact.solved is None or contact.surfaces.steps.last is None:
+        if contact.solved is None or contact.surfaces.state.solution is None:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
             )
@@ -262,6 +262,7 @@ class NonlinearContactProblem(ContactProcess):
                 "part."
             )
         state = problem.surfaces.state
+        assert state.solution is not None
         try:
             try:
                 problem.factor()
@@ -284,7 +285,7 @@ class NonlinearContactProblem(ContactProcess):
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."
             )
-        fields = dataclasses.replace(solved.fields, u=contact.surfaces.steps.last[2])
+        fields = dataclasses.replace(solved.fields, u=state.solution.w)
         return dataclasses.replace(solved, fields=fields)
 
     def _forms_at(self, u: fem.Function) -> Forms:
@@ -347,7 +348,7 @@ class NonlinearContactProblem(ContactProcess):
             run.run()
         finally:
             self._linearised.end_load()
-        self._contact.surfaces.steps.end_solve()
+        self._contact.surfaces.end_solve()
         self._linearised.note_forces()
         if run.found is None:
             raise StiffnessError(
@@ -358,7 +359,8 @@ class NonlinearContactProblem(ContactProcess):
         status, message = found.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
-            self._contact.surfaces.steps.set_last_status(status)
+            surfaces = self._contact.surfaces
+            surfaces.state = surfaces.state.with_status(status)
             parts = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
             parts += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
             parts += "max_iterations=...). "

@@ -18,6 +18,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, free_unused
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
+from dolfinx_tresca.dual.history.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
 from dolfinx_tresca.monitor import Iteration
@@ -169,7 +170,8 @@ class ContactSystem(PetscOwner):
     def forget(self) -> None:
         """Drop multipliers and products: the next solve starts from zero. Not collective."""
         self._last_solve = None
-        self.surfaces.steps.forget()
+        state = self.surfaces.state
+        self.surfaces.state = state.started_at(np.zeros_like(state.multipliers))
         self.surfaces.compliance.forget()
 
     def law_values(self, curves: Sequence[CurveAtNodes] = ()) -> list[Array]:
@@ -200,9 +202,9 @@ class ContactSystem(PetscOwner):
             InputError: a gap, a slip bound or a coefficient of friction has a value that is not
                 allowed.
         """
-        surfaces, solved, last = self.surfaces, self.solved, self.surfaces.steps.last
+        surfaces, solved, solution = self.surfaces, self.solved, self.surfaces.state.solution
         assert solved is not None
-        status = ContactStatus.CONVERGED if last is None else last[0]
+        status = ContactStatus.CONVERGED if solution is None else solution.status
         if status is not ContactStatus.CONVERGED:
             raise ContactError(
                 f"{purpose} needs a solution, and the last solve ended with {status.name}."
@@ -266,7 +268,7 @@ class ContactSystem(PetscOwner):
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
         if solution.status is ContactStatus.CONVERGED:
             surfaces, u = self.surfaces, solution.u
-            paired, tractions = surfaces.geometry, solution.multipliers
+            paired, tractions = surfaces.state.geometry, solution.multipliers
             departures = [
                 *(motions_of_bodies(u, self._stiffness.bodies) if linear else ()),
                 *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions),
@@ -274,7 +276,7 @@ class ContactSystem(PetscOwner):
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:
                 status = ContactStatus.OUTSIDE_THEORY
-                surfaces.steps.set_last_status(status)
+                surfaces.state = surfaces.state.with_status(status)
                 solution = replace(solution, status=status, sliding=reason)
         elif solution.failure:
             log(self.comm, "%s", solution.failure, level=logging.WARNING)
@@ -315,12 +317,13 @@ class ContactSystem(PetscOwner):
             MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
-        surfaces, steps, bodies = self.surfaces, self.surfaces.steps, self._stiffness.bodies
+        surfaces, bodies = self.surfaces, self._stiffness.bodies
         requested = requested or options
         self._stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
         timings, surfaces.timings = surfaces.timings, {}
-        steps.last = self._last_solve = None
+        self._last_solve = None
+        surfaces.state = replace(surfaces.state, solution=None)
         with timed("load", timings):
             self.linear.assemble_load()
             bounds = surfaces.slip_bounds()
@@ -330,7 +333,8 @@ class ContactSystem(PetscOwner):
             operator = surfaces.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = surfaces.history_of_solve()
-            moved = (steps.accepted_motions != steps.motions).any(axis=(1, 2))
+            state = surfaces.state
+            moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
             try:
                 dual = DualProgram.of(surfaces.compliance, surfaces.guess, bounds, history)
             except MechanismError as error:
@@ -339,18 +343,18 @@ class ContactSystem(PetscOwner):
             if dual.equilibrium is not None:
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
-        start, secondary = steps.multipliers, surfaces.secondary
+        start, secondary = state.multipliers, surfaces.secondary
         found, evaluation, history = solve_to_bound(
             dual, start, secondary, bodies, options, requested, observe, timings
         )
-        steps.multipliers = found.multipliers
         status = found.status
+        solution = StepSolution(status, history, evaluation.w)
+        surfaces.state = replace(state, multipliers=found.multipliers, solution=solution)
         curves = check_curves(dual, found, surfaces.friction)
         inputs += [pressed_values(*one) for one in curves]
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
-        steps.last = status, history, evaluation.w
         self._last_solve = LastSolve(
             dual, found.multipliers, evaluation, curves, inputs, options, moved
         )

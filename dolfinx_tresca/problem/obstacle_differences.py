@@ -68,7 +68,7 @@ def obstacle_differences(
     bounds, found = surfaces.slip_bounds(), []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
-            one = moved_jump(jump, contact.pairs, surfaces.geometry, moves)
+            one = moved_jump(jump, contact.pairs, surfaces.state.geometry, moves)
         turned = one.along_axes(bounds)
         if turned is not one:
             one.destroy()

@@ -513,10 +513,11 @@ def test_a_change_that_is_small_by_chance(residual, small):
         comm=MPI.COMM_SELF,
         gaps_at_nodes=lambda u: np.zeros((1, 1)),
         linear=SimpleNamespace(prescribed_displacements=np.zeros(1, dtype=np.bool_)),
-        sliding=SimpleNamespace(origin=function([0.0])),
         obstacles=SimpleNamespace(extent=1.0),
         rounding_forces=lambda: np.zeros(1),
-        steps=SimpleNamespace(accepted_values=0.0),
+        state=SimpleNamespace(
+            configuration=function([0.0]), accepted=SimpleNamespace(displacement=None)
+        ),
     )
     sliding = finite_sliding.FiniteSliding(surfaces)
     for force, distance in ((2.0, 1.0), (1.1, 1e-1), (1.0, 1e-2), (1.0 + 1e-5, residual)):
