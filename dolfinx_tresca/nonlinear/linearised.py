@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,7 +15,6 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -51,17 +50,7 @@ class TangentProblem:
     """
 
     def __init__(
-        self,
-        F: Any,
-        u: fem.Function,
-        J: Any,
-        bcs: Sequence[Any],
-        entity_maps: EntityMaps | None,
-        before_assembly: Callable[[], None] | None = None,
-        on_accept: Callable[[], None] | None = None,
-        axisymmetric: bool = False,
-        V: Any = None,
-        **arguments: Any,
+        self, tangent: TangentSystem, on_accept: Callable[[], None] | None, **arguments: Any
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
@@ -69,15 +58,8 @@ class TangentProblem:
         history, it is the tangent at the displacement from which the present solve starts.
 
         Args:
-            F: residual form, internal minus external forces.
-            u: displacement on which F depends, or all unknowns of a mixed space.
-            J: derivative of F with respect to u.
-            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
-            entity_maps: see `ContactProblem`.
-            before_assembly: see `NonlinearContactProblem`.
+            tangent: the linear system of a step. The `contact` system owns it.
             on_accept: see `NonlinearContactProblem`.
-            axisymmetric: see `NonlinearContactProblem`.
-            V: see `NonlinearContactProblem`.
             arguments: further arguments of `ContactSystem`.
 
         Raises:
@@ -85,11 +67,10 @@ class TangentProblem:
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        self.u = u
-        self._on_accept = on_accept
-        self._has_history = before_assembly is not None or on_accept is not None
+        self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
+        u = self.u
+        self._has_history = tangent.has_material or on_accept is not None
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
-        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
         with self._at(self._reference):

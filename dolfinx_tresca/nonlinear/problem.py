@@ -17,6 +17,7 @@ from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
 from dolfinx_tresca.nonlinear.newton import Newton
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
+from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import LastSolve
 from dolfinx_tresca.problem.process import ContactProcess, check_units
@@ -199,15 +200,8 @@ class NonlinearContactProblem(ContactProcess):
             J = 0.5 * (J + ufl.adjoint(J))
         self._forms, self._is_symmetrized = (F, J), symmetrize
         self._linearised = TangentProblem(
-            F,
-            u,
-            J,
-            bcs,
-            entity_maps,
-            before_assembly,
+            TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V),
             on_accept,
-            axisymmetric,
-            V,
             pairs=self.pairs,
             stiffness=stiffness,
             petsc_options=petsc_options,
@@ -371,8 +365,7 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
-        values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
-        values |= {
+        values = vars(found) | {
             "status": status,
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),

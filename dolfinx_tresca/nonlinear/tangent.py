@@ -95,6 +95,11 @@ class TangentSystem(LinearSystem):
         self._initial_residual: Array = np.zeros(len(self.prescribed))
 
     @property
+    def has_material(self) -> bool:
+        """Whether a function of the user computes coefficients of the forms."""
+        return self._before_assembly is not None
+
+    @property
     def form_of_displacement(self) -> bool:
         """False: the tangent's energy of the displacement is not the energy of nonlinear bodies."""
         return False
