@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
-from dolfinx_tresca.dual.history.step_state import StepState
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem

@@ -16,14 +16,14 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.contact.contact_system import ContactSystem, LastSolve
+from dolfinx_tresca.contact.saved_state import SavedState, write_state
 from dolfinx_tresca.dual.adjoint import EdgeState
-from dolfinx_tresca.dual.history.saved_state import SavedState, write_state
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution

@@ -21,13 +21,13 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.dual.history.saved_state import SavedState, write_state
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
-from dolfinx_tresca.dual.history.step_state import StepState
+from dolfinx_tresca.contact.contact_system import ContactSystem, LastSolve
+from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal

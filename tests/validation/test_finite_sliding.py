@@ -30,7 +30,7 @@ from dolfinx_tresca import (
     RigidSphere,
     SolverOptions,
 )
-from dolfinx_tresca.problem import finite_sliding
+from dolfinx_tresca.contact import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
 from scenes.large_sliding import RING_GAP, half_ring

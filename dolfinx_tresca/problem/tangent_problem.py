@@ -17,12 +17,12 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.nonlinear.mixed_norm import MixedNorm
-from dolfinx_tresca.nonlinear.tangent import TangentSystem
-from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.mixed_norm import MixedNorm
+from dolfinx_tresca.problem.tangent_system import TangentSystem
 
 #: A node sticks if its traction is below this fraction of the slip bound. The margin is for bounds
 #: that depend on the pressure, and are known only to the accuracy of their fixed point.

@@ -15,21 +15,21 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.timing import timed
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
-from dolfinx_tresca.dual.history.step_state import StepState
+from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.contact.friction_checks import depends_on_pressure
+from dolfinx_tresca.contact.obstacles import Obstacles
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.pairing.choice import pair_group
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.problem.factorisation import Factorisation
-from dolfinx_tresca.problem.friction_checks import depends_on_pressure
-from dolfinx_tresca.problem.obstacles import Obstacles
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -18,16 +18,16 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, free_unused
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
-from dolfinx_tresca.dual.history.step_state import StepSolution
+from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
+from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.contact.friction_checks import check_curves, check_curves_of_floating_bodies
+from dolfinx_tresca.contact.solve_to_bound import solve_to_bound
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
-from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.problem.factorisation import Factorisation
-from dolfinx_tresca.problem.friction_checks import check_curves, check_curves_of_floating_bodies
-from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation

@@ -10,13 +10,13 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.contact.finite_sliding import FiniteSliding, summed_timings
+from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
-from dolfinx_tresca.nonlinear.linearised import TangentProblem
-from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.finite_sliding import FiniteSliding, summed_timings
-from dolfinx_tresca.problem.stall_watch import StallWatch
+from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonStep
+from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units

@@ -15,8 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
-from dolfinx_tresca.dual.history.state_file import (
+from dolfinx_tresca.contact.state_file import (
     PLACES,
     StateFile,
     function_of_rows,
@@ -25,8 +24,9 @@ from dolfinx_tresca.dual.history.state_file import (
     values_of,
     write_file,
 )
-from dolfinx_tresca.dual.history.step_state import StepState
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.dual.history.state_file import SAME_PLACE, same_nodes, surroundings, values_of
+from dolfinx_tresca.contact.state_file import SAME_PLACE, same_nodes, surroundings, values_of
 from scenes.patches import patch
 
 

@@ -11,16 +11,16 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca.contact.contact_system import LastSolve
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
-from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
-from dolfinx_tresca.nonlinear.newton import Newton
-from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
-from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
-from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_system import LastSolve
+from dolfinx_tresca.problem.newton import Newton
+from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord
+from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
 from dolfinx_tresca.problem.process import ContactProcess, check_units
+from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
+from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus

@@ -14,11 +14,11 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units

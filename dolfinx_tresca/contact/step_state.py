@@ -12,9 +12,9 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError
 from dolfinx_tresca.status import ContactStatus
 
