@@ -105,9 +105,11 @@ class ContactProblem(_ContactProblem):
             for output in (u, self.solved):
                 block.add_output(output.block_variable)
             pyadjoint.get_working_tape().add_block(block)
-        solved = self._contact.solved
+        surfaces, solved = self._contact.surfaces, self._contact.solved
         assert solved is not None
-        solved.fields = dataclasses.replace(solved.fields, u=u)
+        fields = dataclasses.replace(solved.fields, u=u)
+        solved = dataclasses.replace(solved, fields=fields)
+        surfaces.state = dataclasses.replace(surfaces.state, solution=solved)
         return dataclasses.replace(solution, u=u, w=u)
 
     def accept(self, *, unconverged: bool = False) -> None:

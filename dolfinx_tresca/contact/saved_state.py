@@ -184,7 +184,8 @@ class SavedState:
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
         state = state.after_step(history, self._displacement("accepted displacement"))
         configuration = self._displacement("accepted configuration")
-        return replace(state, accepted=replace(state.accepted, configuration=configuration))
+        accepted = replace(state.accepted, configuration=configuration, solution=None)
+        return replace(state, accepted=accepted)
 
     def _unknowns(self) -> Array:
         """Return the values of all unknowns of nonlinear bodies, with ghosts. Collective.

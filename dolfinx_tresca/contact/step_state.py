@@ -14,8 +14,12 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 from dolfinx_tresca.status import ContactStatus
 
 
@@ -34,6 +38,8 @@ class AcceptedStep:
             counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
             solves begin with the present pairing.
+        solution: the step's solution, for goals and derivatives; None as soon as another solve has
+            begun.
     """
 
     multipliers: Array
@@ -41,21 +47,34 @@ class AcceptedStep:
     displacement: fem.Function | None
     motions: Array
     configuration: fem.Function | None
+    solution: StepSolution | None = None
 
 
 @dataclass(frozen=True)
 class StepSolution:
-    """The last solution, which `StepState.after_solution` can make an accepted step.
+    """A solution, which `StepState.after_solution` can make an accepted step.
 
     Attributes:
         status: the reason why the solve ended.
+        dual: the dual problem.
+        multipliers: (size,) solution of the dual problem.
+        fields: displacement and fields of the solution.
         history: slip and dissipation of the accepted steps and of this solution.
-        w: displacement [length], or all unknowns of a mixed space.
+        curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
+        inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
+        options: options of the contact algorithm.
+        moved: (pairs,) whether the pair's obstacle moves in this load step.
     """
 
     status: ContactStatus
+    dual: DualProgram
+    multipliers: Array
+    fields: Evaluation
     history: SlipHistory
-    w: fem.Function
+    curves: list[CurveAtNodes]
+    inputs: list[Array]
+    options: SolverOptions
+    moved: Mask
 
 
 @dataclass(frozen=True)
@@ -129,7 +148,12 @@ class StepState:
             history: slip and dissipation of the steps up to this one.
             displacement: displacement of the step [length]; None: undeformed bodies.
         """
-        accepted = replace(self.accepted, displacement=displacement, motions=self.motions)
+        accepted = replace(
+            self.accepted,
+            displacement=displacement,
+            motions=self.motions,
+            solution=self.solution or self.accepted.solution,
+        )
         after = replace(self, history=history, accepted=accepted, solution=None)
         return after.started_at(self.multipliers)
 
@@ -144,7 +168,7 @@ class StepState:
             ConvergenceError: the last solve failed.
         """
         solution = self.acceptable(unconverged)
-        w = solution.w
+        w = solution.fields.w
         after = self.after_step(solution.history, self.jump.system.displacement(w.copy(), w.name))
         return replace(after, accepted=replace(after.accepted, configuration=self.configuration))
 
@@ -166,6 +190,11 @@ class StepState:
                 "unconverged=True) accepts the solution as it is."
             )
         return self.solution
+
+    @property
+    def before_solve(self) -> StepState:
+        """The state without the former solution. Not collective."""
+        return replace(self, solution=None, accepted=replace(self.accepted, solution=None))
 
     def with_status(self, status: ContactStatus) -> StepState:
         """Return the state in which the last solve, if any, ended with a status. Not collective."""

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.contact.contact_system import LastSolve
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
@@ -227,7 +227,7 @@ class NonlinearContactProblem(ContactProcess):
         """
         self._contact.update_geometry(self._linearised.displacement if u is None else u)
 
-    def _solved_for(self, purpose: str) -> LastSolve:
+    def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
         Derivatives need this tangent, but the last assembled tangent belongs to the previous
@@ -256,7 +256,7 @@ class NonlinearContactProblem(ContactProcess):
                 "part."
             )
         state = problem.surfaces.state
-        assert state.solution is not None
+        former = state.acceptable(unconverged=True)
         try:
             try:
                 problem.factor()
@@ -269,9 +269,13 @@ class NonlinearContactProblem(ContactProcess):
                     "two solutions."
                 ) from error
             contact.solve(self.options, self.units, lambda _: False)
-            solved = contact.solved
+            solved = problem.surfaces.state.acceptable(unconverged=True)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
+            solved = dataclasses.replace(
+                solved, status=former.status, history=former.history, fields=former.fields
+            )
+            state = dataclasses.replace(state, solution=solved)
         finally:
             problem.surfaces.return_to(state)
         if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
@@ -279,8 +283,7 @@ class NonlinearContactProblem(ContactProcess):
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."
             )
-        fields = dataclasses.replace(solved.fields, u=state.solution.w)
-        return dataclasses.replace(solved, fields=fields)
+        return solved
 
     def _forms_at(self, u: fem.Function) -> Forms:
         """Return F, as a function of its test function, and J, with their conditions.

@@ -16,8 +16,9 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca.contact.contact_system import ContactSystem, LastSolve
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.adjoint import EdgeState
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -163,7 +164,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             surfaces = self._contact.surfaces
-            self._advance_material(surfaces.state.acceptable(unconverged).w)
+            self._advance_material(surfaces.state.acceptable(unconverged).fields.w)
             surfaces.accept(unconverged)
 
     def _advance_material(self, u: fem.Function) -> None:
@@ -497,7 +498,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     @abstractmethod
-    def _solved_for(self, purpose: str) -> LastSolve:
+    def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, with K at its displacement. Collective.
 
         Args:

@@ -133,7 +133,7 @@ class TangentProblem:
         """
         solution = self.surfaces.state.solution
         if self._has_history and solution is not None:
-            with self._at(solution.w.x.array):
+            with self._at(solution.fields.w.x.array):
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:

@@ -21,9 +21,9 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.contact.contact_system import ContactSystem, LastSolve
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
-from dolfinx_tresca.contact.step_state import StepState
+from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -109,7 +109,7 @@ class ProcessTape:
     def __init__(
         self,
         contact: ContactSystem,
-        solved_for: Callable[[str], LastSolve],
+        solved_for: Callable[[str], StepSolution],
         forms_at: Callable[[fem.Function], Forms],
         checkpoint_every: int | None = None,
         folder: str | Path | None = None,
@@ -232,7 +232,9 @@ class ProcessTape:
             state,
             history=replace(state.history, slipped=()),
             multipliers=multipliers,
-            accepted=replace(state.accepted, displacement=None, multipliers=multipliers),
+            accepted=replace(
+                state.accepted, displacement=None, multipliers=multipliers, solution=None
+            ),
             solution=None,
         )
         if self._folder is None:
