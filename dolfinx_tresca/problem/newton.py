@@ -111,7 +111,6 @@ class Newton:
             InputError: an input is wrong; or nothing holds a body against its loads.
         """
         problem = self.problem
-        problem.begin_load()
         self._start = problem.u.x.array.copy()
         part = 1.0
         while self.fraction < 1.0:

@@ -81,7 +81,7 @@ class TangentProblem:
         self.surfaces.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.surfaces.obstacles.motions,) * 2
-        self._moves_in_parts = False
+        self._loads_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
@@ -286,7 +286,7 @@ class TangentProblem:
         same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = accepted.motions  # a trial may have left obstacles elsewhere
-        self._places = before, self.surfaces.obstacles.motions
+        self._places, self._loads_in_parts = (before, self.surfaces.obstacles.motions), False
         self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
         self._solved_forces = None
@@ -294,34 +294,30 @@ class TangentProblem:
             self._reference = self.u.x.array.copy()
         self.surfaces.align_tangents(self.surfaces.slip_bounds())
 
-    def begin_load(self) -> None:
-        """Begin the change of load at the present u and contact forces. Collective."""
-        self._moves_in_parts = False
-        self.tangent.begin(self.surfaces.contact_forces())
-
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their motion until a fraction less than 1 is tried.
+        Obstacles are at the end of their motion until a fraction less than 1 is tried. The present
+        u and contact forces are then those at the start of the solve.
 
         Raises:
             PairingError: the surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        before, after = self._places
-        if fraction < 1.0 and not self._moves_in_parts and not np.array_equal(before, after):
+        if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)
-            self.begin_load()
-            self._moves_in_parts = True
-        if self._moves_in_parts:
+            self.tangent.begin(self.surfaces.contact_forces())
+            self._loads_in_parts = True
+        if self._loads_in_parts:
             self._place_obstacles(fraction)
         self.tangent.fraction = fraction
 
     def _place_obstacles(self, fraction: float) -> None:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
-        obstacles = self.surfaces.obstacles
-        obstacles.motions = obstacles.between(*self._places, fraction)
-        self.surfaces.pair_where_changed()
+        if not np.array_equal(*self._places):
+            obstacles = self.surfaces.obstacles
+            obstacles.motions = obstacles.between(*self._places, fraction)
+            self.surfaces.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
