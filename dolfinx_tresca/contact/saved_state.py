@@ -92,8 +92,8 @@ def write_state(
     write_file(path, jump.comm, header, tables)
 
 
-class SavedState:
-    """The state in a file that `write_state` has written.
+class SavedState(StateFile):
+    """A file that `write_state` has written.
 
     Attributes:
         step: the number that was saved.
@@ -114,10 +114,10 @@ class SavedState:
             InputError: the file cannot be read, or belongs to another mesh or degree, or to a
                 problem with another number of pairs.
         """
-        self._file, self._system = StateFile(path, system.comm), system
-        self._places = surroundings(system.V)
-        self._nodes = self._file.rows("nodes", self._places, "the state")
-        self.step, self.motions = int(self._file.header["numbers"][2]), self._file.header["motions"]
+        super().__init__(path, system.comm)
+        self._system, self._places = system, surroundings(system.V)
+        self._nodes = self.rows("nodes", self._places, "the state")
+        self.step, self.motions = int(self.header["numbers"][2]), self.header["motions"]
         none = np.zeros((len(self._places), system.V.dofmap.index_map_bs))
         self.configuration, self.geometry = (
             function_of_rows(system.V, self._nodes.get(name, none))
@@ -134,10 +134,6 @@ class SavedState:
         rows = self._nodes.get(name)
         return None if rows is None else function_of_rows(self._system.V, rows)
 
-    def material(self, functions: Sequence[fem.Function]) -> list[Array]:
-        """Return the values of the material's history; see `StateFile.functions`. Collective."""
-        return self._file.functions("material", functions)
-
     def state(self, present: StepState) -> StepState:
         """Return the state in the file. Collective.
 
@@ -148,11 +144,11 @@ class SavedState:
             InputError: the file belongs to other pairs or other kinds of laws, or lacks a
                 displacement that is needed.
         """
-        jump, header = present.jump, self._file.header
+        jump, header = present.jump, self.header
         for number, (before, now) in enumerate(zip(header["laws"], _laws(jump), strict=True)):
             if before != now:
                 raise InputError(
-                    f"the state in '{self._file.path}' is of a problem whose pair {number} "
+                    f"the state in '{self.path}' is of a problem whose pair {number} "
                     f"{before}; here it {now}, so that tractions and slip would be lost, or are "
                     "not known. Where friction comes or goes in a process let its bound or "
                     "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
@@ -161,11 +157,11 @@ class SavedState:
         multipliers, origin = np.zeros((2, len(jump.gap)))
         for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
             nodes, row, patch, patches = _patches(jump, pair)
-            rows = self._file.rows(f"pair {k}", self._places[nodes], "the state")["values"]
+            rows = self.rows(f"pair {k}", self._places[nodes], "the state")["values"]
             columns = 1 + 2 * pair.tangents.shape[1]
             if rows.shape[1] != patches * columns:
                 raise InputError(
-                    f"the state in '{self._file.path}' is of a problem in which pair {k} has other "
+                    f"the state in '{self.path}' is of a problem in which pair {k} has other "
                     "sharp edges. Give the pairs of that problem."
                 )
             values = rows.reshape(len(nodes), patches, columns)[row, patch]
@@ -196,14 +192,14 @@ class SavedState:
         u, component = self._displacement("u"), self._system.component
         if u is None:
             raise InputError(
-                f"the state in '{self._file.path}' has no displacement, since a ContactProblem "
+                f"the state in '{self.path}' has no displacement, since a ContactProblem "
                 "wrote it; a NonlinearContactProblem needs one."
             )
         if component is None:
             return np.array(u.x.array)
         w = fem.Function(self._system.space)
         others = component.other_parts(w)
-        read = self._file.functions("unknown", others)
+        read = self.functions("unknown", others)
         for function, values in zip(others, read, strict=True):
             function.x.array[:] = values
         component.compose(w, u, others)

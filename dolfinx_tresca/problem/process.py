@@ -298,7 +298,7 @@ class ContactProcess(PetscOwner, Tabulated):
         path = Path(self.comm.bcast(str(path)))
         self._check_material(material)
         saved = SavedState(path, system, len(self.pairs))
-        remembered = saved.material(material)
+        remembered = saved.functions("material", material)
         former, motions = surfaces.state, surfaces.obstacles.motions
         try:
             surfaces.obstacles.motions = saved.motions
