@@ -29,7 +29,7 @@ from unittest import mock
 
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 
-from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.contact.contact_system import ContactSystem
 
 DEMOS = Path(__file__).parents[1] / "demos"
 

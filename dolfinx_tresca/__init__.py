@@ -16,13 +16,13 @@ from dolfinx_tresca.errors import (
     StiffnessError,
 )
 from dolfinx_tresca.monitor import Iteration, ProgressBar
-from dolfinx_tresca.nonlinear.problem import NonlinearContactProblem
-from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord, NewtonStep
-from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.linear import ContactProblem
+from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord, NewtonStep
+from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem
+from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca

@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
-from dolfinx_tresca.dual.history.load_steps import StepStart
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
@@ -105,9 +105,11 @@ class ContactProblem(_ContactProblem):
             for output in (u, self.solved):
                 block.add_output(output.block_variable)
             pyadjoint.get_working_tape().add_block(block)
-        solved = self._contact.solved
+        surfaces, solved = self._contact.surfaces, self._contact.solved
         assert solved is not None
-        solved.fields = dataclasses.replace(solved.fields, u=u)
+        fields = dataclasses.replace(solved.fields, u=u)
+        solved = dataclasses.replace(solved, fields=fields)
+        surfaces.state = dataclasses.replace(surfaces.state, solution=solved)
         return dataclasses.replace(solution, u=u, w=u)
 
     def accept(self, *, unconverged: bool = False) -> None:
@@ -147,7 +149,7 @@ class ContactProblem(_ContactProblem):
             "solves on the tape need one pairing of the surfaces, which update_geometry() replaces."
         )
 
-    def start_of_solve(self) -> StepStart:
+    def start_of_solve(self) -> StepState:
         """Update K and the rows of B, and return the state from which the next solve begins.
 
         Collective.
@@ -159,16 +161,16 @@ class ContactProblem(_ContactProblem):
         surfaces = contact.surfaces
         surfaces.begin_solve()
         surfaces.align_tangents(surfaces.slip_bounds())
-        return surfaces.steps.start
+        return surfaces.state
 
     def content_of_solve(self) -> _Content:
         """Return the last solution, and the state after it if it is accepted. Collective."""
         surfaces, solved = self._contact.surfaces, self._contact.solved
         assert solved is not None
         step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, surfaces.slip_bounds())
-        return _Content(step, surfaces.steps.end)
+        return _Content(step, surfaces.state.after_solution(unconverged=True))
 
-    def solve_again(self, start: StepStart, options: dict[str, Any]) -> _Content:
+    def solve_again(self, start: StepState, options: dict[str, Any]) -> _Content:
         """Solve from a given state with the present values of all inputs. Collective.
 
         Raises:
@@ -176,8 +178,8 @@ class ContactProblem(_ContactProblem):
             ConvergenceError: the solve failed.
         """
         surfaces = self._contact.surfaces
+        surfaces.return_to(start)
         jump = surfaces.jump
-        surfaces.steps.return_to(start)
         self.start_of_solve()
         if surfaces.jump is not jump:
             raise ContactError(
@@ -224,7 +226,7 @@ class _Content:
     """
 
     step: SolvedStep
-    end: StepStart
+    end: StepState
 
 
 @dataclass
@@ -296,7 +298,7 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
         self,
         problem: ContactProblem,
         options: dict[str, Any],
-        start: StepStart,
+        start: StepState,
         accepted: _Solved | None,
     ) -> None:
         super().__init__()

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from dolfinx_tresca import ContactStatus, Iteration, ProgressBar, Tresca, monitor
-from dolfinx_tresca.problem import stall_watch
+from dolfinx_tresca.contact import stall_watch
 from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem
 

@@ -17,13 +17,14 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
+from dolfinx_tresca.contact.stall_watch import StallWatch
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
-from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
-from dolfinx_tresca.problem.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
-from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -380,7 +381,7 @@ class ContactProblem(ContactProcess):
         finally:
             self._tape = None
 
-    def _solved_for(self, purpose: str) -> LastSolve:
+    def _solved_for(self, purpose: str) -> StepSolution:
         """Return the record of the last solve. Not collective.
 
         Derivatives and error estimates need this record.

@@ -12,10 +12,10 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.solution.obstacle_differences import ObstacleDifferences
 
 #: Step of the central differences: the change of the distance from an obstacle, relative to the
@@ -68,7 +68,7 @@ def obstacle_differences(
     bounds, found = surfaces.slip_bounds(), []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
-            one = moved_jump(jump, contact.pairs, surfaces.geometry, moves)
+            one = moved_jump(jump, contact.pairs, surfaces.state.geometry, moves)
         turned = one.along_axes(bounds)
         if turned is not one:
             one.destroy()

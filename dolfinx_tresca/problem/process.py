@@ -16,16 +16,15 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.adjoint import EdgeState
-from dolfinx_tresca.dual.history.saved_displacement import read_displacements, read_functions
-from dolfinx_tresca.dual.history.saved_file import MATERIAL
-from dolfinx_tresca.dual.history.saved_state import read_motions
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
@@ -164,8 +163,9 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: the last solve failed, or the scene has left linear theory.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
-            self._advance_material(self._contact.surfaces.steps.acceptable(unconverged)[1])
-            self._contact.surfaces.accept(unconverged)
+            surfaces = self._contact.surfaces
+            self._advance_material(surfaces.state.acceptable(unconverged).fields.w)
+            surfaces.accept(unconverged)
 
     def _advance_material(self, u: fem.Function) -> None:
         """Advance the history of the material, if it has one, to the state at u. Collective.
@@ -192,8 +192,11 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_not_destroyed()
         if u is not None:
             self._contact.linear.check_displacement("the slip origin", u, " or None,")
-        self._contact.surfaces.note_obstacles()
-        self._contact.surfaces.steps.begin_at(u)
+        surfaces = self._contact.surfaces
+        surfaces.note_obstacles()
+        jump = surfaces.jump
+        slip = SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u)
+        surfaces.state = surfaces.state.after_step(slip, None if u is None else u.copy())
 
     @collective(comm_of_self)
     def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
@@ -225,6 +228,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 f"found {shown(solution)}."
             )
         surfaces = self._contact.surfaces
+        state = surfaces.state
         if accepted:
             if any(pair.sliding == "finite" for pair in self.pairs):
                 raise InputError(
@@ -234,10 +238,10 @@ class ContactProcess(PetscOwner, Tabulated):
             solution.raise_if_failed()
             surfaces.note_obstacles()
             slips = slip_from(solution.surfaces, surfaces.jump)
-            surfaces.steps.begin_with(
-                SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
-            )
-        surfaces.steps.start_at(stress_from(solution.surfaces, surfaces.jump))
+            history = SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
+            state = surfaces.state.after_step(history, None)
+        tractions = stress_from(solution.surfaces, surfaces.jump)
+        surfaces.state = state.started_at(tractions / surfaces.jump.stress_scale)
 
     @collective(comm_of_self, ignored=("path",))
     def save_state(
@@ -265,8 +269,8 @@ class ContactProcess(PetscOwner, Tabulated):
         if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
-        surfaces = self._contact.surfaces
-        surfaces.steps.save(path, number, surfaces.sliding.moved_by, material)
+        path = Path(self.comm.bcast(str(path)))
+        write_state(path, self._contact.surfaces.start, number, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
@@ -289,26 +293,24 @@ class ContactProcess(PetscOwner, Tabulated):
                 laws of another kind (with friction, without friction, bonded), or to another
                 number of Functions of the material; then nothing has changed.
         """
-        surfaces, V = self._contact.surfaces, self._contact.linear.V
+        surfaces, system = self._contact.surfaces, self._contact.linear
+        self._contact.check_not_destroyed()
         path = Path(self.comm.bcast(str(path)))
         self._check_material(material)
-        remembered = read_functions(path, material, self.comm, MATERIAL)
-        found = read_displacements(path, V, ("u", "moved_by", "accepted_u"))
-        motions, state = read_motions(path, self.comm, len(self.pairs)), surfaces.state
+        saved = SavedState(path, system, len(self.pairs))
+        remembered = saved.functions("material", material)
+        former, motions = surfaces.state, surfaces.obstacles.motions
         try:
-            surfaces.obstacles.motions = motions
-            moved_by = found.get("moved_by", fem.Function(V))
-            if surfaces.sliding.began_at(moved_by):
-                surfaces.pair_where_changed(moved_by)
-            else:
-                self._contact.update_geometry(moved_by)
-            step = surfaces.steps.load(path, found.get("u"), found.get("accepted_u"))
+            surfaces.obstacles.motions = saved.motions
+            surfaces.pair_where_changed(saved.configuration, saved.geometry)
+            surfaces.state = saved.state(surfaces.state)
         except ContactError:
-            surfaces.return_to(state)
+            surfaces.obstacles.motions = motions
+            surfaces.return_to(former)
             raise
         for function, values in zip(material, remembered, strict=True):
             function.x.array[:] = values
-        return step
+        return saved.step
 
     def _check_material(self, material: Sequence[fem.Function]) -> None:
         """Check the Functions of a material's history. Not collective.
@@ -453,7 +455,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
         """Return a goal in which u replaces the `u` of a nonlinear problem. Not collective."""
-        present = self._contact.surfaces.steps.u
+        present = self._contact.surfaces.unknowns
         if isinstance(goal, ufl.Form) and present is not None:
             return ufl.replace(goal, {present: u})
         return goal
@@ -496,7 +498,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     @abstractmethod
-    def _solved_for(self, purpose: str) -> LastSolve:
+    def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, with K at its displacement. Collective.
 
         Args:

@@ -21,13 +21,13 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.dual.history.load_steps import StepStart
-from dolfinx_tresca.dual.history.saved_state import SavedState
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
+from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_system import ContactSystem, LastSolve
 from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
@@ -109,7 +109,7 @@ class ProcessTape:
     def __init__(
         self,
         contact: ContactSystem,
-        solved_for: Callable[[str], LastSolve],
+        solved_for: Callable[[str], StepSolution],
         forms_at: Callable[[fem.Function], Forms],
         checkpoint_every: int | None = None,
         folder: str | Path | None = None,
@@ -138,15 +138,15 @@ class ProcessTape:
         if folder is not None and not every:
             raise InputError("files in a folder hold checkpoints: give checkpoint_every, too.")
         self._every, self._folder = every, None if folder is None else Path(folder)
-        self._checkpoints: dict[int, StepStart] = {}
+        self._checkpoints: dict[int, StepState] = {}
         self._contact, self._solved_for, self._forms_at = contact, solved_for, forms_at
         self._surfaces = contact.surfaces
-        self._motions = self._surfaces.steps.motions
+        self._motions = self._surfaces.state.motions
         self._inputs = inputs_of_problem(
             contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
         )
         self._steps: list[_Recorded] = []
-        self._history: SlipHistory = self._surfaces.steps.history  # after the last recorded step
+        self._history: SlipHistory = self._surfaces.state.history  # after the last recorded step
         self._compliance: Any = None
         #: Whether no obstacle has moved, and recording began without slip: only then are
         #: derivatives with respect to the positions of obstacles known.
@@ -175,15 +175,15 @@ class ProcessTape:
         contact = self._contact
         last = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
-        if self._steps and self._surfaces.steps.history is not self._history:
+        if self._steps and self._surfaces.state.history is not self._history:
             raise ContactError(
                 "the slip history has changed since the last recorded load step, by "
                 "set_slip_origin(), load_state(), start_from(), surfaces that were paired anew, or "
                 "another direction or ratio of the bounds of orthotropic friction. Leave the block "
                 "of record(), and begin another one."
             )
-        began_at_zero = bool(self._steps) or not self._surfaces.steps.history.origin.any()
-        stayed = np.array_equal(self._surfaces.steps.motions, self._motions)
+        began_at_zero = bool(self._steps) or not self._surfaces.state.history.origin.any()
+        stayed = np.array_equal(self._surfaces.state.motions, self._motions)
         self._has_places &= began_at_zero and stayed
         same = not self._steps or self._compliance is self._surfaces.compliance
         self._compliance = self._surfaces.compliance if same else None
@@ -197,7 +197,7 @@ class ProcessTape:
             if len(self) % self._every == 0:
                 self._add_checkpoint(last.multipliers)
         yield
-        self._history = self._surfaces.steps.history
+        self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
             one if one is not None and np.array_equal(one, now) else now.copy()
@@ -227,10 +227,18 @@ class ProcessTape:
         Raises:
             InputError: the file cannot be written.
         """
-        jump, number = self._surfaces.jump, len(self)
-        history = replace(self._surfaces.steps.history, slipped=())
+        state, number = self._surfaces.state, len(self)
+        state = replace(
+            state,
+            history=replace(state.history, slipped=()),
+            multipliers=multipliers,
+            accepted=replace(
+                state.accepted, displacement=None, multipliers=multipliers, solution=None
+            ),
+            solution=None,
+        )
         if self._folder is None:
-            self._checkpoints[number] = StepStart(history, multipliers, None, self._motions)
+            self._checkpoints[number] = state
             return
         with errors_on_all_ranks(self.comm):
             if self.comm.rank == 0:
@@ -238,28 +246,26 @@ class ProcessTape:
                     self._folder.mkdir(parents=True, exist_ok=True)
                 except OSError as error:
                     raise InputError(f"cannot make the folder '{self._folder}': {error}.") from None
-        state = SavedState(multipliers * jump.stress_scale, history, number)
-        state.write(self._file(number), jump, self._motions)
+        write_state(self._file(number), state, number)
 
     def _file(self, number: int) -> Path:
         """Return the path of the checkpoint at a step. Collective."""
         assert self._folder is not None
         return Path(self.comm.bcast(str(self._folder / f"step_{number:05d}.npz")))
 
-    def _checkpoint(self, number: int) -> StepStart:
+    def _checkpoint(self, number: int) -> StepState:
         """Return the checkpoint at a step. Collective.
 
         Raises:
             InputError: its file cannot be read.
         """
-        jump, unknown = self._surfaces.jump, SlipHistory.none(self._surfaces.jump)
         if self._folder is None:
-            found = self._checkpoints[number]
+            state = self._checkpoints[number]
         else:
-            state = SavedState.read(self._file(number), jump)
-            multipliers = state.multipliers / jump.stress_scale
-            found = StepStart(state.history, multipliers, None, self._motions)
-        return replace(found, history=replace(found.history, slipped=unknown.slipped))
+            saved = SavedState(self._file(number), self._contact.linear, len(self._motions))
+            state = saved.state(self._surfaces.state)
+        slipped = SlipHistory.none(self._surfaces.jump).slipped
+        return replace(state, history=replace(state.history, slipped=slipped))
 
     def _solved_steps(self, numbers: range) -> list[SolvedStep]:
         """Return the solutions of steps, solved again from a checkpoint if needed. Collective.
@@ -273,7 +279,7 @@ class ProcessTape:
             return [one.solved for one in steps if one.solved is not None]
         result = []
         with contact.restored():
-            self._surfaces.steps.return_to(self._checkpoint(numbers.start))
+            self._surfaces.return_to(self._checkpoint(numbers.start))
             for step in steps:
                 with replaced(self._inputs, step.values):
                     self._surfaces.begin_solve()

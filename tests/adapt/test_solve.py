@@ -300,7 +300,7 @@ def test_a_start_on_the_same_mesh_is_the_solution(comm, degree):
     with cantilever(tagged, degree) as problem:
         problem.start_from(solution)
         assert np.allclose(
-            problem._contact.surfaces.steps.multipliers
+            problem._contact.surfaces.state.multipliers
             * problem._contact.surfaces.jump.stress_scale,
             solution.multipliers,
             rtol=1e-12,

@@ -30,7 +30,7 @@ from dolfinx_tresca import (
     RigidSphere,
     SolverOptions,
 )
-from dolfinx_tresca.problem import finite_sliding
+from dolfinx_tresca.contact import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
 from scenes.large_sliding import RING_GAP, half_ring
@@ -513,10 +513,11 @@ def test_a_change_that_is_small_by_chance(residual, small):
         comm=MPI.COMM_SELF,
         gaps_at_nodes=lambda u: np.zeros((1, 1)),
         linear=SimpleNamespace(prescribed_displacements=np.zeros(1, dtype=np.bool_)),
-        sliding=SimpleNamespace(origin=function([0.0])),
         obstacles=SimpleNamespace(extent=1.0),
         rounding_forces=lambda: np.zeros(1),
-        steps=SimpleNamespace(accepted_values=0.0),
+        state=SimpleNamespace(
+            configuration=function([0.0]), accepted=SimpleNamespace(displacement=None)
+        ),
     )
     sliding = finite_sliding.FiniteSliding(surfaces)
     for force, distance in ((2.0, 1.0), (1.1, 1e-1), (1.0, 1e-2), (1.0 + 1e-5, residual)):
@@ -526,27 +527,23 @@ def test_a_change_that_is_small_by_chance(residual, small):
     assert (sliding.error < GEOMETRY) is small
 
 
-def test_only_pairs_that_slide_far_are_paired_anew(comm):
-    """A pair with small sliding keeps its normals beside one with finite sliding."""
-    problem, _ = over_a_ball(comm, 0.0, Frictionless())
-    with problem:
-        (far,) = problem.pairs
-        tags = far.facet_tags
-        other = ContactPair(tags, 3, RigidSphere((-5.0, 0.25), 4.5), Frictionless())
-    with pytest.raises(InputError, match="sliding must be one of small, finite, found 'large'"):
-        replace(far, sliding="large")
+def slides_far_and_near(comm):
+    """Return a block between a ball with finite sliding and one with small; and its motion."""
     scene = block(comm, (6, 3), boxes=True)
     motion = fem.Constant(scene.mesh, (0.05, -0.02))
     top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
-    far = ContactPair(
-        scene.facet_tags,
-        BELOW,
-        RigidSphere((0.5, -RADIUS), RADIUS),
-        Frictionless(),
-        sliding="finite",
-    )
-    near = replace(other, facet_tags=scene.facet_tags)
-    with scene.problem(bcs=[top], pairs=[far, near], options=OPTIONS) as problem:
+    below, beside = RigidSphere((0.5, -RADIUS), RADIUS), RigidSphere((-5.0, 0.25), 4.5)
+    far = ContactPair(scene.facet_tags, BELOW, below, Coulomb(F), sliding="finite")
+    near = ContactPair(scene.facet_tags, 3, beside, Frictionless())
+    return scene.problem(bcs=[top], pairs=[far, near], options=OPTIONS), motion
+
+
+def test_only_pairs_that_slide_far_are_paired_anew(comm):
+    """A pair with small sliding keeps its normals beside one with finite sliding."""
+    problem, _ = slides_far_and_near(comm)
+    with pytest.raises(InputError, match="sliding must be one of small, finite, found 'large'"):
+        replace(problem.pairs[0], sliding="large")
+    with problem:
         before = [one.normals.copy() for one in problem.operators]
         problem.solve().raise_if_failed()
         after = [one.normals for one in problem.operators]
@@ -554,6 +551,39 @@ def test_only_pairs_that_slide_far_are_paired_anew(comm):
     moved = [comm.allreduce(float(change), op=MPI.MAX) for change in changes]
     assert moved[0] > 1e-3
     assert moved[1] == 0.0
+
+
+@pytest.mark.parallel
+def test_a_restart_pairs_each_surface_where_it_was(comm, folder):
+    """A file knows the configuration of both kinds of sliding, and that of the accepted step."""
+
+    def second(problem, motion):
+        motion.value[0] = 0.1
+        solution = problem.solve()
+        solution.raise_if_failed()
+        return np.array([one.force for one in solution.pair_resultants])
+
+    problem, motion = slides_far_and_near(comm)
+    with problem:
+        problem.solve().raise_if_failed()
+        problem.accept()
+        motion.value[0] = 0.3  # a trial leaves the surfaces paired elsewhere
+        problem.solve()
+        problem.save_state(folder / "state.npz", step=1)
+        normals = problem.operators[1].normals.copy()
+        expected = second(problem, motion)
+    for ranks in (comm, MPI.COMM_SELF):
+        problem, motion = slides_far_and_near(ranks)
+        with problem:
+            for value in (0.0, 0.2):  # another process, which leaves no trace
+                motion.value[0] = value
+                problem.solve()
+                problem.accept()
+            assert problem.load_state(folder / "state.npz") == 1
+            if ranks is comm:
+                assert np.array_equal(problem.operators[1].normals, normals)
+            found = second(problem, motion)
+        assert found == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
 
 
 def test_gaps_where_nothing_touches(comm):

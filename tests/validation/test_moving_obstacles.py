@@ -26,7 +26,7 @@ from dolfinx_tresca import (
     SolverOptions,
     Tresca,
 )
-from dolfinx_tresca.nonlinear import newton as newtons_method
+from dolfinx_tresca.problem import newton as newtons_method
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.rubber_block import neo_hookean, rubber_block
 

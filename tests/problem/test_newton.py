@@ -23,8 +23,8 @@ from dolfinx_tresca import (
     SolverOptions,
     Tresca,
 )
-from dolfinx_tresca.nonlinear import newton
-from dolfinx_tresca.nonlinear.linearised import TangentProblem
+from dolfinx_tresca.problem import newton
+from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from scenes.blocks import ABOVE, RIGHT, block
 from scenes.elasticity import fixed
 from scenes.rubber_block import neo_hookean, rubber_block, uniaxial_stress

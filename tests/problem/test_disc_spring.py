@@ -34,7 +34,7 @@ def almen_laszlo(deflection: float) -> float:
     return factor * s * ((h - s) * (h - s / 2.0) + 1.0)
 
 
-def disc_spring(comm, friction, sliding, cells=(10, 2), unit=1.0):
+def disc_spring(comm, friction, sliding, cells=(10, 2), unit=1.0, height=HEIGHT):
     """Return the problem of a spring on its rim under a plate, and this plate. Collective.
 
     Args:
@@ -43,12 +43,13 @@ def disc_spring(comm, friction, sliding, cells=(10, 2), unit=1.0):
         sliding: "small" or "finite".
         cells: numbers of cells along and across the section.
         unit: length of a millimetre in the units of the mesh.
+        height: height of the cone [mm].
     """
     corners = [(0.0, 0.0), (1.0, 1.0)]
     domain = mesh.create_rectangle(comm, corners, cells, mesh.CellType.quadrilateral)
     along, across = domain.geometry.x[:, :2].T.copy()
-    width = np.sqrt(np.hypot(OUTER - INNER, HEIGHT + THICKNESS) ** 2 - THICKNESS**2)
-    angle = np.arctan2(HEIGHT + THICKNESS, OUTER - INNER) - np.arctan2(THICKNESS, width)
+    width = np.sqrt(np.hypot(OUTER - INNER, height + THICKNESS) ** 2 - THICKNESS**2)
+    angle = np.arctan2(height + THICKNESS, OUTER - INNER) - np.arctan2(THICKNESS, width)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     section = np.column_stack([(along - 1.0) * width, across * THICKNESS])
     domain.geometry.x[:, :2] = unit * (section @ turn + [OUTER, 0.0])
@@ -65,7 +66,7 @@ def disc_spring(comm, friction, sliding, cells=(10, 2), unit=1.0):
     energy += lam / 2.0 * (2.0 * log_J * stretch + stretch**2)
     F = ufl.derivative(energy * 2.0 * np.pi * radius * ufl.dx(degree=4), u, ufl.TestFunction(V))
     lower = RigidPlane((0.0, 0.0), (0.0, 1.0))
-    upper = RigidPlane((0.0, unit * (HEIGHT + THICKNESS)), (0.0, -1.0))
+    upper = RigidPlane((0.0, unit * (height + THICKNESS)), (0.0, -1.0))
     pairs = [ContactPair(tags, 1, plate, friction, sliding=sliding) for plate in (lower, upper)]
     return NonlinearContactProblem(F, u, pairs, axisymmetric=True), upper
 
@@ -110,3 +111,21 @@ def test_a_face_that_closes_takes_few_steps(comm):
         assert len(solution.newton.steps) <= 12
         forces.append(solution.pair_resultants[0].force[1])
     assert forces[0] == pytest.approx(forces[1], rel=1e-3)
+
+
+def test_springs_in_the_contact_leave_no_force_unbalanced(comm):
+    """The tangent of a tall spring is indefinite: springs held it, and forces differed by 1 %."""
+    height, added, forces = 1.8, set(), {}
+    path = (0.5, 1.0, 1.4, 1.6, 1.7, 1.75, 1.79, 1.8, 1.81)
+    problem, plate = disc_spring(comm, Frictionless(), "small", height=height)
+    with problem:
+        for deflection in (*path, *path[-2::-1]):
+            plate.move_to((0.0, -deflection))
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            added |= {step.added for step in solution.newton.steps}
+            low, up = (resultant.force[1] for resultant in solution.pair_resultants)
+            assert low == pytest.approx(-up, rel=2e-4)
+            assert low == pytest.approx(forces.setdefault(deflection, low), rel=1e-3)
+    assert "contact 10" in added

@@ -10,13 +10,13 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.contact.finite_sliding import FiniteSliding, summed_timings
+from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
-from dolfinx_tresca.nonlinear.linearised import TangentProblem
-from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.finite_sliding import FiniteSliding, summed_timings
-from dolfinx_tresca.problem.stall_watch import StallWatch
+from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonStep
+from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
@@ -34,6 +34,12 @@ GROWTH = 1.0
 #: (With twice the value, a body that returns to rest takes 100 steps: in each of them its residual
 #: falls by a few percent.)
 STALLED = 0.5
+
+#: With added stiffness, the residual is relative to at most this multiple of the contact forces, in
+#: the same norm: springs make the energy of u large, and without this limit forces that contact
+#: alone balances stay unbalanced by 1e-4 to 1e-2. (With a fifth of it, a block of rubber that
+#: buckles takes its load in parts; doubled, the imbalance doubles.)
+BALANCE = 100.0
 
 #: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
 #: enough to reach the accuracy within this larger number of steps. With added stiffness, Newton's
@@ -105,7 +111,6 @@ class Newton:
             InputError: an input is wrong; or nothing holds a body against its loads.
         """
         problem = self.problem
-        problem.begin_load()
         self._start = problem.u.x.array.copy()
         part = 1.0
         while self.fraction < 1.0:
@@ -183,14 +188,16 @@ class Newton:
                 residual = problem.residual_norm()
             except StiffnessError as error:
                 residual, reason = math.nan, str(error).rstrip(".")
+            if self.level > 0:
+                size = min(size, BALANCE * problem.force_norm() or size)
             size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
-            correction, residual = problem.comm.bcast((change / size, residual / size))
+            size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
             self.krylov_iterations += solution.krylov_iterations
             self.timings = summed_timings((self.timings, solution.timings))
             was_slow, slow = slow, self.level >= FIRST_SLOW
-            grows = number > 2 and residual >= GROWTH * last and not (slow or was_slow)
-            stalls = number > 2 and residual >= STALLED * last
+            grows = number > 2 and residual * size >= GROWTH * last and not (slow or was_slow)
+            stalls = number > 2 and residual * size >= STALLED * last
             reached = residual <= self.options.accuracy or (
                 stalls and problem.comm.bcast(residual * size <= problem.rounding_norm())
             )
@@ -219,19 +226,19 @@ class Newton:
                 return ""
             # residuals in two configurations are not comparable
             if grows and self._sliding is None:
-                return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
+                return f"{where} diverges: residual {residual:.1e}, after {last / size:.1e}"
             errors.append(1.0 if reached else residual / self.options.accuracy)
             if self._sliding is not None:
                 errors[-1] = max(errors[-1], self._sliding.error / self.contact.geometry_accuracy)
             if not self._may_continue(errors):
                 failure = (
-                    f"{where} converges too slowly: residual {residual:.1e}, after {last:.1e}; "
-                    f"requested {self.options.accuracy:.0e}"
+                    f"{where} converges too slowly: residual {residual:.1e}, after "
+                    f"{last / size:.1e}; requested {self.options.accuracy:.0e}"
                 )
                 if self._sliding is not None:
                     failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
                 return failure
-            last = residual
+            last = residual * size
 
     def _settled(self, reached: bool, start: float) -> bool:
         """Return whether u is an equilibrium; if not, pair surfaces in the next configuration.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -16,48 +15,24 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.timing import timed
-from dolfinx_tresca.dual.history.load_steps import LoadSteps
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
+from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.contact.friction_checks import depends_on_pressure
+from dolfinx_tresca.contact.obstacles import Obstacles
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.pairing.choice import pair_group
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.problem.factorisation import Factorisation
-from dolfinx_tresca.problem.friction_checks import depends_on_pressure
-from dolfinx_tresca.problem.obstacles import Obstacles
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.stiffness.system import LinearSystem
-
-
-@dataclass(frozen=True)
-class ProcessState:
-    """The whole state of a process, to which `ContactSurfaces.return_to` returns.
-
-    Attributes:
-        steps: multipliers, slip, accepted step and last solve, with the B to whose rows they
-            belong; PETSc objects of this B may be destroyed meanwhile.
-        u: values of the displacement of nonlinear bodies, or of all unknowns of a mixed space; None
-            for linear bodies.
-        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
-        configuration: displacement at which surfaces were last paired.
-        geometry: displacement at which pairs without finite sliding were paired.
-        accepted_configuration: `configuration` of the last accepted step; None: there is none.
-    """
-
-    steps: LoadSteps
-    u: Array | None
-    motions: Array
-    configuration: fem.Function
-    geometry: fem.Function
-    accepted_configuration: fem.Function | None
 
 
 class ContactSurfaces(PetscOwner):
@@ -77,9 +52,8 @@ class ContactSurfaces(PetscOwner):
         compliance: A = B K^-1 B', with K factored.
         guess: displacements of earlier solves with the present B, for first guesses of iterative
             solves with K.
-        steps: the multipliers at which the next solve starts, and the accepted load steps.
-        sliding: the displacement at which surfaces were last paired.
-        geometry: displacement at which pairs without finite sliding were paired.
+        unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
+            solves start and end, owned by the user; None for linear bodies.
         obstacles: the rigid obstacles and their positions.
         summary: the sizes of the problem, for tables.
         timings: phase -> seconds of pairing and factoring since the last solve.
@@ -104,7 +78,8 @@ class ContactSurfaces(PetscOwner):
         self.comm = self.linear.comm
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
-        self._accepted_configuration: fem.Function | None = None
+        self._depends_on_start = any(map(depends_on_pressure, pairs))
+        self.unknowns: fem.Function | None = None
         self._operators: tuple[ContactOperators, ...] | None = None
         self.obstacles = Obstacles(linear.V, pairs)
         self.timings: dict[str, float] = {}
@@ -127,14 +102,8 @@ class ContactSurfaces(PetscOwner):
         operators = self.jump.pairs
         self.summary = ProblemSummary.of(linear, pairs, self.jump)
         self.guess = InitialGuess(self.jump)
-        self.sliding = Sliding(V)
-        self.geometry = fem.Function(V)
         self.obstacles.note_pairing(self.jump)
-        self.steps = LoadSteps(
-            self.jump,
-            self.obstacles.motions,
-            depends_on_start=any(map(depends_on_pressure, pairs)),
-        )
+        self._state = StepState.undeformed(self.jump, self.obstacles.motions)
         with destroyed_on_error(self.guess), destroyed_on_error(self.jump):
             self.compliance = stiffness.compliance(self.jump, self.timings)
             with destroyed_on_error(self.compliance):
@@ -231,7 +200,7 @@ class ContactSurfaces(PetscOwner):
         """
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
-            self.steps.rotate_tangents(jump)
+            self._state = self._state.along_tangents(jump)
             self._replace_jump(jump)
 
     def update_geometry(self, u: fem.Function, *, continues: bool) -> None:
@@ -240,7 +209,7 @@ class ContactSurfaces(PetscOwner):
         Args:
             u: displacement [length] in the problem's space.
             continues: whether u is the displacement of the last solve. The load step then stays
-                the same, and the next solve starts from the last tractions (see `LoadSteps.move`).
+                the same, and the next solve starts from the last tractions.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
@@ -248,47 +217,40 @@ class ContactSurfaces(PetscOwner):
         """
         self.note_obstacles()
         jump = moved_jump(self.jump, self.pairs, u)
-        self.steps.move(jump, u, continues=continues)
+        state = self._state.paired_at(jump, u, continues=continues)
         self._replace_jump(jump)
-        self.geometry = u.copy()
-        self.sliding.begin(u)
+        self._state = replace(state, configuration=u.copy(), geometry=u.copy())
 
     def accept(self, unconverged: bool) -> None:
-        """Make the last solution a load step. Not collective.
-
-        See `LoadSteps.accept`.
-        """
-        self.steps.accept(unconverged)
-        if self.slides_far:
-            self._accepted_configuration = self.sliding.origin
+        """Make the last solution a load step; see `StepState.after_solution`. Not collective."""
+        self._state = self.state.after_solution(unconverged)
 
     @property
-    def state(self) -> ProcessState:
+    def state(self) -> StepState:
         """The present state of the process. Not collective."""
-        u = self.steps.u
-        return ProcessState(
-            copy(self.steps),
-            None if u is None else u.x.array.copy(),
-            self.obstacles.motions,
-            self.sliding.origin,
-            self.geometry,
-            self._accepted_configuration,
-        )
+        if self.unknowns is None:
+            return self._state
+        return replace(self._state, unknowns=self.unknowns.x.array.copy())
 
-    def return_to(self, state: ProcessState) -> None:
-        """Return to a former state, with its displacement, pairing and obstacles. Collective.
+    @state.setter
+    def state(self, state: StepState) -> None:
+        """Continue from a state on the present B. Not collective."""
+        self._state = state
+        if self.unknowns is not None and state.unknowns is not None:
+            self.unknowns.x.array[:] = state.unknowns
 
-        K stays as it is, and need not be factored.
+    def return_to(self, state: StepState) -> None:
+        """Return to a former state, with its displacement and pairing. Collective.
+
+        K stays as it is, and need not be factored. The user's obstacles stay where they are.
         """
-        self.steps = copy(state.steps)
-        if self.steps.u is not None:
-            self.steps.u.x.array[:] = state.u
-        self.obstacles.motions = state.motions
-        self.sliding.origin, self.geometry = state.configuration, state.geometry
-        self._accepted_configuration = state.accepted_configuration
-        if self.steps.jump is not self.jump:
-            self.steps.jump = JumpOperator(self.linear, self.steps.jump.pairs)
-            self._replace_jump(self.steps.jump)
+        self.state = state
+        if state.jump is not self.jump:
+            moved_to, self.obstacles.motions = self.obstacles.motions, state.motions
+            jump = JumpOperator(self.linear, state.jump.pairs)
+            self._state = replace(state, jump=jump)
+            self._replace_jump(jump)
+            self.obstacles.motions = moved_to
 
     def begin_solve(self) -> None:
         """Let the next solve start at the last accepted step, if the start may affect the result.
@@ -300,30 +262,52 @@ class ContactSurfaces(PetscOwner):
             PairingError: the surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        accepted = self._accepted_configuration
-        self.pair_where_changed(self.sliding.origin if accepted is None else accepted)
-        self.steps.begin_solve()
+        self.pair_where_changed(self._state.accepted.configuration)
+        self.state = self.start
 
-    def pair_where_changed(self, u: fem.Function) -> None:
+    @property
+    def start(self) -> StepState:
+        """The state from which the next solve begins with the present pairing. Collective."""
+        return self.state.at_start(self._depends_on_start)
+
+    def end_solve(self) -> None:
+        """Note the displacement of nonlinear bodies at which a solve has ended. Not collective."""
+        state = self.state
+        self._state = replace(state, end=state.unknowns)
+
+    def pair_where_changed(
+        self, configuration: fem.Function | None = None, geometry: fem.Function | None = None
+    ) -> None:
         """Pair surfaces again where the geometry has changed. Collective.
 
-        This concerns pairs whose obstacle has moved, and pairs with finite sliding that are not yet
-        paired at u.
+        This concerns pairs whose obstacle has moved, and pairs that are paired at another
+        displacement.
 
         Args:
-            u: displacement [length] at which pairs with finite sliding are paired.
+            configuration: displacement [length] at which pairs with finite sliding are paired;
+                None: the present one.
+            geometry: displacement [length] at which the other pairs are paired; None: the present
+                one.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
             PairingError: the surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        moved = self.note_obstacles()
-        elsewhere = self._finite_sliding & (not self.sliding.began_at(u))
-        self._pair_anew(self.geometry, moved & ~self._finite_sliding)
-        self._pair_anew(u, (moved & self._finite_sliding) | elsewhere)
-        if elsewhere.any():
-            self.sliding.begin(u)
+        moved, state = self.note_obstacles(), self._state
+        configuration = state.configuration if configuration is None else configuration
+        geometry = state.geometry if geometry is None else geometry
+        finite = self._finite_sliding
+        geometry_differs = not self._same(geometry, state.geometry)
+        self._pair_anew(geometry, ~finite & (moved | geometry_differs))
+        configuration_differs = not self._same(configuration, state.configuration)
+        self._pair_anew(configuration, finite & (moved | configuration_differs))
+        self._state = replace(self._state, configuration=configuration, geometry=geometry)
+
+    def _same(self, u: fem.Function, v: fem.Function) -> bool:
+        """Return whether two displacements have the same values. Collective."""
+        same = u is v or np.array_equal(u.x.array, v.x.array)
+        return bool(self.comm.allreduce(same, op=MPI.LAND))
 
     def note_obstacles(self) -> Mask:
         """Record the present positions of the obstacles. Collective.
@@ -332,8 +316,9 @@ class ContactSurfaces(PetscOwner):
             (pairs,) whether the distance from the obstacle has changed since the pairing.
         """
         changed = self.obstacles.changed(self.jump)
-        before, self.steps.motions = self.steps.motions, self.obstacles.motions
-        same_place = (before == self.steps.motions).all(axis=(1, 2))
+        before, now = self._state.motions, self.obstacles.motions
+        self._state = replace(self._state, motions=now)
+        same_place = (before == now).all(axis=(1, 2))
         self.obstacles.warn_of_unknown_motions(changed, same_place)
         return changed
 
@@ -359,7 +344,8 @@ class ContactSurfaces(PetscOwner):
             anew[numbers] = anew[numbers].any()
         with timed("pairing", self.timings):
             jump = moved_jump(self.jump, self.pairs, u, anew)
-            self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
+            since_accepted = self._finite_sliding & anew
+            self._state = self._state.paired_at(jump, u, since_accepted=since_accepted)
             self._replace_jump(jump)
 
     def _replace_jump(self, jump: JumpOperator) -> None:
@@ -377,16 +363,16 @@ class ContactSurfaces(PetscOwner):
 
         The slip on an obstacle then counts relative to the obstacle.
         """
-        steps, jump = self.steps, self.jump
+        state, jump = self._state, self.jump
         displacement = np.zeros(len(jump.gap))
         for before, now, slides_far, (_, t) in zip(
-            steps.accepted_motions, steps.motions, self._finite_sliding, jump.slices, strict=True
+            state.accepted.motions, state.motions, self._finite_sliding, jump.slices, strict=True
         ):
             if not np.array_equal(before, now):
-                u = self.sliding.origin if slides_far else self.geometry
+                u = state.configuration if slides_far else state.geometry
                 moved = self.obstacles.displacement(before, now, u)
                 displacement[t] = jump.of_displacement(moved)[t]
-        return replace(steps.history, origin=steps.history.origin + displacement)
+        return replace(state.history, origin=state.history.origin + displacement)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
@@ -402,7 +388,7 @@ class ContactSurfaces(PetscOwner):
 
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self.jump.contact_force(self.steps.multipliers).array)
+        return np.array(self.jump.contact_force(self._state.multipliers).array)
 
     def rounding_forces(self) -> Array:
         """Return B'lambda, like `contact_forces`, of pressures of the size of rounding errors.

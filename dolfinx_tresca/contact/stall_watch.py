@@ -16,7 +16,7 @@ from dolfinx_tresca.monitor import Iteration
 #: Number of Newton steps without progress, and number of configurations with finite sliding, after
 #: which a solve counts as stalled. (For iterations of a contact problem, the number is
 #: `_base.patience.PATIENCE`.)
-#: Of the solves in tests/validation and tests/nonlinear that converge, none needs more than 6 such
+#: Of the solves in tests/validation and tests/problem that converge, none needs more than 6 such
 #: Newton steps or 15 configurations. If both numbers are doubled, the warning comes later, and
 #: nothing else changes.
 IDLE_NEWTON_STEPS, IDLE_CONFIGURATIONS = 15, 20

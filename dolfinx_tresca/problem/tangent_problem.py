@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,15 +15,14 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.nonlinear.mixed_norm import MixedNorm
-from dolfinx_tresca.nonlinear.tangent import TangentSystem
-from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.mixed_norm import MixedNorm
+from dolfinx_tresca.problem.tangent_system import TangentSystem
 
 #: A node sticks if its traction is below this fraction of the slip bound. The margin is for bounds
 #: that depend on the pressure, and are known only to the accuracy of their fixed point.
@@ -51,17 +50,7 @@ class TangentProblem:
     """
 
     def __init__(
-        self,
-        F: Any,
-        u: fem.Function,
-        J: Any,
-        bcs: Sequence[Any],
-        entity_maps: EntityMaps | None,
-        before_assembly: Callable[[], None] | None = None,
-        on_accept: Callable[[], None] | None = None,
-        axisymmetric: bool = False,
-        V: Any = None,
-        **arguments: Any,
+        self, tangent: TangentSystem, on_accept: Callable[[], None] | None, **arguments: Any
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
@@ -69,15 +58,8 @@ class TangentProblem:
         history, it is the tangent at the displacement from which the present solve starts.
 
         Args:
-            F: residual form, internal minus external forces.
-            u: displacement on which F depends, or all unknowns of a mixed space.
-            J: derivative of F with respect to u.
-            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
-            entity_maps: see `ContactProblem`.
-            before_assembly: see `NonlinearContactProblem`.
+            tangent: the linear system of a step. The `contact` system owns it.
             on_accept: see `NonlinearContactProblem`.
-            axisymmetric: see `NonlinearContactProblem`.
-            V: see `NonlinearContactProblem`.
             arguments: further arguments of `ContactSystem`.
 
         Raises:
@@ -85,11 +67,10 @@ class TangentProblem:
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        self.u = u
-        self._on_accept = on_accept
-        self._has_history = before_assembly is not None or on_accept is not None
+        self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
+        u = self.u
+        self._has_history = tangent.has_material or on_accept is not None
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
-        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
         with self._at(self._reference):
@@ -97,10 +78,10 @@ class TangentProblem:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
         self.surfaces = self.contact.surfaces
-        self.surfaces.steps.u = u
+        self.surfaces.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.surfaces.obstacles.motions,) * 2
-        self._moves_in_parts = False
+        self._loads_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
@@ -150,9 +131,9 @@ class TangentProblem:
         Raises:
             Exception: an error of the user's functions, on all ranks.
         """
-        last = self.surfaces.steps.last
-        if self._has_history and last is not None:
-            with self._at(last[2].x.array):
+        solution = self.surfaces.state.solution
+        if self._has_history and solution is not None:
+            with self._at(solution.fields.w.x.array):
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
@@ -243,7 +224,7 @@ class TangentProblem:
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
         are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
         """
-        jump, multipliers = self.surfaces.jump, self.surfaces.steps.multipliers
+        jump, multipliers = self.surfaces.jump, self.surfaces.state.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
             return self._touching()
         lam = jump.bounded(self.surfaces.slip_bounds()).section(multipliers)
@@ -298,13 +279,14 @@ class TangentProblem:
                 raise InputError(
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
-        steps, before = self.surfaces.steps, self.surfaces.steps.motions
+        before = self.surfaces.state.motions
         self.surfaces.begin_solve()
-        accepted = steps.accepted_u
-        same = accepted is not None and np.array_equal(accepted.x.array, self.displacement.x.array)
+        accepted = self.surfaces.state.accepted
+        u = accepted.displacement
+        same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
-            before = steps.accepted_motions  # a trial may have left obstacles elsewhere
-        self._places = before, self.surfaces.obstacles.motions
+            before = accepted.motions  # a trial may have left obstacles elsewhere
+        self._places, self._loads_in_parts = (before, self.surfaces.obstacles.motions), False
         self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
         self._solved_forces = None
@@ -312,34 +294,30 @@ class TangentProblem:
             self._reference = self.u.x.array.copy()
         self.surfaces.align_tangents(self.surfaces.slip_bounds())
 
-    def begin_load(self) -> None:
-        """Begin the change of load at the present u and contact forces. Collective."""
-        self._moves_in_parts = False
-        self.tangent.begin(self.surfaces.contact_forces())
-
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their motion until a fraction less than 1 is tried.
+        Obstacles are at the end of their motion until a fraction less than 1 is tried. The present
+        u and contact forces are then those at the start of the solve.
 
         Raises:
             PairingError: the surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        before, after = self._places
-        if fraction < 1.0 and not self._moves_in_parts and not np.array_equal(before, after):
+        if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)
-            self.begin_load()
-            self._moves_in_parts = True
-        if self._moves_in_parts:
+            self.tangent.begin(self.surfaces.contact_forces())
+            self._loads_in_parts = True
+        if self._loads_in_parts:
             self._place_obstacles(fraction)
         self.tangent.fraction = fraction
 
     def _place_obstacles(self, fraction: float) -> None:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
-        obstacles = self.surfaces.obstacles
-        obstacles.motions = obstacles.between(*self._places, fraction)
-        self.surfaces.pair_where_changed(self.surfaces.sliding.origin)
+        if not np.array_equal(*self._places):
+            obstacles = self.surfaces.obstacles
+            obstacles.motions = obstacles.between(*self._places, fraction)
+            self.surfaces.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
@@ -355,6 +333,10 @@ class TangentProblem:
         norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
+
+    def force_norm(self) -> float:
+        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective."""
+        return self._norm_of_correction(self.surfaces.contact_forces())
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.local_stiffness import entrywise
-from dolfinx_tresca.nonlinear.tangent import TangentSystem
+from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.stiffness.component import Component
 
 

@@ -95,6 +95,11 @@ class TangentSystem(LinearSystem):
         self._initial_residual: Array = np.zeros(len(self.prescribed))
 
     @property
+    def has_material(self) -> bool:
+        """Whether a function of the user computes coefficients of the forms."""
+        return self._before_assembly is not None
+
+    @property
     def form_of_displacement(self) -> bool:
         """False: the tangent's energy of the displacement is not the energy of nonlinear bodies."""
         return False
@@ -206,18 +211,24 @@ class TangentSystem(LinearSystem):
         self._prescribed_before = owned[self.prescribed]
         self._initial_residual = self.internal_forces() + contact_forces
 
+    @property
+    def _remaining_load(self) -> Array:
+        """The part h [force] of the change of load that is not applied yet. Not collective."""
+        if self.fraction == 1.0:
+            return np.zeros_like(self._initial_residual)
+        return (1.0 - self.fraction) * self._initial_residual
+
     def residual(self, contact_forces: Array) -> Array:
         """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
 
         Args:
             contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
         """
-        remaining = (1.0 - self.fraction) * self._initial_residual
-        return self.internal_forces() + contact_forces - remaining
+        return self.internal_forces() + contact_forces - self._remaining_load
 
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
-        t, free = self.fraction, ~self.prescribed
+        free = ~self.prescribed
         values = self.prescribed_values()
         u = np.array(self.u.x.array[: len(free)])
         moved = self._forces_of(u[self.prescribed] - values)
@@ -225,9 +236,7 @@ class TangentSystem(LinearSystem):
         inside.array = np.where(free, u, 0.0)
         self.K.mult(inside, load)
         owned = self.f.x.array[: len(free)]
-        owned[:] = (
-            load.array + moved.array - self.internal_forces() + (1.0 - t) * self._initial_residual
-        )
+        owned[:] = load.array + moved.array - self.internal_forces() + self._remaining_load
         owned[self.prescribed] = values
         for vector in (inside, load, moved):
             vector.destroy()

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import SLACK
 from dolfinx_tresca._base.timing import timed
-from dolfinx_tresca.dual.history.slip_history import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from mpi4py import MPI
@@ -14,22 +14,22 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, free_unused
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
+from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
+from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.contact.friction_checks import check_curves, check_curves_of_floating_bodies
+from dolfinx_tresca.contact.solve_to_bound import solve_to_bound
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
-from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.problem.factorisation import Factorisation
-from dolfinx_tresca.problem.friction_checks import check_curves, check_curves_of_floating_bodies
-from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.hints import hint_at_overlap, hint_at_scene
 from dolfinx_tresca.solution.theory import (
     Limit,
@@ -45,29 +45,6 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
 
 Solution = TypeVar("Solution", bound=ContactSolution)
-
-
-@dataclass
-class LastSolve:
-    """The record of the last solve.
-
-    Attributes:
-        dual: the dual problem.
-        multipliers: (size,) solution of the dual problem.
-        fields: the fields of the solution.
-        curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
-        inputs: load and `law_values` of this solve, to detect later changes.
-        options: options of the contact algorithm.
-        moved: (pairs,) whether the pair's obstacle moves in this load step.
-    """
-
-    dual: DualProgram
-    multipliers: Array
-    fields: Evaluation
-    curves: list[CurveAtNodes]
-    inputs: list[Array]
-    options: SolverOptions
-    moved: Mask
 
 
 class ContactSystem(PetscOwner):
@@ -108,7 +85,6 @@ class ContactSystem(PetscOwner):
         """
         self.linear, self.pairs = linear, pairs
         self.comm = self.linear.comm
-        self._last_solve: LastSolve | None = None
         self._destroyed = False
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         try:
@@ -129,11 +105,12 @@ class ContactSystem(PetscOwner):
         hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self._stiffness.bodies)
 
     @property
-    def solved(self) -> LastSolve | None:
-        """The last solve; None if there was none since K or the pairing changed."""
-        last = self._last_solve
-        known = last is not None and last.dual.compliance is self.surfaces.compliance
-        return last if known else None
+    def solved(self) -> StepSolution | None:
+        """The last solution; None if there was none since K or the pairing changed."""
+        state = self.surfaces.state
+        solution = state.solution or state.accepted.solution
+        valid = solution is not None and solution.dual.compliance is self.surfaces.compliance
+        return solution if valid else None
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
@@ -168,8 +145,8 @@ class ContactSystem(PetscOwner):
 
     def forget(self) -> None:
         """Drop multipliers and products: the next solve starts from zero. Not collective."""
-        self._last_solve = None
-        self.surfaces.steps.forget()
+        state = self.surfaces.state
+        self.surfaces.state = state.started_at(np.zeros_like(state.multipliers))
         self.surfaces.compliance.forget()
 
     def law_values(self, curves: Sequence[CurveAtNodes] = ()) -> list[Array]:
@@ -200,9 +177,9 @@ class ContactSystem(PetscOwner):
             InputError: a gap, a slip bound or a coefficient of friction has a value that is not
                 allowed.
         """
-        surfaces, solved, last = self.surfaces, self.solved, self.surfaces.steps.last
+        surfaces, solved, solution = self.surfaces, self.solved, self.surfaces.state.solution
         assert solved is not None
-        status = ContactStatus.CONVERGED if last is None else last[0]
+        status = ContactStatus.CONVERGED if solution is None else solution.status
         if status is not ContactStatus.CONVERGED:
             raise ContactError(
                 f"{purpose} needs a solution, and the last solve ended with {status.name}."
@@ -238,17 +215,16 @@ class ContactSystem(PetscOwner):
 
     @contextmanager
     def restored(self) -> Iterator[None]:
-        """Restore the state of the process and the last solve at the end of the block. Collective.
+        """Restore the state of the process at the end of the block. Collective.
 
         Inside the block, solves may start from other steps and with other inputs. If K or the
-        pairing changes inside the block, the last solve is dropped.
+        pairing changes inside the block, derivatives of the last solution are not known any more.
         """
-        state, last_solve = self.surfaces.state, self._last_solve
+        state = self.surfaces.state
         try:
             yield
         finally:
             self.surfaces.return_to(state)
-            self._last_solve = last_solve
             self.linear.assemble_load()
             self.surfaces.update_gaps()
 
@@ -266,7 +242,7 @@ class ContactSystem(PetscOwner):
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
         if solution.status is ContactStatus.CONVERGED:
             surfaces, u = self.surfaces, solution.u
-            paired, tractions = surfaces.geometry, solution.multipliers
+            paired, tractions = surfaces.state.geometry, solution.multipliers
             departures = [
                 *(motions_of_bodies(u, self._stiffness.bodies) if linear else ()),
                 *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions),
@@ -274,7 +250,7 @@ class ContactSystem(PetscOwner):
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:
                 status = ContactStatus.OUTSIDE_THEORY
-                surfaces.steps.set_last_status(status)
+                surfaces.state = surfaces.state.with_status(status)
                 solution = replace(solution, status=status, sliding=reason)
         elif solution.failure:
             log(self.comm, "%s", solution.failure, level=logging.WARNING)
@@ -288,7 +264,6 @@ class ContactSystem(PetscOwner):
             ContactError: the problem was destroyed.
         """
         self.check_not_destroyed()
-        self._last_solve = None
         self.surfaces.update_stiffness()
 
     @one_thread()
@@ -315,12 +290,12 @@ class ContactSystem(PetscOwner):
             MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
-        surfaces, steps, bodies = self.surfaces, self.surfaces.steps, self._stiffness.bodies
+        surfaces, bodies = self.surfaces, self._stiffness.bodies
         requested = requested or options
         self._stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
         timings, surfaces.timings = surfaces.timings, {}
-        steps.last = self._last_solve = None
+        surfaces.state = surfaces.state.before_solve
         with timed("load", timings):
             self.linear.assemble_load()
             bounds = surfaces.slip_bounds()
@@ -330,7 +305,8 @@ class ContactSystem(PetscOwner):
             operator = surfaces.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = surfaces.history_of_solve()
-            moved = (steps.accepted_motions != steps.motions).any(axis=(1, 2))
+            state = surfaces.state
+            moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
             try:
                 dual = DualProgram.of(surfaces.compliance, surfaces.guess, bounds, history)
             except MechanismError as error:
@@ -339,21 +315,28 @@ class ContactSystem(PetscOwner):
             if dual.equilibrium is not None:
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
-        start, secondary = steps.multipliers, surfaces.secondary
+        start, secondary = state.multipliers, surfaces.secondary
         found, evaluation, history = solve_to_bound(
             dual, start, secondary, bodies, options, requested, observe, timings
         )
-        steps.multipliers = found.multipliers
         status = found.status
         curves = check_curves(dual, found, surfaces.friction)
         inputs += [pressed_values(*one) for one in curves]
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
-        steps.last = status, history, evaluation.w
-        self._last_solve = LastSolve(
-            dual, found.multipliers, evaluation, curves, inputs, options, moved
+        solution = StepSolution(
+            status,
+            dual,
+            found.multipliers,
+            evaluation,
+            history,
+            curves,
+            inputs,
+            options,
+            moved,
         )
+        surfaces.state = replace(state, multipliers=found.multipliers, solution=solution)
         log(
             self.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",

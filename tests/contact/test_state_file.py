@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
-from dolfinx_tresca import InputError
-from dolfinx_tresca.dual.history.saved_displacement import (
-    _rows,
-    same_nodes,
-    surroundings,
-    values_of,
-)
-from dolfinx_tresca.dual.history.saved_file import SAME_PLACE
-from dolfinx_tresca.dual.history.saved_state import _rows_of
+from dolfinx_tresca.contact.state_file import SAME_PLACE, same_nodes, surroundings, values_of
 from scenes.patches import patch
 
 
@@ -38,35 +28,20 @@ def test_nodes_of_two_bodies_on_any_ranks(comm, degree):
     assert len(np.unique(at[:, :3].round(9), axis=0)) < len(at)  # some touch
     known, above, _ = bodies(MPI.COMM_SELF, degree)
     mixed = np.random.default_rng(1).permutation(len(known))
-    rows = same_nodes(known[mixed], at, 1e-9)
+    rows = same_nodes(known[mixed], at)
     assert np.array_equal(np.sort(rows), np.arange(len(at)))
     assert np.array_equal(above[mixed][rows], upper)
     assert np.abs(known[mixed][rows] - at).max() < 1e-9
     known[0, 0] += 1e-6
-    assert same_nodes(known, at, 1e-9) is None
-    assert same_nodes(known[1:], at, 1e-9) is None
+    assert same_nodes(known, at) is None
+    assert same_nodes(known[1:], at) is None
 
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_rounding_of_places_is_relative_to_the_size_of_the_mesh(size):
     """Nodes may be off by rounding in any unit; those of another mesh are refused."""
-    path, at = Path("state.npz"), size * np.random.default_rng(0).random((20, 6))
-    points, number = at[:, :3], np.arange(20)
-    keys = np.column_stack([0 * number, number, 0 * number])
-    extent = np.ptp(points, axis=0).max()
-    for part in (0.5, 2.0):
-        file = {
-            "keys": keys,
-            "points": points + part * SAME_PLACE * extent,
-            "values": np.zeros((20, 7)),
-        }
-        finds = (
-            lambda file=file: _rows_of(path, file, keys, points, 7),
-            lambda file=file: _rows(path, np.hstack([file["points"]] * 2), np.hstack([points] * 2)),
-        )
-        for find in finds:
-            if part < 1.0:
-                assert np.array_equal(find(), number)
-            else:
-                with pytest.raises(InputError, match="another mesh"):
-                    find()
+    places = size * np.random.default_rng(0).random((20, 6))
+    extent = np.ptp(places, axis=0).max()
+    within, beyond = (places + factor * SAME_PLACE * extent for factor in (0.1, 2.0))
+    assert np.array_equal(same_nodes(within, places), np.arange(20))
+    assert same_nodes(beyond, places) is None

@@ -16,10 +16,11 @@ class NewtonOptions:
     Attributes:
         accuracy: requested residual |R(u) + B'lambda|_{K^-1}, where R(u) are internal minus
             external forces and K is the tangent of the last step. It is relative to the larger of
-            |u|_K and |u - u_0|_K, where u_0 is the displacement at the start of the solve. A larger
-            residual is accepted if it no longer halves and has the size of its rounding errors: a
-            rigid motion has no energy and no other residual. The residual of the contact
-            conditions has an accuracy of its own, in `SolverOptions`.
+            |u|_K and |u - u_0|_K, where u_0 is the displacement at the start of the solve; if
+            stiffness was added to the tangent, whose energy is then no measure, relative to at most
+            100 |B'lambda|_{K^-1}. A larger residual is accepted if it no longer halves and has the
+            size of its rounding errors: a rigid motion has no energy and no other residual. The
+            residual of the contact conditions has an accuracy of its own, in `SolverOptions`.
         max_iterations: largest number of Newton steps for a part of the load. Up to four times this
             number are taken while the error (with finite sliding also the error of the
             configuration) falls fast enough to reach the requested error within these steps.

@@ -14,11 +14,11 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
+from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
@@ -131,7 +131,8 @@ class FiniteSliding:
         forces, rounding = self._surfaces.contact_forces(), self._surfaces.rounding_forces()
         last, self._forces = self._forces, forces
         changed = forces if last is None else forces - last
-        w = self._surfaces.sliding.origin.x.array.copy()
+        state = self._surfaces.state
+        w = state.configuration.x.array.copy()
         residual = (u.x.array - w)[: len(self._surfaces.linear.prescribed_displacements)]
         square, size, distance, rounding_square = reduce_array(
             self._surfaces.comm,
@@ -144,7 +145,8 @@ class FiniteSliding:
             self.change = math.inf
         else:
             opened = np.nan_to_num(self._gaps - gaps)
-            step = u.x.array - self._surfaces.steps.accepted_values
+            before_step = state.accepted.displacement
+            step = u.x.array - (0.0 if before_step is None else before_step.x.array)
             sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step, u.x.array)]
             largest, moved, displaced = reduce_array(self._surfaces.comm, sizes, MPI.MAX)
             moved = max(moved, SMALL_STEP * displaced)
@@ -178,7 +180,7 @@ class FiniteSliding:
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        surfaces, origin = self._surfaces, self._surfaces.sliding.origin
+        surfaces, origin = self._surfaces, self._surfaces.state.configuration
         solver = surfaces.compliance.operator.solver
         w = surfaces.linear.response_to_prescribed_values(solver, origin)
         if surfaces.comm.allreduce(bool(w.x.array.any()), op=MPI.LOR):
@@ -260,7 +262,8 @@ def solve_with_finite_sliding(
                 observe(replace(last, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
-            contact.surfaces.steps.set_last_status(ContactStatus.MAX_ITERATIONS)
+            state = contact.surfaces.state
+            contact.surfaces.state = state.with_status(ContactStatus.MAX_ITERATIONS)
             solutions[-1] = replace(solution, status=ContactStatus.MAX_ITERATIONS)
             failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break

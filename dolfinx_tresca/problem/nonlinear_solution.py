@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dolfinx_tresca.nonlinear.record import NewtonRecord
 from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.problem.newton_record import NewtonRecord
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 

@@ -11,15 +11,16 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
-from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
-from dolfinx_tresca.nonlinear.newton import Newton
-from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
-from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.contact_system import LastSolve
+from dolfinx_tresca.problem.newton import Newton
+from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord
+from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
 from dolfinx_tresca.problem.process import ContactProcess, check_units
+from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
+from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus
@@ -199,15 +200,8 @@ class NonlinearContactProblem(ContactProcess):
             J = 0.5 * (J + ufl.adjoint(J))
         self._forms, self._is_symmetrized = (F, J), symmetrize
         self._linearised = TangentProblem(
-            F,
-            u,
-            J,
-            bcs,
-            entity_maps,
-            before_assembly,
+            TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V),
             on_accept,
-            axisymmetric,
-            V,
             pairs=self.pairs,
             stiffness=stiffness,
             petsc_options=petsc_options,
@@ -233,7 +227,7 @@ class NonlinearContactProblem(ContactProcess):
         """
         self._contact.update_geometry(self._linearised.displacement if u is None else u)
 
-    def _solved_for(self, purpose: str) -> LastSolve:
+    def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
         Derivatives need this tangent, but the last assembled tangent belongs to the previous
@@ -252,7 +246,7 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the form F of the displacement alone, and not that of a mixed "
                 "space: compare two solutions."
             )
-        if contact.solved is None or contact.surfaces.steps.last is None:
+        if contact.solved is None or contact.surfaces.state.solution is None:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
             )
@@ -262,6 +256,7 @@ class NonlinearContactProblem(ContactProcess):
                 "part."
             )
         state = problem.surfaces.state
+        former = state.acceptable(unconverged=True)
         try:
             try:
                 problem.factor()
@@ -274,9 +269,13 @@ class NonlinearContactProblem(ContactProcess):
                     "two solutions."
                 ) from error
             contact.solve(self.options, self.units, lambda _: False)
-            solved = contact.solved
+            solved = problem.surfaces.state.acceptable(unconverged=True)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
+            solved = dataclasses.replace(
+                solved, status=former.status, history=former.history, fields=former.fields
+            )
+            state = dataclasses.replace(state, solution=solved)
         finally:
             problem.surfaces.return_to(state)
         if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
@@ -284,8 +283,7 @@ class NonlinearContactProblem(ContactProcess):
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."
             )
-        fields = dataclasses.replace(solved.fields, u=contact.surfaces.steps.last[2])
-        return dataclasses.replace(solved, fields=fields)
+        return solved
 
     def _forms_at(self, u: fem.Function) -> Forms:
         """Return F, as a function of its test function, and J, with their conditions.
@@ -347,7 +345,7 @@ class NonlinearContactProblem(ContactProcess):
             run.run()
         finally:
             self._linearised.end_load()
-        self._contact.surfaces.steps.end_solve()
+        self._contact.surfaces.end_solve()
         self._linearised.note_forces()
         if run.found is None:
             raise StiffnessError(
@@ -358,7 +356,8 @@ class NonlinearContactProblem(ContactProcess):
         status, message = found.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
-            self._contact.surfaces.steps.set_last_status(status)
+            surfaces = self._contact.surfaces
+            surfaces.state = surfaces.state.with_status(status)
             parts = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
             parts += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
             parts += "max_iterations=...). "
@@ -369,8 +368,7 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
-        values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
-        values |= {
+        values = vars(found) | {
             "status": status,
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),

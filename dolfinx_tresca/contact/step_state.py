@@ -1,0 +1,264 @@
+"""The state of a process of load steps: what the next solve depends on, beside its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.moved import Carry
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
+from dolfinx_tresca.status import ContactStatus
+
+
+@dataclass(frozen=True)
+class AcceptedStep:
+    """The last accepted load step, or the slip origin that the user has set.
+
+    Attributes:
+        multipliers: (size,) multipliers to which solves return if their result may depend on them.
+        unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
+            space, that belong to these multipliers; None for linear bodies.
+        displacement: displacement [length] from which slip counts with finite sliding; None: the
+            bodies were undeformed, or the state does not keep it, as in checkpoints of a
+            `ProcessTape`.
+        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`), from which slip
+            counts.
+        configuration: displacement [length] at which pairs with finite sliding were paired; None:
+            solves begin with the present pairing.
+        solution: the step's solution, for goals and derivatives; None as soon as another solve has
+            begun.
+    """
+
+    multipliers: Array
+    unknowns: Array | None
+    displacement: fem.Function | None
+    motions: Array
+    configuration: fem.Function | None
+    solution: StepSolution | None = None
+
+
+@dataclass(frozen=True)
+class StepSolution:
+    """A solution, which `StepState.after_solution` can make an accepted step.
+
+    Attributes:
+        status: the reason why the solve ended.
+        dual: the dual problem.
+        multipliers: (size,) solution of the dual problem.
+        fields: displacement and fields of the solution.
+        history: slip and dissipation of the accepted steps and of this solution.
+        curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
+        inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
+        options: options of the contact algorithm.
+        moved: (pairs,) whether the pair's obstacle moves in this load step.
+    """
+
+    status: ContactStatus
+    dual: DualProgram
+    multipliers: Array
+    fields: Evaluation
+    history: SlipHistory
+    curves: list[CurveAtNodes]
+    inputs: list[Array]
+    options: SolverOptions
+    moved: Mask
+
+
+@dataclass(frozen=True)
+class StepState:
+    """The state of a process of load steps: what the next solve depends on, beside its inputs.
+
+    Loads, prescribed values and the places to which the user moves obstacles are inputs. States are
+    never changed: each operation returns another one, so a former state can be put back as a whole
+    (`ContactSurfaces.return_to`), or written to a file.
+
+    If friction depends on the pressure, the solution of a load step may depend on the tractions at
+    which its solve starts: these must be tractions of the last accepted step, not of a trial solve.
+    Otherwise the solution is unique, and the end of the last solve is the better start.
+
+    Attributes:
+        jump: B, to whose rows the arrays of this state belong. If the surfaces were paired anew
+            since, its PETSc objects are destroyed.
+        history: slip and dissipation of the accepted steps, and the origin of friction.
+        multipliers: (size,) multipliers of the last solve, at which the next solve starts unless it
+            returns to the accepted step.
+        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) for which the
+            surfaces are paired.
+        configuration: displacement [length] at which pairs with finite sliding are paired.
+        geometry: displacement [length] at which the other pairs are paired.
+        accepted: the last accepted step.
+        unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
+            space, with ghosts; None for linear bodies.
+        end: `unknowns` at which the last solve ended; None: it has not ended. If the user has
+            changed them since, the next solve starts there.
+        continues: whether the load step goes on from the last solve in another configuration.
+        solution: the last solution; None: there is nothing to accept.
+    """
+
+    jump: JumpOperator
+    history: SlipHistory
+    multipliers: Array
+    motions: Array
+    configuration: fem.Function
+    geometry: fem.Function
+    accepted: AcceptedStep
+    unknowns: Array | None = None
+    end: Array | None = None
+    continues: bool = False
+    solution: StepSolution | None = None
+
+    @classmethod
+    def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
+        """Return the state of undeformed bodies without load. Not collective.
+
+        Args:
+            jump: B.
+            motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
+        """
+        zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
+        accepted = AcceptedStep(zeros, None, None, motions, None)
+        history = SlipHistory.none(jump)
+        return cls(jump, history, zeros, motions, at_rest, at_rest, accepted)
+
+    def started_at(self, multipliers: Array) -> StepState:
+        """Return the state in which solves start at multipliers (size,) until a step is accepted.
+
+        Not collective.
+        """
+        accepted = replace(self.accepted, multipliers=multipliers, unknowns=self.unknowns)
+        return replace(self, multipliers=multipliers, accepted=accepted, end=None, continues=False)
+
+    def after_step(self, history: SlipHistory, displacement: fem.Function | None) -> StepState:
+        """Return the state after a load step with the present obstacles. Not collective.
+
+        Args:
+            history: slip and dissipation of the steps up to this one.
+            displacement: displacement of the step [length]; None: undeformed bodies.
+        """
+        accepted = replace(
+            self.accepted,
+            displacement=displacement,
+            motions=self.motions,
+            solution=self.solution or self.accepted.solution,
+        )
+        after = replace(self, history=history, accepted=accepted, solution=None)
+        return after.started_at(self.multipliers)
+
+    def after_solution(self, unconverged: bool) -> StepState:
+        """Return the state in which the last solution is an accepted step. Not collective.
+
+        Args:
+            unconverged: whether to accept a solution that missed the requested accuracy.
+
+        Raises:
+            ContactError: nothing was solved since the last step.
+            ConvergenceError: the last solve failed.
+        """
+        solution = self.acceptable(unconverged)
+        w = solution.fields.w
+        after = self.after_step(solution.history, self.jump.system.displacement(w.copy(), w.name))
+        return replace(after, accepted=replace(after.accepted, configuration=self.configuration))
+
+    def acceptable(self, unconverged: bool) -> StepSolution:
+        """Return the last solution if it can be accepted. Not collective.
+
+        Arguments and errors are those of `after_solution`.
+        """
+        if self.solution is None:
+            raise ContactError(
+                "there is no solution to accept: call solve() after each change of the loads, and "
+                "then accept()."
+            )
+        status = self.solution.status
+        if status is not ContactStatus.CONVERGED and not unconverged:
+            raise ConvergenceError(
+                f"the last solve ended with {status.name}, and its errors would stay in all steps "
+                "that follow: raise_if_failed() of its solution says what to do. accept("
+                "unconverged=True) accepts the solution as it is."
+            )
+        return self.solution
+
+    @property
+    def before_solve(self) -> StepState:
+        """The state without the former solution. Not collective."""
+        return replace(self, solution=None, accepted=replace(self.accepted, solution=None))
+
+    def with_status(self, status: ContactStatus) -> StepState:
+        """Return the state in which the last solve, if any, ended with a status. Not collective."""
+        solution = self.solution and replace(self.solution, status=status)
+        return replace(self, solution=solution)
+
+    def at_start(self, depends_on_start: bool) -> StepState:
+        """Return the state from which a solve begins now. Collective.
+
+        Args:
+            depends_on_start: whether solutions may depend on the tractions at which a solve starts.
+        """
+        if not depends_on_start or not self.history.begun or self.continues:
+            return replace(self, continues=False)
+        end, unknowns = self.end, self.unknowns
+        unchanged = end is not None and unknowns is not None and np.array_equal(end, unknowns)
+        is_trial = self.jump.comm.allreduce(unchanged, op=MPI.LAND)
+        unknowns = self.accepted.unknowns if is_trial else unknowns
+        return replace(self, multipliers=self.accepted.multipliers, unknowns=unknowns)
+
+    def along_tangents(self, jump: JumpOperator) -> StepState:
+        """Return the state on a B with rotated tangents. Not collective.
+
+        Components of the multipliers and of the slip history change with the tangents.
+        """
+        carry = Carry(self.jump, jump)
+        origin = carry.residuals(self.history.origin)
+        return self._on(jump, carry, replace(self.history, origin=origin))
+
+    def paired_at(
+        self,
+        jump: JumpOperator,
+        u: fem.Function,
+        *,
+        continues: bool = False,
+        since_accepted: Sequence[bool] | Mask | None = None,
+    ) -> StepState:
+        """Return the state on the B of displaced surfaces. Collective.
+
+        Args:
+            jump: B of the displaced surfaces.
+            u: displacement of the surfaces [length].
+            continues: whether the load step goes on. True: u is the displacement of the last solve,
+                and the next solve starts from the tractions of this last solve; False: it may start
+                from the tractions of the last accepted step.
+            since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
+                between nodes and their present partners, of the displacement since the last
+                accepted step; False: nodes keep their slip so far. None: False for all pairs.
+        """
+        carry = Carry(self.jump, jump)
+        kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)
+        history = self.history.with_slip(kept, u, jump)
+        if since_accepted is not None:
+            history = history.with_origin_at(self.accepted.displacement, jump, since_accepted)
+        return replace(self._on(jump, carry, history), continues=continues)
+
+    def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
+        """Return the state with multipliers carried over to another B. Not collective."""
+        accepted = carry.multipliers(self.accepted.multipliers)
+        return replace(
+            self,
+            jump=jump,
+            history=history,
+            multipliers=carry.multipliers(self.multipliers),
+            accepted=replace(self.accepted, multipliers=accepted),
+            solution=None,
+        )

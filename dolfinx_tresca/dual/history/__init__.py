@@ -1,1 +1,0 @@
-"""Accepted load steps, their slip, and their files."""

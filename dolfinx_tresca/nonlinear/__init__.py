@@ -1,1 +1,0 @@
-"""Nonlinear bodies: Newton's method whose every step is a contact problem."""
