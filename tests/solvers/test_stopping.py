@@ -50,7 +50,7 @@ def wanted(problem: DenseProblem, bound: float, **options: float) -> list[float]
     x, r = np.zeros_like(problem.b), -problem.b
     residual = NaturalResidual(one, 1.0)
     history = History(one, SolverOptions(**options), lambda iteration: False, residual)
-    wanted = history.measures(Point(x, np.empty(0), r), 0.0, residual=0.0)
+    wanted = history.measures(Point(x, np.empty(0), r), 0.0, residual=residual.scale)
     return [want for _, want in wanted][1:]  # without the balance of forces
 
 
