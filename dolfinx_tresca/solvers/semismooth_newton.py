@@ -41,10 +41,10 @@ MOST_NEAR_PRODUCTS = 8
 PROXIMAL, SOFTER = 1e-4, 3.0
 
 #: Newton's method has solved the model if the residual is at most this part of the residual at the
-#: start. (Where A is known whole, it goes on while steps succeed, until the residual is rounding:
-#: else pellets in a tube take 12 iterations in place of 8. With 0.1 and no further steps, a disc
-#: spring that is pressed flat and returns takes 64 Newton steps in place of 5, since the contact
-#: problems are solved by other tractions.)
+#: start. (Where A is known whole, or bodies float, it goes on while steps succeed, until the
+#: residual is rounding: else pellets in a tube take 12 iterations in place of 8. With 0.1 and no
+#: further steps, a disc spring that is pressed flat and returns takes 64 Newton steps in place of
+#: 5, since the contact problems are solved by other tractions.)
 SOLVED = 1e-6
 
 #: Factor on `PROXIMAL` in each run of Newton's method from another initial guess: zero, the
@@ -178,8 +178,9 @@ class SemismoothNewton:
         """Return the point with the least residual.
 
         The method ends where a step does not reduce a residual below the tolerance, where the
-        residual at the start is reduced to rounding (with a model that the next product improves:
-        to the tolerance), or where it has not decreased in `PATIENCE` steps.
+        residual at the start is reduced to rounding (to the tolerance, with a model that the next
+        product improves and without constraints, which are to hold to rounding), or where it has
+        not decreased in `PATIENCE` steps.
 
         Args:
             start: initial guess.
@@ -188,8 +189,8 @@ class SemismoothNewton:
         """
         point = best = start
         softness, idle = softer * self.softness, 0
-        is_whole = isinstance(self.model, WholeModel)
-        least = ROUNDING * start.residual if is_whole else tolerance
+        goes_on = isinstance(self.model, WholeModel) or len(self.problem.constraints) > 0
+        least = ROUNDING * start.residual if goes_on else tolerance
         for _ in range(MOST_STEPS):
             solved = best.residual <= (tolerance if idle else least)
             if solved or idle == PATIENCE:
