@@ -26,9 +26,9 @@ RHO_DIAGONAL, RHO_DIAGONAL_CONVEX = 0.2, 1.0
 MOST_HALVINGS = 6
 
 #: After this number of steps without progress, a whole step is taken, even if the residual grows
-#: (watchdog technique, Chamberlain et al. 1982). Without, two strips of 400 cells whose joint nearly
-#: slips take 85 steps in place of 19; with 5, piles of stones take a fifth more steps, and some are
-#: not solved (`tests/validation/test_random_piles.py`).
+#: (watchdog technique, Chamberlain et al. 1982). Without, two strips of 400 cells whose joint
+#: nearly slips take 85 steps in place of 19; with 5, piles of stones take a fifth more steps, and
+#: some are not solved (`tests/validation/test_random_piles.py`).
 WATCHDOG = 8
 
 #: Limit on products with the near field in one iteration.
@@ -192,8 +192,7 @@ class SemismoothNewton:
         goes_on = isinstance(self.model, WholeModel) or len(self.problem.constraints) > 0
         least = ROUNDING * start.residual if goes_on else tolerance
         for _ in range(MOST_STEPS):
-            solved = best.residual <= (tolerance if idle else least)
-            if solved or idle == PATIENCE:
+            if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
             whole, (dx, dc) = idle % WATCHDOG == WATCHDOG - 1, self.step(point, softness)
             wanted = self.wanted_residual(point, dx, dc)
@@ -224,9 +223,8 @@ class SemismoothNewton:
         trials = []
         for halvings in range(most_halvings + 1):
             part = 0.5**halvings
-            trial = self.point(point.x + part * dx, point.c + part * dc, point.r + part * dr)
-            trials.append(trial)
-            if trial.residual <= wanted:
+            trials.append(self.point(point.x + part * dx, point.c + part * dc, point.r + part * dr))
+            if trials[-1].residual <= wanted:
                 break
         return min(trials, key=lambda trial: trial.residual)
 
@@ -252,13 +250,12 @@ class ConvexNewton(SemismoothNewton):
         """
         super().__init__(problem, model)
         cones = problem.admissible.at(x, r)
-        cones = cones.section(x) if given else cones
+        self.cones = cones.section(x) if given else cones
         nodes = problem.constraints.nodes
         largest = np.zeros(nodes.max(initial=-1) + 1)
         np.maximum.at(largest, nodes, self.size)
         self.rho = RHO_DIAGONAL_CONVEX / largest[nodes]
-        self.cones = cones
-        self.opening = cones.dilation(x, r)
+        self.opening = self.cones.dilation(x, r)
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
         """Return a point with its residual."""
@@ -329,17 +326,16 @@ def solve_from_other_guesses(
         best: result of this failed run.
         tolerance: requested residual.
     """
-    x, c, slip = np.zeros_like(start.x), np.zeros_like(start.c), np.zeros_like(start.r)
     r = start.r - model.apply(start.x) + newton.problem.constraints.columns @ start.c
-    pressed = start.x
+    guess = newton.point(np.zeros_like(start.x), np.zeros_like(start.c), r)
+    pressed, slip = start.x, np.zeros_like(r)
     for number, softer in enumerate((*OTHER_GUESSES, *TRESCA_GUESSES)):
         if number > 0:
             given = number >= len(OTHER_GUESSES)
             convex = ConvexNewton(newton.problem, model, pressed, slip, given)
-            solution = convex.solve(convex.point(x, c, r), tolerance, softer)
-            x, c, r = solution.x, solution.c, solution.r
-            pressed, slip = x, r
-        point = newton.solve(newton.point(x, c, r), tolerance, softer)
+            guess = convex.solve(convex.point(guess.x, guess.c, guess.r), tolerance, softer)
+            pressed, slip = guess.x, guess.r
+        point = newton.solve(newton.point(guess.x, guess.c, guess.r), tolerance, softer)
         best = min(best, point, key=lambda candidate: candidate.residual)
         if best.residual <= tolerance:
             break
@@ -374,7 +370,7 @@ def solve_model(
     best, least = None, float("inf")
     for _ in range(MOST_NEAR_PRODUCTS):
         point = best if best is not None and least < initial else start
-        target = newton_solution(problem, store.updated_model(store.near.updated_model()), point)
+        target = newton_solution(problem, store.model(store.near.model()), point)
         step = target.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
