@@ -231,6 +231,7 @@ class History:
         if not self._mesh_decides:
             yield bound, self.accuracy
             return
+        yield problem.local_error(x, r), self._options.local_accuracy
         if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
             # the relative bound is infinite while errors exceed the norm of the displacement
             if self.accuracy == np.inf:
@@ -244,7 +245,6 @@ class History:
                 yield bound, self.accuracy
         elif self._options.rtol is None:
             yield self.residual.relative(residual), UNPROVEN
-        yield problem.local_error(x, r), self._options.local_accuracy
 
     def tolerable_error(self, point: Point) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
