@@ -105,16 +105,18 @@ def balance(
         summed = ROUNDING * (terms + abs(C) @ np.abs(z) + sizes)
         return agreed(summed), agreed(np.finfo(float).eps * cancelled)
 
-    z, damping = np.zeros_like(target), DAMPING
+    z, damping, unbounded = np.zeros_like(target), DAMPING, False
     for _ in range(MOST_STEPS):
         gradient = excess(z)
         small, cancelled = rounding(z)
         if ROUNDING * cancelled.max() > LOST * small.max():
             break
         if (np.abs(gradient) <= small + cancelled).all():
-            return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
-        if -_dot(z, gradient) > depth:  # phi(0) = 0 and phi is convex: phi(z) <= z'gradient
-            return Balance(z, gradient, satisfied=False, unbounded=True)
+            satisfied = not unbounded and bool((np.abs(gradient) <= small).all())
+            return Balance(z, gradient, satisfied, unbounded)
+        if unbounded:  # the step beyond makes the motion z more accurate
+            break
+        unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
         derivative = feasible_set.projection_derivative(y + constraints.columns @ z)
         hessian = constraints.hessian(derivative) + C
         step = -agreed(
@@ -130,7 +132,7 @@ def balance(
         z = z + part * step
         damping = RELAXATION * damping if part == 1.0 else damping / part
         damping = min(max(damping, LEAST_DAMPING), LARGEST_DAMPING)
-    return Balance(z, excess(z), satisfied=False)
+    return Balance(z, excess(z), satisfied=False, unbounded=unbounded)
 
 
 def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:

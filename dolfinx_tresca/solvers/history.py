@@ -135,7 +135,7 @@ class History:
         self.errors.append(value)
         self.residuals.append(residual.relative(value))
         self.q.append(dual_energy(problem, point))
-        reached, wanted, done = self.reached(point, error)
+        reached, wanted, done = self.reached(point, error, value)
         number = len(self.residuals) - 1
         stop = self._observe(
             Iteration(
@@ -186,7 +186,7 @@ class History:
             accuracy=None if error is None else max(error, FORCING * self.tolerable_error(point)),
         )
 
-    def reached(self, point: Point, error: float) -> tuple[float, float, bool]:
+    def reached(self, point: Point, error: float, residual: float) -> tuple[float, float, bool]:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
         The two numbers belong to the first criterion that is not met; if all criteria are met, they
@@ -196,10 +196,10 @@ class History:
         Args:
             point: multipliers in Lambda, with their gradient.
             error: error of the gradient in the norm sqrt(e'A^-1 e).
+            residual: natural residual, not divided by its scale.
         """
-        residual = self.residual.at(point)
         reached, wanted = 0.0, 1.0
-        for reached, wanted in self.measures(point, error, self.residual.relative(residual)):
+        for reached, wanted in self.measures(point, error, residual):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0
         return reached, wanted, True
@@ -216,21 +216,22 @@ class History:
         Args:
             point: multipliers in Lambda, with their gradient.
             error: error of the gradient in the norm sqrt(e'A^-1 e).
-            residual: natural residual, divided by its scale.
+            residual: natural residual, not divided by its scale.
         """
         problem, x, r = self._problem, point.x, point.r
         is_asked = self._options.rtol is not None or not self._mesh_decides
-        is_rounding = self.residual.at(point) <= self.residual.rounding
+        is_rounding = residual <= self.residual.rounding
         if is_rounding and (self.residual.zero_is_solution or not is_asked):
             return
         if not is_rounding:
             yield problem.constraints.imbalance(x, point.c), BALANCED
         if self._options.rtol is not None:
-            yield residual, self._options.rtol
+            yield self.residual.relative(residual), self._options.rtol
         bound = energy_error(problem, point, error)
         if not self._mesh_decides:
             yield bound, self.accuracy
             return
+        yield problem.local_error(x, r), self._options.local_accuracy
         if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
             # the relative bound is infinite while errors exceed the norm of the displacement
             if self.accuracy == np.inf:
@@ -243,8 +244,7 @@ class History:
             if self.accuracy < np.inf:
                 yield bound, self.accuracy
         elif self._options.rtol is None:
-            yield residual, UNPROVEN
-        yield problem.local_error(x, r), self._options.local_accuracy
+            yield self.residual.relative(residual), UNPROVEN
 
     def tolerable_error(self, point: Point) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.

@@ -132,10 +132,6 @@ class Iterate:
         """Compute the gradient and later products more accurately; return False if impossible."""
         return False
 
-    def refine(self, accuracy: float) -> None:
-        """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
-        return
-
 
 class InexactIterate(Iterate):
     """The point and its gradient with an iterative solver for K.

@@ -216,8 +216,9 @@ class ModelNewton:
             target: newest solution of the model, at whose pressures friction may be too weak.
         """
         at, history, residual = self.at, self.history, self.residual
-        if at.error > 0.0 and history.reached(at.point, 0.0)[2]:
-            at.refine(history.tolerable_error(at.point))
+        if isinstance(at, InexactIterate):
+            done = history.reached(at.point, 0.0, residual.at(at.point))[2]
+            at.refine(history.tolerable_error(at.point) if done else np.inf)
         if (status := history.check_convergence(at.point, at.error)) is not None:
             return status
         is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error

@@ -317,7 +317,7 @@ class ProductStore:
         return max(float(least.max()), known)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,), with M as in `updated_model` and D given as a function. Collective.
+        """Return M x (size,), with M as in `model` and D given as a function. Collective.
 
         Args:
             x: (size,) vector.
@@ -328,11 +328,7 @@ class ProductStore:
         image = apply_base(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
-    def model(self) -> BlockBFGSModel:
-        """Return `updated_model` with the diagonal as base. Not collective."""
-        return self.updated_model()
-
-    def updated_model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A: the diagonal, updated with all pairs. Collective.
 
         Args:

@@ -132,8 +132,8 @@ class WholeModel:
         if issparse(matrix):
             solution = self._solve(csr_array(matrix), right)
         else:
-            coupled = abs(T).sum(axis=1) + abs(R - diags_array(R.diagonal())).sum(axis=1)
-            moving = np.flatnonzero(np.append(coupled > 0.0, np.ones(k, dtype=np.bool_)))
+            moving = np.count_nonzero(matrix, axis=1) > 1
+            moving[len(self) :] = True
             solution = np.zeros(len(right))
             solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], right[moving])
         solution = self._reductions.from_first_rank(solution)

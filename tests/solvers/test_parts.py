@@ -277,7 +277,7 @@ def test_a_model_on_another_one():
     for store in stores:
         for x in rng.standard_normal((4, len(problem.b))):
             store.add(x, problem.A @ x)
-    base, updated = stores[0].updated_model(), stores[1].updated_model(stores[0].updated_model())
+    base, updated = stores[0].model(), stores[1].model(stores[0].model())
     W, Y = stores[1].W, stores[1].Y
     np.testing.assert_allclose(updated.apply(W), Y, atol=1e-10 * np.abs(Y).max())
     x, y = (stores[1].split(v)[0] for v in rng.standard_normal((2, len(problem.b))))

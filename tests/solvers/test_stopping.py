@@ -50,19 +50,19 @@ def wanted(problem: DenseProblem, bound: float, **options: float) -> list[float]
     x, r = np.zeros_like(problem.b), -problem.b
     residual = NaturalResidual(one, 1.0)
     history = History(one, SolverOptions(**options), lambda iteration: False, residual)
-    wanted = history.measures(Point(x, np.empty(0), r), 0.0, residual=0.0)
+    wanted = history.measures(Point(x, np.empty(0), r), 0.0, residual=residual.scale)
     return [want for _, want in wanted][1:]  # without the balance of forces
 
 
 def test_what_is_wanted():
     problem = random_problem(0, 6, 1.0)
-    assert wanted(problem, 0.0)[-2:] == [PART * MESH, LOCAL]
-    assert wanted(problem, 0.0, mesh_part=0.3)[-2:] == [0.3 * MESH, LOCAL]
+    assert wanted(problem, 0.0) == [LOCAL, 0.1, PART * MESH]
+    assert wanted(problem, 0.0, mesh_part=0.3) == [LOCAL, 0.1, 0.3 * MESH]
     assert wanted(problem, 0.0, accuracy=1e-3) == [1e-3]
     # a bound as fine as any mesh's needs no estimate of that
-    assert wanted(problem, 1e-6, rtol=1e-8) == [1e-8, 0.1, LOCAL]
-    assert wanted(problem, 1e-2, rtol=1e-8) == [1e-8, 0.1, PART * MESH, LOCAL]
-    assert wanted(problem, np.inf) == [UNPROVEN, LOCAL]
+    assert wanted(problem, 1e-6, rtol=1e-8) == [1e-8, LOCAL, 0.1]
+    assert wanted(problem, 1e-2, rtol=1e-8) == [1e-8, LOCAL, 0.1, PART * MESH]
+    assert wanted(problem, np.inf) == [LOCAL, UNPROVEN]
     assert wanted(problem, np.inf, rtol=1e-8) == [1e-8, LOCAL]
 
 
