@@ -78,6 +78,7 @@ pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what bench
 		$(FENICSX) python3 benchmarks/$$name.py --from benchmarks/data/$$name.json \
 			--picture docs/$$name.png || exit 1; \
 	done
+	$(FENICSX) python3 docs/contact_normals.py
 	$(MAKE) --no-print-directory paraview-picture
 
 measure:  ## measure all that benchmarks/README.md shows again: many hours, on a quiet machine; log in results
