@@ -110,9 +110,9 @@ def draw(axis: plt.Axes, text: str, obstacle: RigidSphere | None) -> None:
     axis.set_axis_off()
 
 
-figure, axes = plt.subplots(1, len(SCENES), figsize=(13.0, 3.8))
+figure, axes = plt.subplots(1, len(SCENES), figsize=(13.0, 3.8), layout="constrained")
 for axis, (title, scene) in zip(axes, SCENES.items(), strict=True):
     draw(axis, *scene)
     axis.set_title(title, fontsize=10)
-figure.tight_layout()
+
 figure.savefig(Path(__file__).parent / "contact_normals.png", dpi=110)
