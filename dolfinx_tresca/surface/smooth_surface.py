@@ -65,12 +65,17 @@ class SmoothSurface:
         smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        cosine = np.einsum("nci,ni->nc", self._normals, mean).min(axis=1, initial=1.0)
+        cosines = np.einsum("nci,ni->nc", self._normals, mean)
+        cosine = cosines.min(axis=1, initial=1.0)
         edge = cosine < SMOOTH_COSINE
         self._mean = np.where(edge[:, None], mean, 0.0)
         self._normals[edge] = 0.0
         start, end = self._slopes()
-        self._heights = 0.5 * (end - start) * smooth[:, None]
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        cosines = np.where(edge[:, None], 1.0, cosines)
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
         size = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (HEIGHT_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
@@ -184,7 +189,7 @@ class SmoothSurface:
         else:
             normals = np.einsum("nc,nci->ni", hats, self._normals[facet]) + self._mean[facet]
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        offsets = self.heights(facet, hats)[:, None] * normals
+        offsets = self.heights(facet, hats)[:, None] * facets.mean_normals[facet]
         exact = self._exact[facet]
         if exact.any():
             offsets[exact] = offsets_at(facets, facet[exact], x[exact])
