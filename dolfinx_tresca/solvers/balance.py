@@ -109,13 +109,11 @@ def balance(
     for _ in range(MOST_STEPS):
         gradient = excess(z)
         small, cancelled = rounding(z)
-        if ROUNDING * cancelled.max() > LOST * small.max():
+        # where no solution exists, the step beyond the proof makes the motion z more accurate
+        if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
             break
         if (np.abs(gradient) <= small + cancelled).all():
-            satisfied = not unbounded and bool((np.abs(gradient) <= small).all())
-            return Balance(z, gradient, satisfied, unbounded)
-        if unbounded:  # the step beyond makes the motion z more accurate
-            break
+            return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
         unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
         derivative = feasible_set.projection_derivative(y + constraints.columns @ z)
         hessian = constraints.hessian(derivative) + C
