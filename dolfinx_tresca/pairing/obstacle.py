@@ -157,11 +157,10 @@ def _warn_of_entered_facets(
     if unseen > UNSEEN_PART * deepest:
         log(
             comm,
-            "contact pair %s: the obstacle enters facets by up to %.3g, %.0f %% of it between "
-            "their nodes, which carry the contact and do not see it: forces are too small, and "
-            "vary as the obstacle slides from node to node. Use facets a third as large as its "
-            "radius.",
-            *(pair, deepest, 100.0 * unseen / deepest),
+            "contact pair %s: the obstacle enters facets by up to %.3g, %.3g of it between their "
+            "nodes, which carry the contact and do not see it: forces are too small, and vary as "
+            "the obstacle slides from node to node. Use facets a third as large as its radius.",
+            *(pair, deepest, unseen),
             level=logging.WARNING,
             about=str(pair),
         )
