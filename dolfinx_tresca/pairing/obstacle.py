@@ -83,6 +83,7 @@ def couple(
         _, obstacle_normals = obstacle.at(nodes.points[node_entry])
         at_corners = obstacle_normals[nodes.facet_nodes]
         faces, turns = _facing_corners(facets, obstacle, at_corners)
+        turns = np.where(faces.any(axis=1), turns, 0.0)
         normals = _corner_contact_normals(surface, facet_nodes, at_corners, turns)
     integrals = whole_facet_integrals(facets)
     weighted = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
