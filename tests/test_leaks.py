@@ -197,6 +197,8 @@ def taken_by_walls(comm: MPI.Comm, *sizes: tuple[int, int]) -> list[tuple[int, i
     result = []
     for bricks, courses in (sizes[0], *sizes):  # the first wall fills caches
         scene = wall(comm, bricks, courses, divisions=(2, 1))
+        gc.collect()  # of the wall before, on all ranks
+        PETSc.garbage_cleanup(comm)
         before = free_communicators(MPI.COMM_SELF)
         with scene.problem() as problem:
             solution = problem.solve()

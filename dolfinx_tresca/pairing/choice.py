@@ -85,7 +85,7 @@ def _pair(
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
-        if halo.comm.size > 1:
+        if halo.comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_on_this_rank(V, moved)
         coupling = obstacle.couple(V, group, pair.primary, secondary.halo.facets, nodes, moved)

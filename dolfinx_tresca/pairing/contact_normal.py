@@ -12,6 +12,7 @@ contact normal is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction, so that the rows of N are its variation.
+A rigid obstacle that the mesh resolves keeps its exact normal (`obstacle.RESOLVED_ANGLES`).
 """
 
 from __future__ import annotations
@@ -20,11 +21,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.surface.nodes import SurfaceNodes, free_normals
-
-#: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
-#: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
-#: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
-FLAT_ANGLE = 1e-3
+from dolfinx_tresca.surface.smooth_surface import FLAT_ANGLE
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
@@ -33,31 +30,48 @@ FLAT_ANGLE = 1e-3
 #: after small rotations.
 OPPOSED_ANGLE = 0.5
 
+RIGHT_ANGLE = 0.5 * np.pi
+
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
 
 def contact_normals(
-    own: Array, own_turn: Array, partner: Array, partner_turn: Array
+    own: Array,
+    partner: Array,
+    own_turn: Array,
+    partner_turn: Array,
+    own_ends: Mask | bool = False,
+    partner_ends: Mask | bool = False,
 ) -> tuple[Array, Mask]:
     """Return the contact normals (n, 3) at points of the secondary side. Not collective.
 
-    The second result is whether the normals of both sides are opposed at each point, (n,), as far
-    as the angles allow by which they turn (`OPPOSED_ANGLE`).
+    Where exactly one side ends, it counts as turning by a right angle at least. The second result
+    is whether the normals of both sides are opposed at each point, (n,), as far as the angles allow
+    by which they turn (`OPPOSED_ANGLE`), or one side ends.
 
     Args:
         own: (n, 3) outward unit normals of the secondary side.
-        own_turn: (n,) angles by which these normals turn over their facets [rad].
         partner: (n, 3) outward unit normals of the primary side at the opposite points.
-        partner_turn: (n,) angles by which these normals turn over their facets [rad].
+        own_turn: (n,) angles by which the normals of the secondary side turn over their facets.
+        partner_turn: (n,) angles by which the normals of the primary side turn [rad].
+        own_ends: (n,) whether the smooth secondary surface ends at the facet.
+        partner_ends: (n,) whether the smooth primary surface ends at the facet.
     """
+    own_turn = np.maximum(
+        own_turn, np.where(own_ends & ~np.asarray(partner_ends), RIGHT_ANGLE, 0.0)
+    )
+    partner_turn = np.maximum(
+        partner_turn, np.where(partner_ends & ~np.asarray(own_ends), RIGHT_ANGLE, 0.0)
+    )
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[:, None]  # of the own normal
     normals = share * own - (1.0 - share) * partner
     angle = np.arccos(np.clip(-np.einsum("ni,ni->n", own, partner), -1.0, 1.0))
     length = np.linalg.norm(normals, axis=1)[:, None]
     normals = np.divide(normals, length, out=own.copy(), where=length > CANCELLED)
-    return normals, angle <= OPPOSED_ANGLE + own_turn + partner_turn
+    opposed = angle <= OPPOSED_ANGLE + own_turn + partner_turn
+    return normals, np.asarray(opposed | own_ends | partner_ends)
 
 
 def nodal_contact_normals(means: Array, nodes: SurfaceNodes) -> Array:

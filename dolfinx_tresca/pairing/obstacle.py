@@ -109,14 +109,16 @@ def couple(
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
         return scale * summed(values / nodes.corner_weights * corner_weights)
 
-    secondary_sagitta = nodal_means(height)
     means = np.stack([summed(corner_weights * normals[:, :, i]) for i in range(3)], axis=1)
     means = nodal_contact_normals(scale[:, None] * means, nodes)
     cosine = -np.einsum("ni,ni->n", means, obstacle_normals)
-    gap = (nodal_means(distance) - secondary_sagitta) / np.maximum(cosine, FACING_COSINE)
+    along = np.maximum(cosine, FACING_COSINE)
+    secondary_sagitta = nodal_means(height) / along
+    gap = nodal_means(distance) / along - secondary_sagitta
     if not moved:
-        at_corners = distance.reshape(facets.nodes.shape)[:, : facets.corners]
-        _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, at_corners)
+        at_nodes = (distance - height).reshape(facets.nodes.shape)
+        facing = faces.any(axis=1)
+        _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, surface, facing, at_nodes)
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
     place = scale[:, None] * force_moments(nodes, facet_nodes, facets.points, rows)
@@ -134,25 +136,36 @@ def couple(
 
 
 def _warn_of_entered_facets(
-    comm: MPI.Comm, pair: ContactPair, obstacle: RigidObstacle, facets: Facets, at_corners: Array
+    comm: MPI.Comm,
+    pair: ContactPair,
+    obstacle: RigidObstacle,
+    facets: Facets,
+    surface: SmoothSurface,
+    facing: Mask,
+    at_nodes: Array,
 ) -> None:
-    """Warn if the obstacle enters facets between their corners, which do not see it. Collective.
+    """Warn if the obstacle enters a smooth surface between nodes, which do not see it. Collective.
 
     Args:
         comm: the communicator.
         pair: the contact pair.
         obstacle: the rigid obstacle.
         facets: the facets of the surface.
-        at_corners: (n, corners) signed distances of the corners [length].
+        surface: their smooth surface.
+        facing: (n,) whether a facet faces the obstacle.
+        at_nodes: (n, k) signed distances of the nodes on the smooth surface [length].
     """
-    values = facets.basis(lagrange_points(facets.cell, ENTERED_DEGREE))
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    near = np.abs(at_corners).min(axis=1, initial=np.inf) <= size
-    points = np.einsum("qk,nki->nqi", values, facets.points[near])
+    near = np.flatnonzero(facing & (np.abs(at_nodes).min(axis=1, initial=np.inf) <= size))
+    x = lagrange_points(facets.cell, ENTERED_DEGREE)
+    points = np.einsum("qk,nki->nqi", facets.basis(x), facets.points[near])
+    hats = np.tile(facets.hats(x), (len(near), 1))
+    heights = surface.heights(np.repeat(near, len(x)), hats).reshape(points.shape[:2])
+    points += heights[:, :, None] * facets.mean_normals[near, None]
     with errors_on_all_ranks(comm):
         inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
     depth = inside.max(axis=1, initial=0.0)
-    seen = np.maximum(-at_corners[near].min(axis=1, initial=np.inf), 0.0)
+    seen = np.maximum(-at_nodes[near].min(axis=1, initial=np.inf), 0.0)
     deepest = reduce_array(comm, depth.max(initial=0.0), MPI.MAX)
     unseen = reduce_array(comm, (depth - seen).max(initial=0.0), MPI.MAX)
     if unseen > UNSEEN_PART * deepest:
@@ -184,7 +197,7 @@ def _corner_contact_normals(
     np.maximum.at(largest, facet_nodes, turns[:, None])
     at_nodes = largest[facet_nodes].ravel()
     exact = -obstacle_normals.reshape(-1, 3)
-    normals, _ = contact_normals(outward, own_turns, -exact, at_nodes)
+    normals, _ = contact_normals(outward, -exact, own_turns, at_nodes)
     low, high = RESOLVED_ANGLES
     unresolved = np.clip((at_nodes - low) / (high - low), 0.0, 1.0)[:, None]
     normals = unresolved * normals + (1.0 - unresolved) * exact

@@ -99,8 +99,8 @@ class OverlapIntegrals:
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif self._known:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        elif self._surface.nonzero or self._primary_surface.nonzero:
-            degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
+        elif self._surface.turning or self._primary_surface.turning:
+            degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
         degree += secondary.axisymmetric  # the radius is linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         x, _ = self._rule
@@ -165,8 +165,9 @@ class OverlapIntegrals:
         to_surface, outward = self._surface.at(own_facet, x_own)
         to_other_surface, their_outward = self._primary_surface.at(their_facet, x_their)
         normals, opposed = contact_normals(
-            *(outward, self._surface.turns[own_facet]),
-            *(their_outward, self._primary_surface.turns[their_facet]),
+            *(outward, their_outward),
+            *(self._surface.turns[own_facet], self._primary_surface.turns[their_facet]),
+            *(self._surface.ends[own_facet], self._primary_surface.ends[their_facet]),
         )
         weight = weight * opposed
         seen = weight

@@ -87,8 +87,8 @@ class Facets:
 
     @property
     def mean_normals(self) -> Array:
-        """The outward unit normals (n, 3) at a point inside each facet."""
-        normals = self.area_vectors(np.full((1, self.dim), 1.0 / 3.0))[:, 0]
+        """The outward unit normals (n, 3) at the centre of each facet."""
+        normals = self.area_vectors(quadrature(self.cell, 1)[0])[:, 0]
         return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
 
     def hats(self, x: Array) -> Array:

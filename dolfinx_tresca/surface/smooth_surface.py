@@ -19,6 +19,11 @@ SMOOTH_COSINE = 0.9
 #: change the heights on irregular meshes.)
 UNEVEN = 0.5
 
+#: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
+#: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
+#: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
+FLAT_ANGLE = 1e-3
+
 #: Sagitta, relative to the size of a facet, that counts as rounding, in addition to the rounding
 #: of coordinates.
 HEIGHT_ROUNDING = 1e-10
@@ -48,8 +53,9 @@ class SmoothSurface:
         nonzero: whether any facet of this rank has a fitted height above rounding.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
-            angle that the facet spans. A fitted facet at a sharp edge, or at the rim of the
-            surface, turns by a right angle at least, since the smooth surface ends there.
+            angle that the facet spans.
+        ends: (n,) whether the smooth surface ends at the facet: at a sharp edge, or at the rim of a
+            surface that is curved there, whose normals at the rim are less accurate.
     """
 
     def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
@@ -80,10 +86,10 @@ class SmoothSurface:
         rounding = (HEIGHT_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
         self.nonzero = not facets.bent and bool(above.any())
+        self.turns = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
         _, number, patches = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
-        ends = (rim | (patches[number] > 1))[corner_nodes].any(axis=1)
-        turns = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
-        self.turns = np.where(ends, np.maximum(turns, 0.5 * np.pi), turns)
+        sharp = (patches > 1)[number][corner_nodes].any(axis=1)
+        self.ends = sharp | rim[corner_nodes].any(axis=1) & (self.turns > FLAT_ANGLE)
         self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
@@ -92,6 +98,7 @@ class SmoothSurface:
             cosine = np.einsum("ni,ni->n", normals_at(facets, facet, x), mean[facet])
             cosine = cosine.reshape(-1, facets.corners).min(axis=1, initial=1.0)
             self.turns[self._exact] = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
+            self.ends &= sharp | ~self._exact
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
@@ -106,7 +113,8 @@ class SmoothSurface:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
         Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
-        surround its other corners.
+        surround its other corners. A curve of one or two facets counts as kinked between them, a
+        surface (3D) whose facets are all at the rim as smooth.
 
         Args:
             corner_nodes: (n, corners) nodes at the corners of each facet.
@@ -119,8 +127,9 @@ class SmoothSurface:
         result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
         at_rim = rim[corner_nodes]
         outer = at_rim.any(axis=1)
-        of_nodes = np.ones(len(rim))
+        of_nodes = np.full(len(rim), np.inf)
         np.minimum.at(of_nodes, corner_nodes[~outer], result[~outer, None])
+        of_nodes[np.isinf(of_nodes)] = 0.0 if self._facets.dim == 1 else 1.0
         of_corners = np.where(at_rim, 1.0, of_nodes[corner_nodes]).min(axis=1, initial=1.0)
         return np.where(outer, of_corners, result)
 
@@ -171,6 +180,11 @@ class SmoothSurface:
         return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
 
     @property
+    def turning(self) -> bool:
+        """Whether normals of this rank's facets turn, or facets have a height."""
+        return self.nonzero or bool((self.turns > FLAT_ANGLE).any())
+
+    @property
     def corner_normals(self) -> Array:
         """Outward unit normals (n, corners, 3) of the fitted surface at the corners of facets."""
         return np.asarray(self._normals + self._mean[:, None])
@@ -202,8 +216,8 @@ def _rim_nodes(facets: Facets, nodes: SurfaceNodes) -> Mask:
     corner_nodes = nodes.facet_nodes
     if facets.dim == 1:
         return np.asarray(np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1)
-    following = corner_nodes[:, list(NEIGHBOURS[facets.cell][0])]
-    sides = np.sort(np.stack([corner_nodes.ravel(), following.ravel()], axis=1), axis=1)
+    before = corner_nodes[:, list(NEIGHBOURS[facets.cell][0])]
+    sides = np.sort(np.stack([corner_nodes.ravel(), before.ravel()], axis=1), axis=1)
     sides, count = np.unique(sides, axis=0, return_counts=True)
     result = np.zeros(len(nodes.numbers), dtype=np.bool_)
     result[sides[count == 1]] = True
