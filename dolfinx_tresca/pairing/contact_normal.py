@@ -46,9 +46,9 @@ def contact_normals(
 ) -> tuple[Array, Mask]:
     """Return the contact normals (n, 3) at points of the secondary side. Not collective.
 
-    Where exactly one side ends, it counts as turning by a right angle at least. The second result
-    is whether the normals of both sides are opposed at each point, (n,), as far as the angles allow
-    by which they turn (`OPPOSED_ANGLE`), or one side ends.
+    A side that ends counts as turning by a right angle at least. The second result is whether the
+    normals of both sides are opposed at each point, (n,), as far as the angles allow by which they
+    turn (`OPPOSED_ANGLE`).
 
     Args:
         own: (n, 3) outward unit normals of the secondary side.
@@ -58,20 +58,15 @@ def contact_normals(
         own_ends: (n,) whether the smooth secondary surface ends at the facet.
         partner_ends: (n,) whether the smooth primary surface ends at the facet.
     """
-    own_turn = np.maximum(
-        own_turn, np.where(own_ends & ~np.asarray(partner_ends), RIGHT_ANGLE, 0.0)
-    )
-    partner_turn = np.maximum(
-        partner_turn, np.where(partner_ends & ~np.asarray(own_ends), RIGHT_ANGLE, 0.0)
-    )
+    own_turn = np.maximum(own_turn, np.where(own_ends, RIGHT_ANGLE, 0.0))
+    partner_turn = np.maximum(partner_turn, np.where(partner_ends, RIGHT_ANGLE, 0.0))
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[:, None]  # of the own normal
     normals = share * own - (1.0 - share) * partner
     angle = np.arccos(np.clip(-np.einsum("ni,ni->n", own, partner), -1.0, 1.0))
     length = np.linalg.norm(normals, axis=1)[:, None]
     normals = np.divide(normals, length, out=own.copy(), where=length > CANCELLED)
-    opposed = angle <= OPPOSED_ANGLE + own_turn + partner_turn
-    return normals, np.asarray(opposed | own_ends | partner_ends)
+    return normals, np.asarray(angle <= OPPOSED_ANGLE + own_turn + partner_turn)
 
 
 def nodal_contact_normals(means: Array, nodes: SurfaceNodes) -> Array:

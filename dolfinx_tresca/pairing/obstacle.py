@@ -117,7 +117,7 @@ def couple(
     gap = nodal_means(distance) / along - secondary_sagitta
     if not moved:
         at_nodes = (distance - height).reshape(facets.nodes.shape)
-        facing = faces.any(axis=1)
+        facing = np.flatnonzero(faces.any(axis=1))
         _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, surface, facing, at_nodes)
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
@@ -141,7 +141,7 @@ def _warn_of_entered_facets(
     obstacle: RigidObstacle,
     facets: Facets,
     surface: SmoothSurface,
-    facing: Mask,
+    facing: Indices,
     at_nodes: Array,
 ) -> None:
     """Warn if the obstacle enters a smooth surface between nodes, which do not see it. Collective.
@@ -152,11 +152,11 @@ def _warn_of_entered_facets(
         obstacle: the rigid obstacle.
         facets: the facets of the surface.
         surface: their smooth surface.
-        facing: (n,) whether a facet faces the obstacle.
+        facing: (m,) the facets that face the obstacle.
         at_nodes: (n, k) signed distances of the nodes on the smooth surface [length].
     """
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    near = np.flatnonzero(facing & (np.abs(at_nodes).min(axis=1, initial=np.inf) <= size))
+    near = facing[np.abs(at_nodes[facing]).min(axis=1, initial=np.inf) <= size[facing]]
     x = lagrange_points(facets.cell, ENTERED_DEGREE)
     points = np.einsum("qk,nki->nqi", facets.basis(x), facets.points[near])
     hats = np.tile(facets.hats(x), (len(near), 1))
