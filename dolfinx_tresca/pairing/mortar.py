@@ -104,15 +104,15 @@ def couple(
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
     means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
-    gap = found.distance[position] / weights
-    if not moved:
-        # functions of the dual basis are negative in part: a mean may be less than all distances.
-        # (In moved positions the gap must change as N says, or the positions do not converge.)
-        least = np.full(len(nodes.numbers), np.inf)
-        np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
-        gap = np.maximum(gap, least[position])
-        if not any_known_surface(facets, others):
-            _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
+    # Functions of the dual basis are negative in part: a mean may be less than all distances around
+    # the node. (Where moved surfaces touch, the gap must change as N says, or the positions of
+    # finite sliding do not converge.)
+    least = np.full(len(nodes.numbers), np.inf)
+    np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
+    least[(least <= 0.0) & moved] = -np.inf
+    gap = np.maximum(found.distance[position] / weights, least[position])
+    if not moved and not any_known_surface(facets, others):
+        _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # only displacements of degree 2 can bend facets and so make up for the sagitta
     secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
     return Coupling(

@@ -54,8 +54,8 @@ class SmoothSurface:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans.
-        ends: (n,) whether the smooth surface ends at the facet: at a sharp edge, or at the rim of a
-            surface that is curved there, whose normals at the rim are less accurate.
+        ends: (n,) whether the smooth surface ends at the facet: at a sharp edge, or at the rim, in
+            3D only if it is curved there, so that normals at the rim are less accurate.
     """
 
     def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
@@ -89,7 +89,9 @@ class SmoothSurface:
         self.turns = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
         _, number, patches = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
         sharp = (patches > 1)[number][corner_nodes].any(axis=1)
-        self.ends = sharp | rim[corner_nodes].any(axis=1) & (self.turns > FLAT_ANGLE)
+        # in 3D flat slabs of one layer of cells have no facets but at the rim
+        uncertain = (self.turns > FLAT_ANGLE) | (facets.dim == 1)
+        self.ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
         self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
