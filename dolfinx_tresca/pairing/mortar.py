@@ -106,11 +106,11 @@ def couple(
     means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
     # Functions of the dual basis are negative in part: a mean may be less than all distances around
     # the node. (Where moved surfaces touch, the gap must change as N says, or the positions of
-    # finite sliding do not converge.)
+    # finite sliding do not converge: only those that are far apart have this bound.)
     least = np.full(len(nodes.numbers), np.inf)
     np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
-    least[(least <= 0.0) & moved] = -np.inf
-    gap = np.maximum(found.distance[position] / weights, least[position])
+    gap, bound = found.distance[position] / weights, least[position]
+    gap = np.where((gap < 0.5 * bound) & (bound > 0.0) | (not moved), np.maximum(gap, bound), gap)
     if not moved and not any_known_surface(facets, others):
         _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # only displacements of degree 2 can bend facets and so make up for the sagitta
