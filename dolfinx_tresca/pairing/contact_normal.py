@@ -30,8 +30,6 @@ from dolfinx_tresca.surface.smooth_surface import FLAT_ANGLE
 #: after small rotations.
 OPPOSED_ANGLE = 0.5
 
-RIGHT_ANGLE = 0.5 * np.pi
-
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
@@ -41,25 +39,19 @@ def contact_normals(
     partner: Array,
     own_turn: Array,
     partner_turn: Array,
-    own_ends: Mask | bool = False,
-    partner_ends: Mask | bool = False,
 ) -> tuple[Array, Mask]:
     """Return the contact normals (n, 3) at points of the secondary side. Not collective.
 
-    A side that ends counts as turning by a right angle at least. The second result is whether the
-    normals of both sides are opposed at each point, (n,), as far as the angles allow by which they
-    turn (`OPPOSED_ANGLE`).
+    The second result is whether the normals of both sides are opposed at each point, (n,), as far
+    as the angles allow by which they turn (`OPPOSED_ANGLE`).
 
     Args:
         own: (n, 3) outward unit normals of the secondary side.
         partner: (n, 3) outward unit normals of the primary side at the opposite points.
-        own_turn: (n,) angles by which the normals of the secondary side turn over their facets.
+        own_turn: (n,) angles by which the normals of the secondary side turn over their facets
+            [rad].
         partner_turn: (n,) angles by which the normals of the primary side turn [rad].
-        own_ends: (n,) whether the smooth secondary surface ends at the facet.
-        partner_ends: (n,) whether the smooth primary surface ends at the facet.
     """
-    own_turn = np.maximum(own_turn, np.where(own_ends, RIGHT_ANGLE, 0.0))
-    partner_turn = np.maximum(partner_turn, np.where(partner_ends, RIGHT_ANGLE, 0.0))
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[:, None]  # of the own normal
     normals = share * own - (1.0 - share) * partner

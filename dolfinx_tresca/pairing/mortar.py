@@ -39,6 +39,11 @@ LEAST_AREA_PART = 3e-4
 #: sagitta, may then be more than a tenth of the penetration.
 CLOSE_FIT = 0.5
 
+#: Part of the least distance around a node of moved surfaces below which a mean distance is wrong
+#: (mortar.couple). With 1, gaps of curved surfaces that are apart change from one pairing to the
+#: next; means of tip lands of gear teeth are negative.
+FAR_BELOW = 0.5
+
 #: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
 #: may penetrate at a few nodes, by errors of the sagitta.
 FITTED_PART = 0.25
@@ -107,10 +112,12 @@ def couple(
     # Functions of the dual basis are negative in part: a mean may be less than all distances around
     # the node. (Where moved surfaces touch, the gap must change as N says, or the positions of
     # finite sliding do not converge: only those that are far apart have this bound.)
-    least = np.full(len(nodes.numbers), np.inf)
+    least: Array = np.full(len(nodes.numbers), np.inf)
     np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
-    gap, bound = found.distance[position] / weights, least[position]
-    gap = np.where((gap < 0.5 * bound) & (bound > 0.0) | (not moved), np.maximum(gap, bound), gap)
+    gap, least = found.distance[position] / weights, least[position]
+    if moved:
+        least = np.where((least > 0.0) & (gap < FAR_BELOW * least), least, -np.inf)
+    gap = np.maximum(gap, least)
     if not moved and not any_known_surface(facets, others):
         _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # only displacements of degree 2 can bend facets and so make up for the sagitta

@@ -28,7 +28,7 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, lagrange_points, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
-from dolfinx_tresca.surface.smooth_surface import SmoothSurface
+from dolfinx_tresca.surface.smooth_surface import SmoothSurface, turned_angles
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 #: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the
@@ -160,8 +160,7 @@ def _warn_of_entered_facets(
     x = lagrange_points(facets.cell, ENTERED_DEGREE)
     points = np.einsum("qk,nki->nqi", facets.basis(x), facets.points[near])
     hats = np.tile(facets.hats(x), (len(near), 1))
-    heights = surface.heights(np.repeat(near, len(x)), hats).reshape(points.shape[:2])
-    points += heights[:, :, None] * facets.mean_normals[near, None]
+    points += surface.fitted_offsets(np.repeat(near, len(x)), hats).reshape(points.shape)
     with errors_on_all_ranks(comm):
         inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
     depth = inside.max(axis=1, initial=0.0)
@@ -232,5 +231,4 @@ def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> 
 
     faces = opposed(REFERENCE_CORNERS[facets.cell], normals)
     faces &= opposed(middle, centre_normals[:, None])
-    cosine = np.einsum("nci,ni->nc", normals, centre_normals).min(axis=1, initial=1.0)
-    return faces, 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
+    return faces, turned_angles(np.einsum("nci,ni->nc", normals, centre_normals))

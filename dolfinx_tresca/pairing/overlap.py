@@ -89,6 +89,8 @@ class OverlapIntegrals:
         self._frames = pieces.frames()
         self._surface = SmoothSurface(secondary, nodes)
         self._primary_surface = SmoothSurface(primary, primary_nodes)
+        self._turns = self._surface.turns_to_ends
+        self._primary_turns = self._primary_surface.turns_to_ends
         self._known = any_known_surface(secondary, primary)
         self._visibility = Visibility(
             pieces, others, None if order is None else order.body[pieces.facet]
@@ -166,8 +168,7 @@ class OverlapIntegrals:
         to_other_surface, their_outward = self._primary_surface.at(their_facet, x_their)
         normals, opposed = contact_normals(
             *(outward, their_outward),
-            *(self._surface.turns[own_facet], self._primary_surface.turns[their_facet]),
-            *(self._surface.ends[own_facet], self._primary_surface.ends[their_facet]),
+            *(self._turns[own_facet], self._primary_turns[their_facet]),
         )
         weight = weight * opposed
         seen = weight

@@ -122,11 +122,7 @@ class Facets:
 
     def frames(self) -> Array:
         """Return right-handed orthonormal axes (n, 3, 3) in rows: a side, across it, the normal."""
-        normals = self.mean_normals
-        first = self.points[:, 1] - self.points[:, 0]
-        first -= np.einsum("ni,ni->n", first, normals)[:, None] * normals
-        first /= np.linalg.norm(first, axis=1)[:, None]
-        return np.stack([first, cross(normals, first), normals], axis=1)
+        return frames_along(self.points[:, 1] - self.points[:, 0], self.mean_normals)
 
     def area_vectors(self, x: Array) -> Array:
         """Return outward normals (n, q, 3) whose length is the area element at reference points.
@@ -152,6 +148,18 @@ class Facets:
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
+
+
+def frames_along(sides: Array, normals: Array) -> Array:
+    """Return right-handed orthonormal axes (n, 3, 3) in rows: along a side, across it, the normal.
+
+    Args:
+        sides: (n, 3) vectors, which are projected onto the planes of the normals.
+        normals: (n, 3) unit normals.
+    """
+    first = sides - np.einsum("ni,ni->n", sides, normals)[:, None] * normals
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, cross(normals, first), normals], axis=1)
 
 
 def joined(groups: Sequence[Facets]) -> Facets:

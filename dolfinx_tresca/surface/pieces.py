@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, cross
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.facets import Facets, frames_along
 
 # corners of each piece, in the order round it, as indices of the facet's nodes in basix' order
 _WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
@@ -67,12 +67,8 @@ class Pieces:
 
     def frames(self) -> Array:
         """Return orthonormal axes (n, dim + 1, 3) of the pieces: tangents, and the normal last."""
-        side = self.points[:, 1] - self.points[:, 0]
-        first = side - np.einsum("ni,ni->n", side, self.normals)[:, None] * self.normals
-        first /= np.linalg.norm(first, axis=1)[:, None]
-        if self.points.shape[1] == 2:
-            return np.stack([first, self.normals], axis=1)
-        return np.stack([first, cross(self.normals, first), self.normals], axis=1)
+        axes = frames_along(self.points[:, 1] - self.points[:, 0], self.normals)
+        return axes[:, [0, 2]] if self.points.shape[1] == 2 else axes
 
     def local_coordinates(self, frames: Array, piece: Indices, points: Array) -> Array:
         """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).

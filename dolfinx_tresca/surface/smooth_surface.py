@@ -54,8 +54,6 @@ class SmoothSurface:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans.
-        ends: (n,) whether the smooth surface ends at the facet: at a sharp edge, or at the rim, in
-            3D only if it is curved there, so that normals at the rim are less accurate.
     """
 
     def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
@@ -66,15 +64,15 @@ class SmoothSurface:
         self._facets, corner_nodes = facets, nodes.facet_nodes
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)
-        mean, rim = facets.mean_normals, _rim_nodes(facets, nodes)
+        self._facet_normals, rim = facets.mean_normals, _rim_nodes(facets, nodes)
         self._normals = fitted_normals(facets, nodes)[corner_nodes]
         smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        cosines = np.einsum("nci,ni->nc", self._normals, mean)
-        cosine = cosines.min(axis=1, initial=1.0)
-        edge = cosine < SMOOTH_COSINE
-        self._mean = np.where(edge[:, None], mean, 0.0)
+        cosines = np.einsum("nci,ni->nc", self._normals, self._facet_normals)
+        self.turns = turned_angles(cosines)
+        edge = (cosines < SMOOTH_COSINE).any(axis=1)
+        self._mean = np.where(edge[:, None], self._facet_normals, 0.0)
         self._normals[edge] = 0.0
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
@@ -86,21 +84,20 @@ class SmoothSurface:
         rounding = (HEIGHT_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
         self.nonzero = not facets.bent and bool(above.any())
-        self.turns = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
         _, number, patches = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
         sharp = (patches > 1)[number][corner_nodes].any(axis=1)
         # in 3D flat slabs of one layer of cells have no facets but at the rim
         uncertain = (self.turns > FLAT_ANGLE) | (facets.dim == 1)
-        self.ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
+        self._ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
         self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
             x = np.tile(REFERENCE_CORNERS[facets.cell], (len(facet) // facets.corners, 1))
-            cosine = np.einsum("ni,ni->n", normals_at(facets, facet, x), mean[facet])
-            cosine = cosine.reshape(-1, facets.corners).min(axis=1, initial=1.0)
-            self.turns[self._exact] = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
-            self.ends &= sharp | ~self._exact
+            normals = normals_at(facets, facet, x)
+            cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
+            self.turns[self._exact] = turned_angles(cosines.reshape(-1, facets.corners))
+            self._ends &= sharp | ~self._exact
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
@@ -165,9 +162,9 @@ class SmoothSurface:
             return facets.points
         hats = facets.hats_at_nodes
         count = len(facets.points)
-        heights = self.heights(np.repeat(np.arange(count), len(hats)), np.tile(hats, (count, 1)))
-        raised = heights.reshape(count, -1, 1) * facets.mean_normals[:, None]
-        return np.asarray(facets.points + raised)
+        facet = np.repeat(np.arange(count), len(hats))
+        offsets = self.fitted_offsets(facet, np.tile(hats, (count, 1)))
+        return np.asarray(facets.points + offsets.reshape(facets.points.shape))
 
     def heights(self, facet: Indices, hats: Array) -> Array:
         """Return the fitted heights (n,) over facets, along the outward normal [length].
@@ -180,6 +177,19 @@ class SmoothSurface:
             return np.zeros(len(facet))
         products = hats[:, self._first] * hats[:, self._second]
         return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
+
+    def fitted_offsets(self, facet: Indices, hats: Array) -> Array:
+        """Return vectors (n, 3) to the fitted surface [length]; see `heights` for the arguments."""
+        return np.asarray(self.heights(facet, hats)[:, None] * self._facet_normals[facet])
+
+    @property
+    def turns_to_ends(self) -> Array:
+        """The `turns` (n,), at least a right angle where the smooth surface ends [rad].
+
+        It ends at sharp edges and at rims, in 3D only if it is curved there, so that normals at the
+        rim are less accurate.
+        """
+        return np.where(self._ends, np.maximum(self.turns, 0.5 * np.pi), self.turns)
 
     @property
     def turning(self) -> bool:
@@ -205,12 +215,22 @@ class SmoothSurface:
         else:
             normals = np.einsum("nc,nci->ni", hats, self._normals[facet]) + self._mean[facet]
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        offsets = self.heights(facet, hats)[:, None] * facets.mean_normals[facet]
+        offsets = self.fitted_offsets(facet, hats)
         exact = self._exact[facet]
         if exact.any():
             offsets[exact] = offsets_at(facets, facet[exact], x[exact])
             normals[exact] = normals_at(facets, facet[exact], x[exact])
         return offsets, normals
+
+
+def turned_angles(cosines: Array) -> Array:
+    """Return the angles (n,) by which normals turn over facets [rad].
+
+    Args:
+        cosines: (n, corners) cosines between the normals at the corners and at the centre.
+    """
+    least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
+    return np.asarray(2.0 * np.arccos(least))
 
 
 def _rim_nodes(facets: Facets, nodes: SurfaceNodes) -> Mask:
