@@ -274,22 +274,25 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        After `max_iterations` steps, it may continue only if the error falls fast enough: at its
-        mean rate in the second half of the steps so far, it must reach the requested error by step
-        number `MAX_ITERATIONS_FACTOR` times `max_iterations`. Rates of single steps tell little,
-        since Anderson's acceleration makes errors of the configuration jump up and down.
+        After `max_iterations` steps, it may continue only if bodies snap, which takes up to
+        `MAX_ITERATIONS_FACTOR` times this number, or if the error falls fast enough: at its mean
+        rate in the second half of the steps so far, it must reach the requested error by this
+        larger number of steps. Rates are of the least errors so far, since Anderson's acceleration
+        makes errors of the configuration jump up and down.
 
         Args:
             errors: largest ratio of an error to the requested one, for each step.
         """
         most, number = self.options.max_iterations, len(errors)
-        if number < most:
+        snaps = self._sliding is not None and self._sliding.snaps
+        if number < most * (MAX_ITERATIONS_FACTOR if snaps else 1):
             return True
-        first = (number - 1) // 2
-        if first == number - 1 or not 0.0 < errors[-1] < errors[first] < math.inf:
+        middle = (number - 1) // 2
+        least, least_before = min(errors), min(errors[: middle + 1])
+        if middle == number - 1 or not 0.0 < least < least_before < math.inf:
             return False
-        rate = (errors[-1] / errors[first]) ** (1.0 / (number - 1 - first))
-        at_end: float = errors[-1] * rate ** (MAX_ITERATIONS_FACTOR * most - number)
+        rate = (least / least_before) ** (1.0 / (number - 1 - middle))
+        at_end: float = least * rate ** (MAX_ITERATIONS_FACTOR * most - number)
         return at_end <= 1.0
 
     def _step(self) -> ContactSolution:
