@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Literal
 
 from mpi4py import MPI
 
@@ -45,7 +46,7 @@ def distance_from_die(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bent_sheet(
-    comm: MPI.Comm, cells: tuple[int, int], *, degree: int = 2, sliding: str = "small"
+    comm: MPI.Comm, cells: tuple[int, int], *, degree: int = 2, sliding: Literal["small", "finite"] = "small"
 ) -> Scene:
     """Return an elastic sheet that lies on the die, under the punch. Collective.
 

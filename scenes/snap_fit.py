@@ -57,11 +57,13 @@ class SnapFit:
     Attributes:
         problem: the contact problem.
         u: its displacement.
+        energy: form of the stored energy per width [N].
         push: function that moves the block to a distance [mm] from its first place.
     """
 
     problem: NonlinearContactProblem
     u: fem.Function
+    energy: ufl.Form
     push: Callable[[float], None]
 
 
@@ -76,8 +78,8 @@ def snap_fit(comm: MPI.Comm, friction: Friction, refined: int = 1) -> SnapFit:
     corners = LENGTH + np.array([-HEIGHT / np.tan(OUT), 0.0, FLAT, FLAT + HEIGHT / np.tan(IN)])
     along = np.append(0.0, corners)
     cells = refined * np.array([28, 5, 4, 14])
-    places = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(along, along[1:], cells)]
-    places = np.append(0.0, np.concatenate(places))
+    parts = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(along, along[1:], cells, strict=False)]
+    places = np.append(0.0, np.concatenate(parts))
     counts = (int(cells.sum()), 4 * refined)
     domain = mesh.create_rectangle(
         comm, [(0.0, 0.0), (float(counts[0]), 1.0)], counts, mesh.CellType.quadrilateral
@@ -96,9 +98,9 @@ def snap_fit(comm: MPI.Comm, friction: Friction, refined: int = 1) -> SnapFit:
     domain.geometry.x[:, 0], domain.geometry.x[:, 1] = x, below + across * (above - below)
     V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
     u = fem.Function(V)
-    energy = neo_hookean(u, YOUNG / 2.0, 0.0)
-    F = ufl.derivative(energy * ufl.dx(degree=4), u, ufl.TestFunction(V))
+    energy = neo_hookean(u, YOUNG / 2.0, 0.0) * ufl.dx(degree=4)
+    F = ufl.derivative(energy, u, ufl.TestFunction(V))
     block = RigidObstacle(distance_from_block, name="block")
     pair = ContactPair(tags, 1, block, friction, sliding="finite")
     problem = NonlinearContactProblem(F, u, [pair], [fixed(V, root)])
-    return SnapFit(problem, u, lambda distance: block.move_to((-distance, 0.0)))
+    return SnapFit(problem, u, energy, lambda distance: block.move_to((-distance, 0.0)))

@@ -102,11 +102,20 @@ class NewtonRecord:
         fraction: part of the change of load to which the solution belongs: 1, or less after a
             failure.
         message: the failure, and advice; empty after a success.
+        released: energy that is neither stored nor dissipated by friction between the displacement
+            from which the solve started and the solution [energy]: the work of loads, prescribed
+            values and obstacles, minus the change of the stored energy, minus `dissipation`. Where
+            bodies snap, it becomes motion and heat; in smooth steps it is small, of third order in
+            the size of the step. NaN if it cannot be computed, or after a failure.
+        snaps: whether most of the energy that the bodies exchange in this step is released: they
+            jump to another equilibrium, or the step is too large to follow them.
     """
 
     steps: tuple[NewtonStep, ...]
     fraction: float
     message: str
+    released: float = math.nan
+    snaps: bool = False
 
     @property
     def residual(self) -> float:

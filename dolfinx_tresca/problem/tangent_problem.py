@@ -21,6 +21,7 @@ from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.mixed_norm import MixedNorm
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 
@@ -47,7 +48,10 @@ class TangentProblem:
         tangent: the linear system of a step.
         contact: the contact problem whose K is the tangent.
         surfaces: the contact surfaces of this problem.
+        balance: the balance of energy of the present solve.
     """
+
+    balance: EnergyBalance
 
     def __init__(
         self, tangent: TangentSystem, on_accept: Callable[[], None] | None, **arguments: Any
@@ -73,7 +77,7 @@ class TangentProblem:
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
-        with self._at(self._reference):
+        with self.at(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
@@ -86,7 +90,7 @@ class TangentProblem:
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
     @contextmanager
-    def _at(self, values: Array) -> Iterator[None]:
+    def at(self, values: Array) -> Iterator[None]:
         """Set u to other values inside the block, and restore it at the end. Not collective."""
         present = self.u.x.array.copy()
         self.u.x.array[:] = values
@@ -114,7 +118,7 @@ class TangentProblem:
         if not self._has_history:
             return
         try:
-            with self._at(u.x.array):
+            with self.at(u.x.array):
                 self.tangent.forget_material()
                 forces = self.tangent.internal_forces()
                 if self._solved_forces is not None:
@@ -133,7 +137,7 @@ class TangentProblem:
         """
         solution = self.surfaces.state.solution
         if self._has_history and solution is not None:
-            with self._at(solution.fields.w.x.array):
+            with self.at(solution.fields.w.x.array):
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
@@ -213,7 +217,7 @@ class TangentProblem:
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.surfaces.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self._at(self._reference):
+            with self.at(self._reference):
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -253,7 +257,7 @@ class TangentProblem:
         Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
         other than displacements are zero, too: stiffness added to them would change constraints.
         """
-        with self._at(self._reference):
+        with self.at(self._reference):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free, moves = stiffness.createVecs()
@@ -280,6 +284,7 @@ class TangentProblem:
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
         before = self.surfaces.state.motions
+        self.balance = EnergyBalance(self)
         self.surfaces.begin_solve()
         accepted = self.surfaces.state.accepted
         u = accepted.displacement
@@ -293,6 +298,7 @@ class TangentProblem:
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.surfaces.align_tangents(self.surfaces.slip_bounds())
+        self.balance.note_start()
 
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
@@ -383,7 +389,7 @@ class TangentProblem:
         The position is relative to the middle of all nodes: terms of F may resist a translation. In
         a body of revolution a radial translation is a strain, and the radius is not changed.
         """
-        V, component = self.tangent.V, self.tangent.component
+        V = self.tangent.V
         dim, nodes = V.mesh.geometry.dim, V.dofmap.index_map
         position = fem.Function(V)
         position.interpolate(lambda x: x[:dim])
@@ -391,11 +397,7 @@ class TangentProblem:
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric
         x -= middle
-        if component is None:
-            return np.array(position.x.array)
-        w = fem.Function(self.tangent.space)
-        component.compose(w, position, component.other_parts(w))
-        return np.array(w.x.array)
+        return self.tangent.whole(position)
 
     def place_of_largest(self, values: Array) -> Array:
         """Return the point (dim,) [length] where a change of displacement is largest. Collective.

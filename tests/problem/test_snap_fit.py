@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dolfinx import fem
+
 from dolfinx_tresca import Coulomb, Frictionless
 from scenes.snap_fit import WIDTH, snap_fit
 
@@ -47,3 +49,22 @@ def test_contact_passes_from_node_to_node_under_a_force_near_buckling(comm):
     assert found[-1] == pytest.approx([-19.7, -32.83], rel=1e-2)
     assert found[-1][0] / found[-1][1] == pytest.approx(ROUGH, rel=1e-4)
     assert max(steps) <= 40 and np.mean(steps) <= 12
+
+
+@pytest.mark.parallel()
+def test_a_hook_that_springs_free_releases_its_energy(comm):
+    """The block goes away sideways in one step: nothing takes up what the hook has stored."""
+    hook = snap_fit(comm, Frictionless())
+    form = fem.form(hook.energy)
+    with hook.problem as problem:
+        for distance in (0.9, 1.8, 2.7, 3.6, 4.5, 5.4):
+            hook.push(distance)
+            problem.solve().raise_if_failed()
+            problem.accept()
+        stored = comm.allreduce(fem.assemble_scalar(form))
+        hook.push(10.0)
+        solution = problem.solve()
+        solution.raise_if_failed()
+        left = comm.allreduce(fem.assemble_scalar(form))
+    assert left <= 1e-3 * stored  # the block still touches the beam
+    assert solution.newton.released == pytest.approx(stored - left, rel=1e-2)
