@@ -384,12 +384,13 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
+        failed = (run.unbalanced, run.flips) if run.fraction < 1.0 else (None, None)
         values = vars(found) | {
             "status": status,
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),
             "krylov_iterations": run.krylov_iterations,
             "timings": run.timings,
-            "newton": NewtonRecord(tuple(run.steps), run.fraction, message, released, snaps),
+            "newton": NewtonRecord(tuple(run.steps), run.fraction, message, released, snaps, *failed),
         }
         return self._contact.checked(NonlinearContactSolution(**values), linear=False)

@@ -15,12 +15,13 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
-from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.mixed_norm import MixedNorm
 from dolfinx_tresca.problem.tangent_system import TangentSystem
@@ -398,6 +399,34 @@ class TangentProblem:
         middle[0] *= not self.tangent.axisymmetric
         x -= middle
         return self.tangent.whole(position)
+
+    @property
+    def owned_nodes(self) -> int:
+        """The number of this rank's nodes of the displacement."""
+        return int(self.tangent.V.dofmap.index_map.size_local)
+
+    def unbalanced_forces(self) -> fem.Function:
+        """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
+        forces = fem.Function(self.tangent.space)
+        try:
+            residual = self.tangent.residual(self.surfaces.contact_forces())
+        except StiffnessError:  # the user's function has no stresses here
+            residual = np.full(len(self.tangent.prescribed), np.nan)
+        forces.x.array[: len(residual)] = residual
+        forces.x.scatter_forward()
+        return self.tangent.displacement(forces, "unbalanced")
+
+    def function_at_nodes(self, name: str, values: Array) -> fem.Function:
+        """Return a function with values (owned nodes,) at the nodes of the displacement.
+
+        Collective.
+        """
+        space, dofs = collapse(self.tangent.V.sub(0))
+        function = fem.Function(space, name=name)
+        owned = space.dofmap.index_map.size_local
+        function.x.array[:owned] = values[dofs[:owned] // self.tangent.V.dofmap.bs]
+        function.x.scatter_forward()
+        return function
 
     def place_of_largest(self, values: Array) -> Array:
         """Return the point (dim,) [length] where a change of displacement is largest. Collective.

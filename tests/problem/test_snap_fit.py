@@ -7,8 +7,8 @@ import pytest
 
 from dolfinx import fem
 
-from dolfinx_tresca import Coulomb, Frictionless
-from scenes.snap_fit import WIDTH, snap_fit
+from dolfinx_tresca import ContactStatus, Coulomb, Frictionless, NewtonOptions
+from scenes.snap_fit import FLAT, HEIGHT, IN, LENGTH, WIDTH, snap_fit
 
 #: Coefficient of friction with which the way in needs three times the force.
 ROUGH = 0.6
@@ -68,3 +68,23 @@ def test_a_hook_that_springs_free_releases_its_energy(comm):
         left = comm.allreduce(fem.assemble_scalar(form))
     assert left <= 1e-3 * stored  # the block still touches the beam
     assert solution.newton.released == pytest.approx(stored - left, rel=1e-2)
+
+
+def test_a_failure_shows_where_contact_changes(comm):
+    """Few Newton steps, and no smaller part of the load: the force passes between two nodes."""
+    hook = snap_fit(comm, Coulomb(ROUGH))
+    with hook.problem as problem:
+        for distance in (0.75, 1.5, 2.25, 3.0, 3.6, 3.675):
+            hook.push(distance)
+            problem.solve().raise_if_failed()
+            problem.accept()
+        held = problem.prescribed
+        hook.push(3.75)
+        solution = problem.solve(newton=NewtonOptions(max_iterations=6, max_halvings=0))
+    assert solution.status is ContactStatus.NO_EQUILIBRIUM
+    flips, unbalanced = solution.newton.flips, solution.newton.unbalanced
+    x = flips.function_space.tabulate_dof_coordinates()[flips.x.array > 0]
+    corner, end = LENGTH + FLAT, LENGTH + FLAT + HEIGHT / np.tan(IN)
+    assert len(x) and ((corner <= x[:, 0]) & (x[:, 0] <= end) & (x[:, 1] > 0.0)).all()
+    assert 0.0 < np.abs(unbalanced.x.array).max() < np.inf
+    assert not unbalanced.x.array[: len(held)][held].any()
