@@ -110,6 +110,7 @@ class Newton:
         self.stopped = False
         self.stuck = False
         self._sliding: FiniteSliding | None = None  # of the present part of the load
+        self._flips = np.zeros(problem.owned_nodes)  # of each node in this part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
         # change of u in the last step that was not the first step of a part of the load
         self._last_change: Array | None = None
@@ -179,7 +180,7 @@ class Newton:
         number, slow = 0, False
         errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
-        self._flips, pressed = np.zeros(problem.owned_nodes, np.int32), None
+        self._flips, pressed = np.zeros(problem.owned_nodes), None
         if problem.surfaces.slides_far:
             self._sliding = FiniteSliding(problem.surfaces)
             self.level = 0  # springs would hold the partners of another configuration
