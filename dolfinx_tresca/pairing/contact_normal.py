@@ -20,8 +20,8 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca.surface.nodes import SurfaceNodes, free_normals
-from dolfinx_tresca.surface.smooth_surface import FLAT_ANGLE
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, free_normals
+from dolfinx_tresca.pairing.search.smooth_surface import FLAT_ANGLE
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot

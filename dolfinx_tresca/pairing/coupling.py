@@ -13,9 +13,9 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 
 @dataclass(frozen=True)

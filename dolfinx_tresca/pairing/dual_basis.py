@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
-from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
 #: rounding of the coordinates times the node's area. (Integrals over overlaps are sums of

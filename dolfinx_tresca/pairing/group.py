@@ -18,16 +18,16 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.pairing.search.matching import RIM_PART
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
-from dolfinx_tresca.surface.matching import RIM_PART
-from dolfinx_tresca.surface.numbering import label_bodies
 
 #: Arguments that pairs of a group must have in common.
 COMMON = ("sliding", "search_distance", "pairing", "geometry")

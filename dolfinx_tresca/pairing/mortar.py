@@ -23,11 +23,11 @@ from dolfinx_tresca.pairing.dual_basis import (
 )
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes
+from dolfinx_tresca.pairing.search.offsets import any_known_surface
 from dolfinx_tresca.scene.friction import DryFriction, Friction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
-from dolfinx_tresca.surface.offsets import any_known_surface
 
 #: Least covered part of a node's area with which the node carries a multiplier. (At the limit
 #: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,

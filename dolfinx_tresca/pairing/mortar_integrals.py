@@ -11,12 +11,12 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.pairing.dual_basis import FacetIntegrals
 from dolfinx_tresca.pairing.overlap import Overlap, OverlapIntegrals
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, blocks
-from dolfinx_tresca.surface.self_contact import SelfContact
-from dolfinx_tresca.surface.visibility import FACING_COSINE
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.pieces import Pieces
+from dolfinx_tresca.pairing.search.search import Balls, blocks
+from dolfinx_tresca.pairing.search.self_contact import SelfContact
+from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 
 #: (p,) secondary facets, (p,) primary facets -> (p,) whether both may be paired.
 MayMeet: TypeAlias = Callable[[Indices, Indices], Mask]

@@ -7,7 +7,7 @@ from typing import Any
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.vertices import entities_per_cell
-from dolfinx_tresca.surface.facets import tabulate
+from dolfinx_tresca.pairing.search.facets import tabulate
 
 
 def straightened(V: Any, u: Array) -> Array:

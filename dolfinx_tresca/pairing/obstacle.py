@@ -24,12 +24,12 @@ from dolfinx_tresca.pairing.dual_basis import (
     whole_facet_integrals,
 )
 from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
+from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.pairing.search.smooth_surface import SmoothSurface, turned_angles
+from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, lagrange_points, quadrature
-from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
-from dolfinx_tresca.surface.smooth_surface import SmoothSurface, turned_angles
-from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 #: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the
 #: first one the mesh resolves the obstacle, and its exact normals at the nodes count; from the

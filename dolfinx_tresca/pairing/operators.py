@@ -22,13 +22,13 @@ from dolfinx_tresca._base.arrays import (
 )
 from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.matching import RIM_PART
+from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, tangents
+from dolfinx_tresca.pairing.search.search import expanded_ranges
+from dolfinx_tresca.pairing.search.whole import WholeSurface
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.matching import RIM_PART
-from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
-from dolfinx_tresca.surface.search import expanded_ranges
-from dolfinx_tresca.surface.whole import WholeSurface
 
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (

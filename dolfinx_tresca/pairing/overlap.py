@@ -8,17 +8,17 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.pairing.contact_normal import contact_normals
-from dolfinx_tresca.surface.clipping import overlaps
-from dolfinx_tresca.surface.facets import Facets, quadrature, rounding_of
-from dolfinx_tresca.surface.matching import facets_coincide
-from dolfinx_tresca.surface.nearest import nearest_layer_weights
-from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.projection import project
-from dolfinx_tresca.surface.self_contact import SelfContact
-from dolfinx_tresca.surface.smooth_surface import SmoothSurface
-from dolfinx_tresca.surface.visibility import Visibility
+from dolfinx_tresca.pairing.search.clipping import overlaps
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature, rounding_of
+from dolfinx_tresca.pairing.search.matching import facets_coincide
+from dolfinx_tresca.pairing.search.nearest import nearest_layer_weights
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.offsets import OFFSET_DEGREE, any_known_surface
+from dolfinx_tresca.pairing.search.pieces import Pieces
+from dolfinx_tresca.pairing.search.projection import project
+from dolfinx_tresca.pairing.search.self_contact import SelfContact
+from dolfinx_tresca.pairing.search.smooth_surface import SmoothSurface
+from dolfinx_tresca.pairing.search.visibility import Visibility
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Indices, Mask
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.self_contact import SelfContact
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.self_contact import SelfContact
 
 
 def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:

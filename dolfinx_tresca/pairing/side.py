@@ -18,10 +18,10 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import owned_nodes
+from dolfinx_tresca.pairing.search.halo import Halo
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.whole import WholeSurface
 from dolfinx_tresca.scene.pair import ContactPair, SideName
-from dolfinx_tresca.surface.halo import Halo
-from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.whole import WholeSurface
 
 #: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
 SAME_PLACE = 1e-6

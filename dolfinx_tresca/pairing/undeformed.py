@@ -8,11 +8,11 @@ from typing import Any
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.search.facets import Facets, joined
+from dolfinx_tresca.pairing.search.offsets import with_offsets
+from dolfinx_tresca.pairing.search.self_contact import FINER, facet_origins
+from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets
 from dolfinx_tresca.scene.pair import SIDES
-from dolfinx_tresca.surface.facets import Facets, joined
-from dolfinx_tresca.surface.offsets import with_offsets
-from dolfinx_tresca.surface.self_contact import FINER, facet_origins
-from dolfinx_tresca.surface.tagged import displaced, tagged_facets
 
 
 @dataclass(frozen=True)

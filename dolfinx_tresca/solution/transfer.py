@@ -14,8 +14,8 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.pairing.search.box import Box
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
-from dolfinx_tresca.surface.box import Box
 
 #: Maps the number of corners of a facet to the simplices into which the facet is divided.
 SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}

@@ -12,7 +12,7 @@ from sheets import CELLS, joined, nodes_of, part_of, sheet
 
 from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, _blocks_of_pairs
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.pairing.search.facets import Facets
 from scenes.scene import EPS
 
 #: Rounding of sums of some hundred products of numbers of size 1.

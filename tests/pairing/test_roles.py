@@ -7,7 +7,7 @@ from sheets import joined, nodes_of, sheet
 
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.roles import opposite_bodies, redundant_nodes
-from dolfinx_tresca.surface.self_contact import SelfContact
+from dolfinx_tresca.pairing.search.self_contact import SelfContact
 
 #: Facets of each of two sheets that face each other, the first one's before the second one's.
 NUMBER = 6

@@ -12,10 +12,10 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.pairing.search.facets import Facets, cross_products, lagrange_points, tabulate
 from dolfinx_tresca.scene.geometry import Projection, open_projections, project_points
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, cross_products, lagrange_points, tabulate
 
 #: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
 #: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.

@@ -17,10 +17,10 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.numbering import label_bodies
-from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
 #: 1, slight differences in size would decide, and between equal bricks rounding.

@@ -10,10 +10,10 @@ from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
 from dolfinx_tresca.pairing.coupling import owned_nodes
+from dolfinx_tresca.pairing.search.halo import Halo
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, tangents
+from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.surface.halo import Halo
-from dolfinx_tresca.surface.nodes import SurfaceNodes, tangents
-from dolfinx_tresca.surface.tagged import tagged_facets
 from scenes.scene import EPS
 from scenes.two_bricks import two_bricks
 

@@ -42,9 +42,9 @@ class Facets:
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            surface/offsets.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
+            search/offsets.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
-            see surface/self_contact.py; (n, 0) on other surfaces.
+            see search/self_contact.py; (n, 0) on other surfaces.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane of its own.
@@ -108,7 +108,7 @@ class Facets:
         """Return the facets with their nodes at other points (n, k, 3).
 
         `bent` and `plane` of the result describe the facets of this rank only; see `checked` in
-        surface/tagged.py.
+        pairing/search/tagged.py.
         """
         if self.degree == 1 and self.cell != "quadrilateral":
             return replace(self, points=points)  # always straight and plane

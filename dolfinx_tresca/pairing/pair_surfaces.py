@@ -17,15 +17,15 @@ from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.roles import opposite_bodies, redundant_nodes
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
+from dolfinx_tresca.pairing.search.matching import MATCHING_DISTANCE, RIM_PART, corner_distances
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.self_contact import SelfContact
 from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.halo import Halo, extend_halos
-from dolfinx_tresca.surface.matching import MATCHING_DISTANCE, RIM_PART, corner_distances
-from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.self_contact import SelfContact
 
 
 def pair_surfaces(

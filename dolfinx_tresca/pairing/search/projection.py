@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.surface.facets import Facets, tabulate
+from dolfinx_tresca.pairing.search.facets import Facets, tabulate
 
 #: Largest number of Newton steps; the length of a step, in reference coordinates, that counts as
 #: rounding.

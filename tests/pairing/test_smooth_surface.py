@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from sheets import CELLS, joined, nodes_of, sheet
 
-from dolfinx_tresca.surface.facets import quadrature
-from dolfinx_tresca.surface.smooth_surface import SmoothSurface
+from dolfinx_tresca.pairing.search.facets import quadrature
+from dolfinx_tresca.pairing.search.smooth_surface import SmoothSurface
 
 RADIUS = 2.0
 

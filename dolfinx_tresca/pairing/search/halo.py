@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca.surface.box import Box
-from dolfinx_tresca.surface.facets import FACET_ARRAYS, Facets
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
-from dolfinx_tresca.surface.visibility import (
+from dolfinx_tresca.pairing.search.box import Box
+from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets
+from dolfinx_tresca.pairing.search.pieces import Pieces
+from dolfinx_tresca.pairing.search.search import Balls, blocks, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.visibility import (
     CREDIBLE_PART,
     FACING_COSINE,
     SHALLOW_DEPTH,

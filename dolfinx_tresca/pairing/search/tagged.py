@@ -17,7 +17,7 @@ from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell, numbers_in_file
 from dolfinx_tresca.errors import InputError, PairingError
-from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
+from dolfinx_tresca.pairing.search.facets import Facets, oriented, quadrature
 
 #: Area of a facet relative to the square of its size, in 2D its length relative to the longest
 #: facet, up to which the facet counts as degenerate, in addition to the rounding of coordinates.

@@ -7,9 +7,9 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, part_of, sheet
 
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility, distances
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.pieces import Pieces
+from dolfinx_tresca.pairing.search.visibility import CREDIBLE_PART, Visibility, distances
 
 UP, DOWN = True, False
 

@@ -13,8 +13,8 @@ from rotations import rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
+from dolfinx_tresca.pairing.search.nodes import EDGE_ANGLE, smooth_patches
 from dolfinx_tresca.pairing.side import Side
-from dolfinx_tresca.surface.nodes import EDGE_ANGLE, smooth_patches
 from scenes.scene import EPS
 
 

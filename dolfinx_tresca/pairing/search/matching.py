@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.pairing.search.facets import Facets
 
 #: Distance of two corners, relative to the size of the facet, up to which they match, in addition
 #: to the rounding of coordinates. Twice as much would admit meshes that are twice as far apart;

@@ -9,10 +9,10 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.surface.halo import Halo, extend_halos
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls
-from dolfinx_tresca.surface.tagged import tagged_facets
+from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
+from dolfinx_tresca.pairing.search.pieces import Pieces
+from dolfinx_tresca.pairing.search.search import Balls
+from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from scenes.patches import LOWER, UPPER, patch
 
 

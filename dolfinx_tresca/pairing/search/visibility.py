@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.pieces import Pieces
+from dolfinx_tresca.pairing.search.search import Balls, expanded_ranges, flattened
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
 #: degrees). At larger angles the facet's area is more than ten times the area of its projection.
@@ -62,7 +62,7 @@ class Visibility:
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
-    surface/nearest.py.
+    pairing/search/nearest.py.
     """
 
     def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import NEIGHBOURS, REFERENCE_CORNERS, SurfaceNodes
-from dolfinx_tresca.surface.offsets import normals_at, offsets_at
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import NEIGHBOURS, REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.pairing.search.offsets import normals_at, offsets_at
 
 #: Least cosine between a facet's normal and the normals at its corners (26 degrees). Below it a
 #: corner is on an edge, and the facet counts as flat.

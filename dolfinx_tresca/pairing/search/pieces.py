@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, cross
-from dolfinx_tresca.surface.facets import Facets, frames_along
+from dolfinx_tresca.pairing.search.facets import Facets, frames_along
 
 # corners of each piece, in the order round it, as indices of the facet's nodes in basix' order
 _WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}

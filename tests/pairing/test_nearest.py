@@ -8,8 +8,8 @@ from sheets import CELLS, joined, nodes_of, part_of, sheet
 
 from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nearest import _candidate_pairs, _inside
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nearest import _candidate_pairs, _inside
 from scenes.scene import EPS
 
 

@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross
-from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.search import expanded_ranges
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.search import expanded_ranges
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
 #: between them. Regular polygons with seven or more sides are smooth, as approximations of circles

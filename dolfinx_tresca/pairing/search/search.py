@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca.surface.box import Box
+from dolfinx_tresca.pairing.search.box import Box
 
 #: Number of lines in a block that is searched at once, which bounds the memory.
 LINES_AT_ONCE = 4096

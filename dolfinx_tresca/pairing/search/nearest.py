@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.surface.search import expanded_ranges
+from dolfinx_tresca.pairing.search.search import expanded_ranges
 
 #: The overlaps of a piece are taken not to cover each other if their total area is at most this
 #: times the area of the piece: 1 plus rounding.

@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.pairing.search.facets import Facets
 
 
 @dataclass(frozen=True)
