@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,37 +25,23 @@ EPSILON = float(np.finfo(np.float64).eps)
 LEAST_EIGENVALUE = 1e-6
 
 
-@dataclass(frozen=True)
-class FacetIntegrals:
-    """Integrals over the covered part of each secondary facet [length^2, in 2D length].
+def whole_facet_integrals(facets: Facets) -> tuple[Array, Array]:
+    """Return integrals as if every facet were covered completely. Not collective.
 
-    Attributes:
-        hats: (n, corners, corners) integrals of the products of two hat functions.
-        values: (n, corners, k) integrals of hat functions times basis functions of the
-            displacement.
+    Returns:
+        (n, corners, corners) integrals of the products of two hat functions, and (n, corners, k)
+        integrals of hat functions times basis functions of the displacement.
     """
-
-    hats: Array
-    values: Array
-
-    @property
-    def weights(self) -> Array:
-        """Integrals (n, corners) of the hat functions."""
-        return np.asarray(self.hats.sum(axis=2))
-
-
-def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
-    """Return the integrals as if every facet were covered completely. Not collective."""
     x, w = quadrature(facets.cell, 4 * facets.degree + 2)
     area = facets.area_elements(x) * w
     hats, basis = facets.hats(x), facets.basis(x)
-    return FacetIntegrals(
+    return (
         np.einsum("nq,qa,qb->nab", area, hats, hats, optimize=True),
         np.einsum("nq,qa,qk->nak", area, hats, basis, optimize=True),
     )
 
 
-def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
+def dual_coefficients(hats: Array, full: Mask, carries: Mask | None = None) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
@@ -68,18 +53,19 @@ def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | Non
     transferred exactly.
 
     Args:
-        integrals: the integrals over the covered parts.
+        hats: (n, corners, corners) integrals of the products of two hat functions over the covered
+            parts of facets.
         full: (n,) whether the whole facet is covered, so that no regularisation is needed.
         carries: (n, corners) whether a corner carries a multiplier; None: all do. A facet without
             such corners has no basis functions.
     """
-    hats, corners = integrals.hats, integrals.hats.shape[1]
+    weights, corners = hats.sum(axis=2), hats.shape[1]
     if carries is None:
         carries = np.ones(hats.shape[:2], dtype=np.bool_)
     result = np.zeros_like(hats)
     plain = full & carries.all(axis=1)
-    result[plain] = integrals.weights[plain][:, :, None] * np.linalg.inv(hats[plain])
-    rest = ~plain & (integrals.weights.sum(axis=1) > 0.0)
+    result[plain] = weights[plain][:, :, None] * np.linalg.inv(hats[plain])
+    rest = ~plain & (weights.sum(axis=1) > 0.0)
     sums = redistributed(np.broadcast_to(np.eye(corners), hats[rest].shape), carries[rest])
     result[rest] = _regularised_dual(sums @ hats[rest] @ sums.transpose(0, 2, 1)) @ sums
     return result
@@ -146,37 +132,17 @@ def assemble_rows(
     return coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
 
 
-def force_moments(
-    nodes: SurfaceNodes, facet_corners: Indices, points: Array, values: Array
-) -> Array:
-    """Return the points of application of nodal forces, times the nodes' weights, (nodes, 3).
-
-    A unit pressure at a secondary node causes a force at the node of each column: the entry in the
-    secondary node's row of `assemble_rows`. The resultant of these forces acts at the point of
-    application.
-
-    Args:
-        nodes: the secondary nodes.
-        facet_corners: (n, corners) indices in `nodes` of the rows of each block.
-        points: (n, k, 3) positions of the nodes that are the columns of each block [length].
-        values: (n, corners, k) the blocks, see `assemble_rows`.
-    """
-    result = np.zeros((len(nodes.numbers), 3))
-    np.add.at(result, facet_corners, values @ points)
-    return result
-
-
-def drop_rounding(matrix: Any, facets: Facets, facet_corners: Indices, areas: Array) -> Any:
+def drop_rounding(matrix: Any, nodes: SurfaceNodes, rows: Indices, areas: Array) -> Any:
     """Remove entries that are rounding errors from a csr matrix of `assemble_rows`.
 
     Args:
         matrix: (nodes, columns) integrals over the facets.
-        facets: the facets.
-        facet_corners: (n, corners) indices of the rows of each facet.
+        nodes: the secondary nodes.
+        rows: (n, corners) indices in `nodes` of the rows of each facet.
         areas: (nodes,) covered area of each node [length^2, in 2D length].
     """
     rounding = np.zeros(matrix.shape[0])
-    np.maximum.at(rounding, facet_corners, facets.rounding[:, None])
+    np.maximum.at(rounding, rows, nodes.facets.rounding[:, None])
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     matrix.data[np.abs(matrix.data) <= ENTRY_ROUNDING * (rounding * areas)[row]] = 0.0
     matrix.eliminate_zeros()

@@ -24,7 +24,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.pairing.search.matching import RIM_PART
+from dolfinx_tresca.pairing.search.facets import RIM_PART
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName

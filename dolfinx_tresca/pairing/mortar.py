@@ -18,14 +18,13 @@ from dolfinx_tresca.pairing.dual_basis import (
     assemble_rows,
     drop_rounding,
     dual_coefficients,
-    force_moments,
     redistributed,
 )
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes
-from dolfinx_tresca.pairing.search.offsets import any_known_surface
+from dolfinx_tresca.pairing.search.tagged import any_known_surface
 from dolfinx_tresca.scene.friction import DryFriction, Friction
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -70,9 +69,8 @@ SIZE_ROUNDING = 1e-6
 def couple(
     V: Any,
     group: PairGroup,
-    facets: Facets,
     nodes: SurfaceNodes,
-    others: Facets,
+    other_nodes: SurfaceNodes,
     integrals: MortarIntegrals,
     shared: Mask,
     moved: bool,
@@ -85,9 +83,8 @@ def couple(
     Args:
         V: the space of the displacement.
         group: the contact pairs.
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
-        others: facets of the primary side.
+        nodes: nodes of the secondary side.
+        other_nodes: nodes of the primary side.
         integrals: the integrals over the overlap.
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
@@ -96,15 +93,21 @@ def couple(
     Raises:
         PairingError: no node can carry a multiplier.
     """
-    pair = group.surfaces
-    without = nodes_without_multiplier(V, facets, nodes, others, integrals, shared, pair.friction)
+    pair, facets, others = group.surfaces, nodes.facets, other_nodes.facets
+    without = nodes_without_multiplier(V, nodes, others, integrals, shared, pair.friction)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
-        found = mortar_rows(facets, nodes, others, integrals, columns, without)
+        found = mortar_rows(nodes, others, integrals, columns, without)
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     weights = found.weights[position]
-    shares = _shares(group, facets, nodes, others, integrals, without)[position]
+    facet, other = integrals.secondary, integrals.primary
+    corner = nodes.facet_nodes[facet]
+    covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[corner])[:, :, 0]
+    member = group.pair_of_tags[facets.tag_index[facet], others.tag_index[other]]
+    areas = np.zeros((len(nodes.numbers), len(group.pairs)))
+    np.add.at(areas, (corner, member[:, None]), covered)
+    shares = areas[position]
     scale: Array = np.reciprocal(weights)
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
@@ -133,27 +136,6 @@ def couple(
         place,
         secondary_sagitta,
     )
-
-
-def _shares(
-    group: PairGroup,
-    facets: Facets,
-    nodes: SurfaceNodes,
-    others: Facets,
-    integrals: MortarIntegrals,
-    without: Mask,
-) -> Array:
-    """Return the covered areas (n, pairs) of each node that belong to each pair of a group.
-
-    The arguments are those of `couple` and `nodes_without_multiplier`. Not collective.
-    """
-    facet, other = integrals.secondary, integrals.primary
-    pair = group.pair_of_tags[facets.tag_index[facet], others.tag_index[other]]
-    node = nodes.facet_nodes[facet]
-    covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[node])[:, :, 0]
-    result = np.zeros((len(nodes.numbers), len(group.pairs)))
-    np.add.at(result, (node, pair[:, None]), covered)
-    return result
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
@@ -200,7 +182,6 @@ class MortarRows:
 
 
 def mortar_rows(
-    secondary: Facets,
     nodes: SurfaceNodes,
     primary: Facets,
     integrals: MortarIntegrals,
@@ -210,8 +191,7 @@ def mortar_rows(
     """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
 
     Args:
-        secondary: facets of the secondary side.
-        nodes: nodes of the secondary facets.
+        nodes: nodes of the secondary side.
         primary: facets of the primary side.
         integrals: the integrals over the overlap.
         columns: number of nodes of V on all ranks.
@@ -220,39 +200,31 @@ def mortar_rows(
             nodes have multipliers.
     """
     carries = None if without is None else ~without[nodes.facet_nodes]
-    dual = dual_coefficients(integrals.own, integrals.full, carries)
-    weights = integrals.own.weights
+    dual = dual_coefficients(integrals.hats, integrals.full, carries)
+    weights = integrals.hats.sum(axis=2)
     if carries is not None:
         weights = redistributed(weights[:, :, None], carries)[:, :, 0]
 
-    def summed(values: Array) -> Array:
-        sums = np.bincount(nodes.facet_nodes.ravel(), values.ravel(), minlength=len(nodes.numbers))
-        return sums.astype(np.float64)
-
-    weights = summed(weights)
-    own = dual @ integrals.own.values
+    sums = np.bincount(nodes.facet_nodes.ravel(), weights.ravel(), minlength=len(nodes.numbers))
+    weights = sums.astype(np.float64)
+    own = dual @ integrals.values
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
     across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    jump = assemble_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns) - across
-    heights, secondary_sagitta, distance = (
-        summed(np.einsum("nab,nb->na", dual, of_hats))
-        for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)
-    )
-    normals = np.stack(
-        [summed(np.einsum("nab,nb->na", dual, integrals.normals[:, :, i])) for i in range(3)],
-        axis=1,
-    )
-    acting = force_moments(nodes, nodes.facet_nodes, secondary.points, own)
+    jump = assemble_rows(nodes, nodes.facet_nodes, nodes.facets.nodes, own, columns) - across
+    means, acting = np.zeros((len(weights), 6)), np.zeros((len(weights), 3))
+    np.add.at(means, nodes.facet_nodes, dual @ integrals.means)
+    np.add.at(acting, nodes.facet_nodes, own @ nodes.facets.points)
+    distance, secondary_sagitta, heights = means[:, :3].T
     jump, across = (
-        drop_rounding(matrix, secondary, nodes.facet_nodes, weights) for matrix in (jump, across)
+        drop_rounding(matrix, nodes, nodes.facet_nodes, weights) for matrix in (jump, across)
     )
+    normals = means[:, 3:]
     return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, normals, acting)
 
 
 def nodes_without_multiplier(
     V: Any,
-    facets: Facets,
     nodes: SurfaceNodes,
     others: Facets,
     integrals: MortarIntegrals,
@@ -273,8 +245,7 @@ def nodes_without_multiplier(
 
     Args:
         V: the space of the displacement.
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
+        nodes: nodes of the secondary side.
         others: facets of the primary side.
         integrals: the integrals over the overlap.
         shared: (n,) whether a node also belongs to the primary side.
@@ -283,7 +254,7 @@ def nodes_without_multiplier(
     Returns:
         (n,) whether the node has no multiplier; the same on all ranks that have the node.
     """
-    corners, weights = nodes.facet_nodes, integrals.own.weights
+    corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     count = len(nodes.numbers)
     covered = np.bincount(corners.ravel(), weights.ravel(), minlength=count)
     whole = np.broadcast_to(weights.mean(axis=1, keepdims=True), weights.shape)
@@ -310,7 +281,7 @@ def nodes_without_multiplier(
     near = _corners_of(corners, part & (near & ~without)[corners].any(axis=1), count)
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
     if isinstance(friction, DryFriction):
-        without |= prescribed_before_coarser_facets(facets, nodes, others, integrals)
+        without |= prescribed_before_coarser_facets(nodes, others, integrals)
     without = owners_flags((covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
@@ -320,7 +291,7 @@ def nodes_without_multiplier(
 
 
 def prescribed_before_coarser_facets(
-    facets: Facets, nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
+    nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
 ) -> Mask:
     """Mark the nodes (n,) whose rows of T would be linearly dependent. Not collective.
 
@@ -331,12 +302,11 @@ def prescribed_before_coarser_facets(
     The result is valid for nodes whose adjacent facets are all on this rank.
 
     Args:
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
+        nodes: nodes of the secondary side.
         others: facets of the primary side.
         integrals: the integrals over the overlap.
     """
-    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    facets, result = nodes.facets, np.zeros(len(nodes.numbers), dtype=np.bool_)
     if facets.dim == 1:
         return result
     movable = np.linalg.norm(nodes.normals[:, : nodes.free.shape[1]] * nodes.free, axis=1)

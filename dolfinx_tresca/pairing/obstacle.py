@@ -13,20 +13,23 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca.pairing.contact_normal import contact_normals, nodal_contact_normals
+from dolfinx_tresca.pairing.contact_normal import (
+    SmoothSurface,
+    contact_normals,
+    nodal_contact_normals,
+    turned_angles,
+)
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
 from dolfinx_tresca.pairing.dual_basis import (
     assemble_rows,
     drop_rounding,
     dual_coefficients,
-    force_moments,
     redistributed,
     whole_facet_integrals,
 )
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
 from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes
-from dolfinx_tresca.pairing.search.smooth_surface import SmoothSurface, turned_angles
 from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -50,7 +53,6 @@ def couple(
     V: Any,
     group: PairGroup,
     obstacle: RigidObstacle,
-    facets: Facets,
     nodes: SurfaceNodes,
     moved: bool,
 ) -> Coupling:
@@ -70,14 +72,14 @@ def couple(
         InputError: the signed distance does not return distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
-    pair = group.surfaces
+    pair, facets = group.surfaces, nodes.facets
     # the patches of a node share the normal of the obstacle: only one entry per node is kept
     node_entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     facet_nodes = node_entry[nodes.facet_nodes]
     with errors_on_all_ranks(V.mesh.comm):
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
         height = np.zeros_like(distance)
-        surface = SmoothSurface(facets, nodes)
+        surface = SmoothSurface(nodes)
         if facets.degree > 1:
             height = distance - obstacle.at(surface.nodes_on_surface().reshape(-1, 3))[0]
         _, obstacle_normals = obstacle.at(nodes.points[node_entry])
@@ -85,9 +87,8 @@ def couple(
         faces, turns = _facing_corners(facets, obstacle, at_corners)
         turns = np.where(faces.any(axis=1), turns, 0.0)
         normals = _corner_contact_normals(surface, facet_nodes, at_corners, turns)
-    integrals = whole_facet_integrals(facets)
-    weighted = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
-    weighted = weighted @ integrals.values
+    hats, values = whole_facet_integrals(facets)
+    weighted = dual_coefficients(hats, np.ones(len(facets.points), dtype=np.bool_)) @ values
     corner_weights = redistributed(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
     def summed(values: Array) -> Array:
@@ -102,7 +103,7 @@ def couple(
     columns = V.dofmap.index_map.size_global
     rows = redistributed(weighted, faces)
     jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
-    jump = scaled_rows(drop_rounding(jump, facets, facet_nodes, weights), scale)
+    jump = scaled_rows(drop_rounding(jump, nodes, facet_nodes, weights), scale)
 
     def nodal_means(at_nodes: Array) -> Array:
         """Return means (nodes,) of values at facets' nodes, by the dual basis on facing facets."""
@@ -121,7 +122,9 @@ def couple(
         _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, surface, facing, at_nodes)
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
-    place = scale[:, None] * force_moments(nodes, facet_nodes, facets.points, rows)
+    place = np.zeros((len(weights), 3))
+    np.add.at(place, facet_nodes, rows @ facets.points)
+    place *= scale[:, None]
     return Coupling(
         position,
         weights[position],

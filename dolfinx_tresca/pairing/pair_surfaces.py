@@ -1,15 +1,20 @@
-"""Pairing of two surfaces, or of a surface and a rigid obstacle."""
+"""Pairing of two surfaces, or of a surface and a rigid obstacle: from tags to N, T and the gap."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.exchange import row_of_least
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.exchange import exchange, row_of_least
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, obstacle
 from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
@@ -19,13 +24,24 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.roles import opposite_bodies, redundant_nodes
 from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
-from dolfinx_tresca.pairing.search.matching import MATCHING_DISTANCE, RIM_PART, corner_distances
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact
-from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.pair import ContactPair, SideName
+
+#: Difference of the sums of squares of a node's means over both sides up to which the meshes match
+#: there. It is twice the distance of the nodes along the surface, relative to the size of a facet.
+#: (Nodes of a mesh generator differ by 1e-10 or less; with a tenth of this, those of CAD files that
+#: were written with eight digits would not match.)
+MATCHING_SQUARES = 1e-7
+
+#: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
+SAME_PLACE = 1e-6
+
+#: Large primes of a spatial hash, the sum of primes times integer coordinates (Teschner et al.
+#: 2003, Optimized spatial hashing for collision detection of deformable objects).
+HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 
 
 def pair_surfaces(
@@ -78,56 +94,60 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
 def _pair(
     V: Any, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs from the facets of their sides. Collective."""
-    group = undeformed.group
-    pair = group.surfaces
-    secondary = Side(pair, "secondary", Halo(V, sides[pair.secondary]))
-    others, bodies = None, None
-    if isinstance(pair.primary, RigidObstacle):
-        halo = secondary.halo
-        if halo.comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
-            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
-        nodes = secondary.nodes_on_this_rank(V, moved)
-        coupling = obstacle.couple(V, group, pair.primary, secondary.halo.facets, nodes, moved)
-    else:
-        primary = secondary
-        if not pair.touches_itself:
-            primary = Side(pair, "primary", Halo(V, sides[pair.primary]))
-        extend_halos(secondary.halo, primary.halo, pair.search_limit)
-        nodes = secondary.nodes_on_this_rank(V, moved)
-        other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V, moved)
-        coupling, bodies = _couple_surfaces(V, group, secondary, nodes, primary, other_nodes, moved)
-        others = primary.halo.facets
-    if not moved and len(group.pairs) > 1:
-        _check_pairs_face(V, group, coupling.shares)
-        group.say_laws(V.mesh.comm, coupling.shares)
-    return PairOperators.of(V, coupling, nodes, secondary.whole, undeformed, others, bodies)
-
-
-def _check_pairs_face(V: Any, group: PairGroup, shares: Array) -> None:
-    """Check that each pair of a group with small sliding has a share of a node. Collective.
+    """Compute N, T and the gap of pairs from the facets of their sides. Collective.
 
     Raises:
-        PairingError: no node of a pair faces its primary side.
+        PairingError: see `pair_group`.
     """
-    for pair, area in zip(group.pairs, reduce_array(V.mesh.comm, shares.sum(axis=0)), strict=True):
-        if area == 0.0 and pair.sliding == "small":
-            raise PairingError(
-                f"the surfaces of contact pair {pair} do not face each other. Check the tags"
-                f"{'' if pair.search_distance is None else ' and the search distance'}."
-            )
+    group, comm = undeformed.group, V.mesh.comm
+    pair = group.surfaces
+    halo = Halo(V, sides[pair.secondary])
+    others, bodies = None, None
+    if isinstance(pair.primary, RigidObstacle):
+        if comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
+            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
+        nodes = _surface_nodes(V, pair, "secondary", halo, moved)
+        coupling = obstacle.couple(V, group, pair.primary, nodes, moved)
+    else:
+        primary = halo if pair.touches_itself else Halo(V, sides[pair.primary])
+        extend_halos(halo, primary, pair.search_limit)
+        nodes = other_nodes = _surface_nodes(V, pair, "secondary", halo, moved)
+        if not pair.touches_itself:
+            other_nodes = _surface_nodes(V, pair, "primary", primary, moved)
+        around = halo.facets_at_own_nodes()
+        coupling, bodies = _couple_surfaces(V, group, nodes, other_nodes, around, moved)
+        others = primary.facets
+    if not moved and len(group.pairs) > 1:
+        areas = reduce_array(comm, coupling.shares.sum(axis=0))
+        for single, area in zip(group.pairs, areas, strict=True):
+            if area == 0.0 and single.sliding == "small":
+                raise PairingError(
+                    f"the surfaces of contact pair {single} do not face each other. Check the tags"
+                    f"{'' if single.search_distance is None else ' and the search distance'}."
+                )
+        group.say_laws(comm, coupling.shares)
+    largest = reduce_array(comm, np.abs(halo.owned.points).max(initial=0.0), MPI.MAX)
+    rounding = ROUNDING * float(largest)
+    return PairOperators.of(V, coupling, nodes, rounding, undeformed, others, bodies)
 
 
 def _couple_surfaces(
     V: Any,
     group: PairGroup,
-    secondary: Side,
     nodes: SurfaceNodes,
-    primary: Side,
     other_nodes: SurfaceNodes,
+    around: Indices,
     moved: bool,
 ) -> tuple[Coupling, Indices | None]:
     """Find the jumps at secondary nodes by mortar integrals. Collective.
+
+    Args:
+        V: the space of the displacement.
+        group: the contact pairs.
+        nodes: nodes of the secondary side.
+        other_nodes: nodes of the primary side.
+        around: (m,) the secondary facets with a corner that this rank owns.
+        moved: whether the surfaces are displaced.
 
     Returns:
         The coupling, and the number of the body opposite to each node (`opposite_bodies`), which is
@@ -137,7 +157,7 @@ def _couple_surfaces(
         PairingError: `pair.pairing` is "nodes", but the undeformed meshes do not match; or no node
             can carry a multiplier.
     """
-    pair, facets, others = group.surfaces, secondary.halo.facets, primary.halo.facets
+    pair, facets, others = group.surfaces, nodes.facets, other_nodes.facets
     bodies = None
 
     def may_meet(first: Indices, second: Indices) -> Mask:
@@ -145,65 +165,99 @@ def _couple_surfaces(
         return np.asarray(group.pair_of_tags[tags] >= 0)
 
     with errors_on_all_ranks(V.mesh.comm):
-        around = secondary.halo.facets_at_own_nodes()
-        limit = pair.search_limit
         order = SelfContact.of(facets) if pair.touches_itself else None
         integrals = MortarIntegrals.of(
-            facets, nodes, others, other_nodes, around, limit, order, may_meet
+            nodes, other_nodes, around, pair.search_limit, order, may_meet
         )
         shared: Mask
         if order is None:
             shared = np.isin(nodes.numbers, others.nodes)
         else:
-            shared = redundant_nodes(facets, nodes, integrals)
+            shared = redundant_nodes(nodes, integrals)
             bodies = opposite_bodies(nodes, integrals, order)
     if pair.touches_itself:
         own = owned_nodes(V, nodes)
         shared = np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[shared & own]))
+    coupling = mortar.couple(V, group, nodes, other_nodes, integrals, shared, moved)
     if pair.pairing == "nodes" and not moved:
-        _check_meshes_match(V, pair, facets, nodes, others, integrals)
-    return mortar.couple(V, group, facets, nodes, others, integrals, shared, moved), bodies
+        _check_meshes_match(V, pair, coupling, nodes)
+    return coupling, bodies
 
 
-def _check_meshes_match(
-    V: Any,
-    pair: ContactPair,
-    secondary: Facets,
-    nodes: SurfaceNodes,
-    primary: Facets,
-    integrals: MortarIntegrals,
-) -> None:
-    """Check that each facet matches the facet that covers most of it. Collective.
+def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: SurfaceNodes) -> None:
+    """Check that the means over both sides have equal weights, as on matching meshes. Collective.
 
-    Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        secondary: facets of the secondary side.
-        nodes: nodes of the secondary facets.
-        primary: facets of the primary side.
-        integrals: the integrals over the overlap.
+    The means are over one node on each side then, and over equal nodes with degree 2.
 
     Raises:
         PairingError: secondary nodes face the primary side away from its nodes.
     """
-    ascending = np.argsort(integrals.share)
-    ascending = ascending[integrals.share[ascending] > RIM_PART]
-    largest_share = np.full(len(secondary.points), -1)
-    largest_share[integrals.secondary[ascending]] = ascending
-    facet = np.flatnonzero(largest_share >= 0)
-    other = integrals.primary[largest_share[facet]]
-    distance, allowed = corner_distances(secondary, facet, primary, other)
-    corner = nodes.facet_nodes[facet]
-    apart = (distance > allowed[:, None]) & owned_nodes(V, nodes)[corner]
-    number = V.mesh.comm.allreduce(len(np.unique(nodes.numbers[corner[apart]])))
+    primary, secondary = coupling.primary, coupling.jump + coupling.primary
+    differ = np.abs((secondary.power(2) - primary.power(2)).sum(axis=1))
+    apart = differ > MATCHING_SQUARES + 100.0 * nodes.facets.rounding.max(initial=0.0)
+    position = coupling.position[apart]
+    number = V.mesh.comm.allreduce(len(np.unique(nodes.numbers[position])))
     if number > 0:
-        rows = np.column_stack([distance[apart], nodes.points[corner[apart]]])
-        largest, *place = row_of_least(V.mesh.comm, -distance[apart], rows)
+        place = row_of_least(V.mesh.comm, -differ[apart], nodes.points[position])
         raise PairingError(
             f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
             f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
-            f"({pair.side('primary')}) away from its nodes, by up to {largest:.2g} at "
-            f"{tuple(round(float(x), 6) for x in place)} (allowed: {MATCHING_DISTANCE:g} of a "
-            "facet). Mesh both surfaces alike, or leave out the argument: mortar pairing needs no "
-            "matching meshes."
+            f"({pair.side('primary')}) away from its nodes, most of all at "
+            f"{tuple(round(float(x), 6) for x in place)}. Mesh both surfaces alike, or leave out "
+            "the argument: mortar pairing needs no matching meshes."
         )
+
+
+def _surface_nodes(
+    V: Any, pair: ContactPair, side: SideName, halo: Halo, moved: bool
+) -> SurfaceNodes:
+    """Return the nodes of this rank's facets on one side. Collective.
+
+    The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
+    there. Coincident nodes have the same hash and are sent to the same rank, which counts them.
+    Nodes that also belong to facets with other tags, such as coincident corners of adjacent bricks,
+    and surfaces that touch themselves, are not checked.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        side: "secondary" or "primary".
+        halo: the facets of the side.
+        moved: whether the surface is displaced.
+
+    Raises:
+        PairingError: an owned node has no normal.
+    """
+    comm = V.mesh.comm
+    with errors_on_all_ranks(comm):
+        nodes = SurfaceNodes.of(halo.facets)
+        own = owned_nodes(V, nodes)
+        has_no_normal = own & nodes.has_no_normal
+        if has_no_normal.any():
+            raise PairingError(
+                f"the surface {pair.side(side)} ({side} side) has no normal at "
+                f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
+                "cancel. Repair the mesh there."
+            )
+    if moved or pair.touches_itself:
+        return nodes
+    size = np.linalg.norm(np.ptp(halo.owned.points, axis=1), axis=1)
+    smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
+    tags = pair.facet_tags
+    outside = tags.indices[tags.values != getattr(pair, side)]
+    outside = fem.locate_dofs_topological(V, tags.dim, outside)
+    numbers, entry = np.unique(nodes.numbers[own], return_index=True)
+    entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
+    places = np.round(nodes.points[own][entry] / (SAME_PLACE * smallest)).astype(np.int64)
+    places, _ = exchange(comm, places, (places @ HASH_FACTORS) % comm.size)
+    coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
+    if coincident:
+        log(
+            comm,
+            "the surface %s (%s side) has %d nodes at the place of another one: it is torn there. "
+            "Merge duplicated nodes of the mesh, unless these are edges of two bodies.",
+            *(pair.side(side), side, coincident),
+            level=logging.WARNING,
+            about=pair.side(side),
+        )
+    return nodes

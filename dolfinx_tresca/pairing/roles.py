@@ -6,12 +6,11 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Indices, Mask
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact
 
 
-def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
+def redundant_nodes(nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
     """Return the nodes whose jump another node already constrains. Not collective.
 
     `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
@@ -24,8 +23,7 @@ def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegr
         (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
         all on this rank.
     """
-    count = facets.corners
-    in_file = facets.file_numbers[:, :count]
+    count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
         """Return rows (node, its number in the mesh file, this number of an opposite node).

@@ -9,9 +9,8 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.search.facets import Facets, joined
-from dolfinx_tresca.pairing.search.offsets import with_offsets
 from dolfinx_tresca.pairing.search.self_contact import FINER, facet_origins
-from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets
+from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets, with_offsets
 from dolfinx_tresca.scene.pair import SIDES
 
 

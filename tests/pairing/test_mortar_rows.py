@@ -32,8 +32,8 @@ def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=
     if selected is None:
         selected = np.arange(len(secondary.points))
     nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
-    integrals = MortarIntegrals.of(secondary, nodes, primary, other_nodes, selected, limit)
-    return mortar_rows(secondary, nodes, primary, integrals, columns)
+    integrals = MortarIntegrals.of(nodes, other_nodes, selected, limit)
+    return mortar_rows(nodes, primary, integrals, columns)
 
 
 def values_at(function, *sides: Facets, size: int | None = None) -> np.ndarray:

@@ -34,11 +34,11 @@ def test_of_two_nodes_that_are_secondary_and_primary_one_is_redundant():
     bodies = np.repeat([0, 1], NUMBER)
     order = Alternating(bodies, *8 * [np.zeros(len(bodies))])
     everything = np.arange(len(bodies))
-    integrals = MortarIntegrals.of(facets, nodes, facets, nodes, everything, np.inf, order)
+    integrals = MortarIntegrals.of(nodes, nodes, everything, np.inf, order)
 
     x, is_upper = nodes.points[:, 0], nodes.points[:, 1] > 0.05
     inner = (x > 0.0) & (x < 1.0)
-    assert np.array_equal(redundant_nodes(facets, nodes, integrals), inner & is_upper)
+    assert np.array_equal(redundant_nodes(nodes, integrals), inner & is_upper)
     only_primary = np.where(is_upper, x == 0.0, x == 1.0)
     expected = np.where(only_primary, -1, np.where(is_upper, 0, 1))
     assert np.array_equal(opposite_bodies(nodes, integrals, order), expected)

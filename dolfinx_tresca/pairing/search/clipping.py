@@ -1,10 +1,16 @@
-"""Intersection of segments on a line and of convex polygons in a plane, vectorised."""
+"""Intersection of segments or convex polygons, and the nearest of those that cover each other."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca.pairing.search.balls import flattened
+
+#: The overlaps of a piece are taken not to cover each other if their total area is at most this
+#: times the area of the piece: 1 plus rounding.
+COVERED_ONCE = 1.0 + 1e-8
 
 
 def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
@@ -109,3 +115,67 @@ def _counter_clockwise(polygons: Array) -> Array:
 def _cross(a: Array, b: Array) -> Array:
     """Return the cross products (...) of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def nearest_layer_weights(
+    piece: Indices,
+    pair: Indices,
+    simplices: Array,
+    size: Array,
+    places: Array,
+    gap: Array,
+    weight: Array,
+    piece_area: Array,
+) -> Array:
+    """Set the weights of quadrature points to zero where a nearer simplex covers the point.
+
+    The overlap of each pair of pieces is cut into simplices, each with the same number of
+    quadrature points. Where simplices of two pairs overlap, the simplex with the smaller mean |gap|
+    counts.
+
+    Args:
+        piece: (pairs,) the secondary piece of each pair, ascending.
+        pair: (simplices,) the pair of each simplex, ascending.
+        simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
+        size: (simplices,) sizes of the simplices [length^d].
+        places: (points, d) quadrature points in the plane of the secondary piece [length].
+        gap: (points,) gap along the normal [length], positive if open.
+        weight: (points,) quadrature weights, 0 for points that are already excluded.
+        piece_area: (pieces,) sizes of all secondary pieces [length^d].
+
+    Returns:
+        The new weights (points,).
+    """
+    if len(pair) == 0:
+        return weight
+    count = len(places) // len(pair)
+    counts = weight.reshape(-1, count).any(axis=1)
+    covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
+    overlaid = (covered > COVERED_ONCE * piece_area)[piece[pair]]
+    crowded = np.flatnonzero(overlaid & counts)
+    if len(crowded) == 0:
+        return weight
+    inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
+    # a tree for the planes of all pieces, far apart along one more axis
+    middles = simplices[crowded].mean(axis=1)
+    reach = np.linalg.norm(simplices[crowded] - middles[:, None], axis=2).max()
+    plane = 4.0 * reach * piece[pair[crowded]]
+    tree = cKDTree(np.column_stack([middles, plane]))
+    points = np.column_stack([inner, np.repeat(plane, count)])
+    point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
+    a, b, place = crowded[point // count], crowded[b], inner[point]
+    # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
+    distance = np.abs(gap).reshape(-1, count).mean(axis=1)
+    nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
+    point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
+    inside = _inside(simplices[b], place)
+    result = weight.reshape(-1, count).copy()
+    result[a[inside], point[inside] % count] = 0.0
+    return result.ravel()
+
+
+def _inside(simplices: Array, points: Array) -> Mask:
+    """Return whether each point (n, d) lies inside its simplex (n, d + 1, d)."""
+    sides = np.swapaxes(simplices[:, 1:] - simplices[:, :1], 1, 2)
+    coordinates = np.linalg.solve(sides, (points - simplices[:, 0])[..., None])[..., 0]
+    return np.asarray((coordinates > 0.0).all(axis=1) & (coordinates.sum(axis=1) < 1.0))

@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross
+from dolfinx_tresca.pairing.search.balls import expanded_ranges
 from dolfinx_tresca.pairing.search.facets import Facets, quadrature
-from dolfinx_tresca.pairing.search.search import expanded_ranges
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
 #: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
@@ -52,6 +52,7 @@ class SurfaceNodes:
     `smooth_patches` for the patches.
 
     Attributes:
+        facets: the facets.
         numbers: (n,) global numbers of the nodes in V, ascending. Among the entries of one node the
             patch with the largest weight comes last.
         points: (n, 3) positions [length].
@@ -65,6 +66,7 @@ class SurfaceNodes:
         has_no_normal: (n,) whether the normals of the facets cancel.
     """
 
+    facets: Facets
     numbers: GlobalNumbers
     points: Array
     weights: Array
@@ -102,6 +104,7 @@ class SurfaceNodes:
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
         return cls(
+            facets,
             numbers,
             points,
             weights,
@@ -195,32 +198,13 @@ def _connected(node: Indices, normals: Array) -> Indices:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
-def tangents(normals: Array, frame: Array) -> Array:
-    """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals.
+def tangents(normals: Array) -> Array:
+    """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals (n, d).
 
-    The first tangent points towards the first of two reference points. The second tangent has a
-    positive component towards the second reference point. So the tangents rotate with the surface,
-    and results do not depend on the coordinate axes.
-
-    Args:
-        normals: (n, d) unit normals.
-        frame: (n, 2, d) vectors from the node to two reference points of the surface.
+    In 3D the first tangent is across the coordinate axis that is farthest from the normal.
     """
     if normals.shape[1] == 2:
-        first = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
-        sign = np.where(np.einsum("ni,ni->n", first, frame[:, 0]) < 0.0, -1.0, 1.0)
-        return np.asarray((sign[:, None] * first)[:, None])
-    axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    first = _across(frame[:, 0], normals)
-    length = np.linalg.norm(first, axis=1)
-    size = np.linalg.norm(frame, axis=2).max(axis=1, initial=0.0)
-    first = np.where((length > 1e-6 * size)[:, None], first, _across(axis, normals))
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    second = cross(normals, first)
-    sign = np.where(np.einsum("ni,ni->n", second, frame[:, 1]) < 0.0, -1.0, 1.0)
-    return np.stack([first, sign[:, None] * second], axis=1)
-
-
-def _across(v: Array, normals: Array) -> Array:
-    """Return the tangential part (n, d) of vectors v (n, d)."""
-    return np.asarray(v - np.einsum("ni,ni->n", v, normals)[:, None] * normals)
+        return np.stack([-normals[:, 1], normals[:, 0]], axis=1)[:, None]
+    along = cross(np.eye(3)[np.abs(normals).argmin(axis=1)], normals)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    return np.stack([along, cross(normals, along)], axis=1)

@@ -86,11 +86,6 @@ class SelfContact:
             facets.mean_normals,
         )
 
-    def in_one_body(self, first: Indices, second: Indices) -> Mask:
-        """Return, for pairs of facets (m,), whether both belong to the same body, (m,)."""
-        result: Mask = self.body[first] == self.body[second]
-        return result
-
     def _facing_before(self, first: Indices, second: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
         cosine = np.einsum("ni,ni->n", self.normal[first], self.normal[second])
@@ -109,7 +104,7 @@ class SelfContact:
         depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
-        some = np.flatnonzero(self.in_one_body(first, second))
+        some = np.flatnonzero(self.body[first] == self.body[second])
         f, g = first[some], second[some]
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
@@ -141,7 +136,7 @@ class SelfContact:
             self.centre[g] - self.centre[f],
         )
         in_body = np.einsum("ni,ni->n", towards, self.direction[f]) > 0.0
-        return np.where(self.in_one_body(f, g), in_body, of_bodies)
+        return np.where(self.body[f] == self.body[g], in_body, of_bodies)
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
