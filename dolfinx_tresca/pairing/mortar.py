@@ -13,11 +13,13 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.pairing.contact_normal import nodal_contact_normals
-from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
-from dolfinx_tresca.pairing.dual_basis import (
+from dolfinx_tresca.pairing.coupling import (
+    Coupling,
     assemble_rows,
     drop_rounding,
     dual_coefficients,
+    nodes_with_multipliers,
+    owned_nodes,
     redistributed,
 )
 from dolfinx_tresca.pairing.group import PairGroup
@@ -101,7 +103,7 @@ def couple(
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     weights = found.weights[position]
-    facet, other = integrals.secondary, integrals.primary
+    facet, other = integrals.pairs.T
     corner = nodes.facet_nodes[facet]
     covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[corner])[:, :, 0]
     member = group.pair_of_tags[facets.tag_index[facet], others.tag_index[other]]
@@ -208,7 +210,7 @@ def mortar_rows(
     sums = np.bincount(nodes.facet_nodes.ravel(), weights.ravel(), minlength=len(nodes.numbers))
     weights = sums.astype(np.float64)
     own = dual @ integrals.values
-    facet, other = integrals.secondary, integrals.primary
+    facet, other = integrals.pairs.T
     block = dual[facet] @ integrals.other
     across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
     jump = assemble_rows(nodes, nodes.facet_nodes, nodes.facets.nodes, own, columns) - across
@@ -311,15 +313,13 @@ def prescribed_before_coarser_facets(
         return result
     movable = np.linalg.norm(nodes.normals[:, : nodes.free.shape[1]] * nodes.free, axis=1)
     primary_free = np.ones_like(nodes.free)
-    corner, primary = nodes.facet_nodes[integrals.secondary], integrals.primary
+    facet, primary = integrals.pairs.T
+    corner = nodes.facet_nodes[facet]
     node = corner.ravel()
     free: Mask = np.asarray(others.free.all(axis=1))
     free = free[primary]
     np.logical_and.at(primary_free, node, np.repeat(free, corner.shape[1], axis=0))
-    finer = (
-        _diameters(facets)[integrals.secondary]
-        < (1.0 - SIZE_ROUNDING) * _diameters(others)[primary]
-    )
+    finer = _diameters(facets)[facet] < (1.0 - SIZE_ROUNDING) * _diameters(others)[primary]
     np.logical_or.at(result, node, np.repeat(finer, corner.shape[1]))
     acts_on_primary = (~nodes.free & primary_free).any(axis=1)
     return np.asarray(result & (movable > FREE_PART) & acts_on_primary)

@@ -54,10 +54,9 @@ class MortarIntegrals:
             if an exact surface is known); and the three components of the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
         full: (n,) whether the whole facet is covered.
-        secondary: (p,) secondary facet of each overlapping pair.
-        primary: (p,) primary facet of each overlapping pair.
+        pairs: (p, 2) secondary and primary facet of each overlap.
         other: (p, corners, k) integrals of secondary hat functions times primary basis functions
-            over the overlap of each pair.
+            over each overlap.
         opposite: (q, 2) pairs of facets that see each other, but whose roles are exchanged: the
             first facet, which was searched from, is primary, and the second one is secondary. Empty
             unless the surface touches itself.
@@ -68,8 +67,7 @@ class MortarIntegrals:
     means: Array
     least: Array
     full: Mask
-    secondary: Indices
-    primary: Indices
+    pairs: Indices
     other: Array
     opposite: Indices
 
@@ -126,12 +124,8 @@ class MortarIntegrals:
             opposite.append(both[overlap.opposite])
         missing = covered < (1.0 - COVER_ROUNDING) * integrate.piece_area
         full = np.bincount(integrate.pieces.facet, missing, minlength=n) == 0.0
-        facet, other = np.concatenate(pairs).T
-        return cls(
-            *(hats, values, means, least, full, facet, other),
-            np.concatenate(others),
-            np.concatenate(opposite),
-        )
+        joined: Any = (np.concatenate(arrays) for arrays in (pairs, others, opposite))
+        return cls(hats, values, means, least, full, *joined)
 
 
 class Overlap(NamedTuple):

@@ -19,11 +19,12 @@ from dolfinx_tresca.pairing.contact_normal import (
     nodal_contact_normals,
     turned_angles,
 )
-from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
-from dolfinx_tresca.pairing.dual_basis import (
+from dolfinx_tresca.pairing.coupling import (
+    Coupling,
     assemble_rows,
     drop_rounding,
     dual_coefficients,
+    nodes_with_multipliers,
     redistributed,
     whole_facet_integrals,
 )

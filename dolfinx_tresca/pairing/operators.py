@@ -9,7 +9,7 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array, kron, vstack
 
 from dolfinx_tresca._base.arrays import (
     Array,
@@ -21,10 +21,9 @@ from dolfinx_tresca._base.arrays import (
 )
 from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
-from dolfinx_tresca.pairing.search.balls import expanded_ranges
+from dolfinx_tresca.pairing.group import Undeformed
 from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets
 from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, tangents
-from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 
 #: Attributes of `PairOperators` with a row for each node.
@@ -263,14 +262,13 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
         rows: (n,) the row of the scalar jump for each direction.
         directions: (n, d) unit vectors.
     """
-    dim = directions.shape[1]
-    counts = np.diff(jump.indptr)[rows]
-    owner, place = expanded_ranges(jump.indptr[rows], counts)
-    columns = jump.indices[place].astype(np.int64)[:, None] * dim + np.arange(dim)
-    values = jump.data[place, None] * directions[owner]
-    ends = np.append(0, np.cumsum(counts, dtype=np.int64) * dim)
-    shape = len(rows), jump.shape[1] * dim
-    result = csr_array((values.ravel(), columns.ravel(), ends), shape)
+    axes = np.eye(directions.shape[1])
+    of_rows = jump[rows]
+    along_axes = (
+        kron(scaled_rows(of_rows, component), axis[None], format="csr")
+        for component, axis in zip(directions.T, axes, strict=True)
+    )
+    result = csr_array(sum(along_axes))
     result.eliminate_zeros()  # no columns for directions normal to an axis
     return result
 

@@ -18,15 +18,13 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log,
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, obstacle
 from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
-from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.group import PairGroup, Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.roles import opposite_bodies, redundant_nodes
 from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
-from dolfinx_tresca.pairing.search.self_contact import SelfContact
-from dolfinx_tresca.pairing.undeformed import Undeformed
+from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
@@ -173,8 +171,8 @@ def _couple_surfaces(
         if order is None:
             shared = np.isin(nodes.numbers, others.nodes)
         else:
-            shared = redundant_nodes(nodes, integrals)
-            bodies = opposite_bodies(nodes, integrals, order)
+            shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
+            bodies = opposite_bodies(nodes, integrals.pairs, order)
     if pair.touches_itself:
         own = owned_nodes(V, nodes)
         shared = np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[shared & own]))

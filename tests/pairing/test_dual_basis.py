@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sheets import CELLS, nodes_of, sheet
 
-from dolfinx_tresca.pairing.dual_basis import (
+from dolfinx_tresca.pairing.coupling import (
     LEAST_EIGENVALUE,
     assemble_rows,
     drop_rounding,

@@ -6,8 +6,7 @@ import numpy as np
 from sheets import joined, nodes_of, sheet
 
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.pairing.roles import opposite_bodies, redundant_nodes
-from dolfinx_tresca.pairing.search.self_contact import SelfContact
+from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
 
 #: Facets of each of two sheets that face each other, the first one's before the second one's.
 NUMBER = 6
@@ -38,7 +37,9 @@ def test_of_two_nodes_that_are_secondary_and_primary_one_is_redundant():
 
     x, is_upper = nodes.points[:, 0], nodes.points[:, 1] > 0.05
     inner = (x > 0.0) & (x < 1.0)
-    assert np.array_equal(redundant_nodes(nodes, integrals), inner & is_upper)
+    assert np.array_equal(
+        redundant_nodes(nodes, integrals.pairs, integrals.opposite), inner & is_upper
+    )
     only_primary = np.where(is_upper, x == 0.0, x == 1.0)
     expected = np.where(only_primary, -1, np.where(is_upper, 0, 1))
-    assert np.array_equal(opposite_bodies(nodes, integrals, order), expected)
+    assert np.array_equal(opposite_bodies(nodes, integrals.pairs, order), expected)

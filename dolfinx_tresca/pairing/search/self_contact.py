@@ -20,6 +20,7 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
@@ -171,24 +172,78 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1, initial=0.0)
     normals = facets.mean_normals
-    some = _directions(V.mesh.geometry.dim)
-    cosine = np.abs(normals @ some.T)
+    directions = np.zeros((DIRECTIONS, 3))  # random ones, none of which is along an axis
+    directions[:, : 1 + facets.dim] = np.random.default_rng(0).normal(
+        size=(DIRECTIONS, 1 + facets.dim)
+    )
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    cosine = np.abs(normals @ directions.T)
     along = np.minimum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), cosine)
-    quality = np.zeros((number, len(some)))
+    quality = np.zeros((number, DIRECTIONS))
     np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
     quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
     best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
-    origins = np.column_stack([body, size[body], centre, normals, radius, some[best][body]])
+    origins = np.column_stack([body, size[body], centre, normals, radius, directions[best][body]])
     return origins, int(np.count_nonzero(count))
 
 
-def _directions(dim: int) -> Array:
-    """Return different directions (n, 3), none of which is along an axis of coordinates."""
-    k = np.arange(DIRECTIONS) + 0.5
-    if dim == 2:
-        angle = np.pi * k / DIRECTIONS
-        return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
-    height = k / DIRECTIONS  # Fibonacci's lattice on a half sphere
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * k
-    across = np.sqrt(1.0 - height**2)
-    return np.column_stack([across * np.cos(angle), across * np.sin(angle), height])
+def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
+    """Return the nodes whose jump another node already constrains. Not collective.
+
+    `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
+    facet to facet, two opposite nodes may each be secondary on one facet and primary on the next.
+    Both nodes would have the same jump: only the node that comes first in the mesh file has a
+    multiplier, and the second node is returned. A node that is opposite to itself, such as the tip
+    of a crack, has no jump, and is returned.
+
+    Args:
+        nodes: the nodes of the surface.
+        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
+        opposite: (q, 2) pairs of facets that see each other with exchanged roles.
+
+    Returns:
+        (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
+        all on this rank.
+    """
+    count, in_file = nodes.facets.corners, nodes.facets.file_numbers
+
+    def rows(pairs: Indices) -> Indices:
+        """Return rows (node, its number in the mesh file, this number of an opposite node).
+
+        There is a row for each corner of the first facet of a pair, with each corner of the second.
+        """
+        own, theirs = pairs.T
+        columns = (
+            np.repeat(nodes.facet_nodes[own], count, axis=1),
+            np.repeat(in_file[own], count, axis=1),
+            np.tile(in_file[theirs], count),
+        )
+        result: Indices = np.column_stack([column.ravel() for column in columns])
+        return np.unique(result, axis=0)
+
+    together = np.concatenate([rows(paired), rows(opposite)])
+    seen, times = np.unique(together, axis=0, return_counts=True)
+    own, theirs = seen[:, 1], seen[:, 2]
+    second = seen[(own == theirs) | (times > 1) & (own > theirs), 0]
+    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    result[second] = True
+    return result
+
+
+def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) -> Indices:
+    """Return the body that is opposite to each node. Not collective.
+
+    Args:
+        nodes: the nodes of the surface.
+        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
+        order: the bodies of the facets.
+
+    Returns:
+        (n,) the number of the body, the least number if there are several bodies; -1 for nodes
+        without an opposite facet.
+    """
+    none = np.iinfo(np.intp).max
+    result = np.full(len(nodes.numbers), none)
+    facet, partner = paired.T
+    np.minimum.at(result, nodes.facet_nodes[facet], order.body[partner][:, None])
+    return np.where(result == none, -1, result)
