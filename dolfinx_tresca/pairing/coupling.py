@@ -141,20 +141,21 @@ def nodes_with_multipliers(
             about=str(pair),
         )
         return np.flatnonzero(carries)
-    if pair.touches_itself and outside == total:
-        within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
-        raise PairingError(
-            f"no part of the surface ({secondary}) can touch another one: from none of its {total} "
-            f"nodes the outward normal leads to the surface of another body, or to another part of "
-            f"the same body{within}. Check the tag{' and the search distance' if within else ''}; "
-            'for parts that meet only when the body has moved take sliding="finite".'
-        )
     if outside == total:
-        within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
+        limited = pair.search_distance is not None
+        within = f" within {pair.search_distance:g}" if limited else ""
+        limits = " and the search distance" if limited else ""
+        if pair.touches_itself:
+            raise PairingError(
+                f"no part of the surface ({secondary}) can touch another one: from none of its "
+                f"{total} nodes the outward normal leads to the surface of another body, or to "
+                f"another part of the same body{within}. Check the tag{limits}; for parts that "
+                'meet only when the body has moved take sliding="finite".'
+            )
         raise PairingError(
             f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
             f"side ({secondary}) the outward normal leads to the primary side "
-            f"({primary}){within}. Check the tags{' and the search distance' if within else ''}."
+            f"({primary}){within}. Check the tags{limits}."
             f"{_about_obstacle_normals(V.mesh.comm, pair, nodes, own)}"
         )
     if number == 0:

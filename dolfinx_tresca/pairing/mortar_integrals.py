@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -40,9 +39,12 @@ NEAR = 2.0
 PAIRS_AT_ONCE = 8_000
 
 
-@dataclass(frozen=True)
 class MortarIntegrals:
     """Integrals over the covered parts of secondary facets, which face the primary side.
+
+    Primary facets are projected along the normal of a secondary facet; each overlap is cut into
+    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body are
+    excluded, and among several layers the nearest one is integrated.
 
     Attributes:
         hats: (n, corners, corners) integrals of products of two secondary hat functions, for all
@@ -62,30 +64,20 @@ class MortarIntegrals:
             unless the surface touches itself.
     """
 
-    hats: Array
-    values: Array
-    means: Array
-    least: Array
-    full: Mask
-    pairs: Indices
-    other: Array
-    opposite: Indices
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         secondary: SurfaceNodes,
         primary: SurfaceNodes,
         selected: Indices,
         limit: float,
         order: SelfContact | None = None,
         may_meet: MayMeet | None = None,
-    ) -> MortarIntegrals:
+    ) -> None:
         """Integrate over the overlaps of facets. Not collective.
 
-        Primary facets are projected along the normal of a secondary facet; each overlap is cut into
-        triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body
-        are excluded, and among several layers the nearest one is integrated.
+        In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
+        facets of a surface that touches itself are first paired with facets nearby. Only those that
+        nearby facets do not fully cover are paired with all facets within the search distance.
 
         Args:
             secondary: the secondary side.
@@ -98,97 +90,16 @@ class MortarIntegrals:
             may_meet: function that tells whether pairs of a secondary and a primary facet may be
                 paired; None: all may, or `order` decides.
         """
-        n, corners = secondary.facet_nodes.shape
-        k = secondary.facets.nodes.shape[1]
-        integrate = OverlapIntegrals(secondary, primary, limit, order, may_meet)
-        covered = np.zeros(len(integrate.piece_area))
-        hats, values = np.zeros((n, corners, corners)), np.zeros((n, corners, k))
-        means, least = np.zeros((n, corners, 6)), np.full(n, np.inf)
-        pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
-        opposite = pairs.copy()
-        others: list[Array] = [np.zeros((0, corners, primary.facets.nodes.shape[1]))]
-        for overlap in integrate.all_overlaps(selected):
-            facet, start = np.unique(overlap.secondary, return_index=True)  # they are ascending
-            for total, addend in (
-                (hats, overlap.hats),
-                (values, overlap.values),
-                (means, overlap.means),
-            ):
-                total[facet] += np.add.reduceat(addend, start, axis=0)
-            np.minimum.at(least, overlap.secondary, overlap.least)
-            np.add.at(covered, overlap.piece, overlap.area)
-            paired = overlap.area > 0.0
-            both: Indices = np.column_stack([overlap.secondary, overlap.primary])
-            pairs.append(both[paired])
-            others.append(overlap.other[paired])
-            opposite.append(both[overlap.opposite])
-        missing = covered < (1.0 - COVER_ROUNDING) * integrate.piece_area
-        full = np.bincount(integrate.pieces.facet, missing, minlength=n) == 0.0
-        joined: Any = (np.concatenate(arrays) for arrays in (pairs, others, opposite))
-        return cls(hats, values, means, least, full, *joined)
-
-
-class Overlap(NamedTuple):
-    """Integrals over the overlaps of pairs of pieces of facets (`Pieces`).
-
-    Attributes:
-        secondary: (n,) secondary facet of each pair.
-        primary: (n,) primary facet of each pair.
-        hats: (n, corners, corners) see `MortarIntegrals`, as for the next two.
-        values: (n, corners, k).
-        means: (n, corners, 6).
-        other: (n, corners, k) integrals of secondary hat times primary basis functions.
-        least: (n,) least distance of the surfaces along the contact normal [length].
-        piece: (n,) secondary piece of each pair.
-        area: (n,) area of the overlap in the plane of the piece [length^2, in 2D length].
-        opposite: (n,) whether the facets see each other, but with exchanged roles, on a surface
-            that touches itself; the integrals are zero then.
-        seen: (n,) area of the overlap in the plane of the piece, whatever the roles are.
-    """
-
-    secondary: Indices
-    primary: Indices
-    hats: Array
-    values: Array
-    means: Array
-    other: Array
-    least: Array
-    piece: Indices
-    area: Array
-    opposite: Mask
-    seen: Array
-
-
-class OverlapIntegrals:
-    """Integrals over the visible and nearest parts of the overlaps of pairs of pieces.
-
-    Attributes:
-        pieces: the pieces of the secondary facets.
-        piece_area: (pieces,) their areas in their planes [length^2, in 2D length].
-    """
-
-    def __init__(
-        self,
-        secondary: SurfaceNodes,
-        primary: SurfaceNodes,
-        limit: float,
-        order: SelfContact | None,
-        may_meet: MayMeet | None,
-    ) -> None:
-        """Cut facets into pieces and choose the quadrature. Not collective.
-
-        The arguments are those of `MortarIntegrals.of`.
-        """
         facets, others = self._facets, self._other_facets = secondary.facets, primary.facets
-        self._limit, self._order = limit, order
+        self._order = order
         self._may_meet = may_meet if order is None else order.may_meet
-        self.pieces, self._others = Pieces.of(facets), Pieces.of(others)
+        self._pieces, self._others = Pieces.of(facets), Pieces.of(others)
         self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
         self._turns = self._surface.turns_to_ends
         self._other_turns = self._other_surface.turns_to_ends
         self._known = any_known_surface(facets, others)
-        body = None if order is None else order.body[self.pieces.facet]
-        self._visibility = Visibility(self.pieces, self._others, body)
+        body = None if order is None else order.body[self._pieces.facet]
+        self._visibility = Visibility(self._pieces, self._others, body)
         degree = 1 + facets.degree
         self._polynomial = facets.affine and others.affine and not self._known
         if not (facets.affine and others.affine):
@@ -201,38 +112,36 @@ class OverlapIntegrals:
         x, w = quadrature("interval" if facets.dim == 1 else "triangle", degree)
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
         self._to_corners = np.linalg.pinv(self._barycentric).T
-        whole = self.pieces.points - self.pieces.centres[:, None]
-        flat = np.einsum("nci,ndi->ncd", whole, self.pieces.frames[:, :-1])
+        whole = self._pieces.points - self._pieces.centres[:, None]
+        flat = np.einsum("nci,ndi->ncd", whole, self._pieces.frames[:, :-1])
         _, size, piece = overlaps(flat, flat)
-        self._rounding = rounding_of(self.pieces.points)
-        self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
+        self._rounding = rounding_of(self._pieces.points)
+        self._area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
-    def all_overlaps(self, selected: Indices) -> Iterator[Overlap]:
-        """Yield integrals over the overlaps of pieces that may face each other, in blocks.
-
-        In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
-        pieces of a surface that touches itself are first paired with pieces nearby. Only pieces
-        that nearby pieces do not fully cover are paired with all pieces within the search distance.
-
-        Args:
-            selected: (m,) the secondary facets.
-        """
-        pieces = np.flatnonzero(np.isin(self.pieces.facet, selected))
+        n, corners = secondary.facet_nodes.shape
+        self.hats, self.means = np.zeros((n, corners, corners)), np.zeros((n, corners, 6))
+        self.values = np.zeros((n, corners, facets.nodes.shape[1]))
+        self.least: Array = np.full(n, np.inf)
+        self._covered = np.zeros(len(whole))
+        self._overlaps: list[tuple[Indices, Array, Indices]] = []
+        mine = np.flatnonzero(np.isin(self._pieces.facet, selected))
         balls = Balls(self._others.centres, self._others.radii)
-        if self._order is not None:
-            near = np.minimum(NEAR * self.pieces.radii, self._limit)
-            done = np.zeros(len(near), dtype=np.bool_)
-            for piece, other in self._facing_pairs(balls, pieces, near):
-                overlap = self._integrate(piece, other, near)
-                seen = np.bincount(overlap.piece, overlap.seen, minlength=len(near))
-                covered = seen >= (1.0 - COVER_ROUNDING) * self.piece_area
-                done |= covered
-                kept: Any = [array[covered[overlap.piece]] for array in overlap]
-                yield Overlap(*kept)
-            pieces = pieces[~done[pieces]]
-        limit = np.full(len(self.piece_area), self._limit)
-        for piece, other in self._facing_pairs(balls, pieces, limit):
-            yield self._integrate(piece, other, limit)
+        reach: Array = np.full(len(whole), limit)
+        if order is not None:
+            near = np.minimum(NEAR * self._pieces.radii, reach)
+            done = np.zeros(len(whole), dtype=np.bool_)
+            for block in self._facing_pairs(balls, mine, near):
+                done |= self._integrate(*block, near, covered_only=True)
+            mine = mine[~done[mine]]
+        for block in self._facing_pairs(balls, mine, reach):
+            self._integrate(*block, reach)
+        missing = self._covered < (1.0 - COVER_ROUNDING) * self._area
+        self.full: Mask = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
+        none: Indices = np.zeros((0, 2), dtype=np.intp)
+        self._overlaps.append((none, np.zeros((0, corners, others.nodes.shape[1])), none))
+        self.pairs, self.other, self.opposite = map(
+            np.concatenate, zip(*self._overlaps, strict=True)
+        )
 
     def _facing_pairs(
         self, balls: Balls, mine: Indices, limit: Array
@@ -247,7 +156,7 @@ class OverlapIntegrals:
             mine: (m,) indices of the secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
-        pieces, others = self.pieces, self._others
+        pieces, others = self._pieces, self._others
         for block in blocks(len(mine)):
             own = mine[block]
             line, other = balls.on_normals(
@@ -261,22 +170,28 @@ class OverlapIntegrals:
                 opposed[opposed] = self._may_meet(*facets)
             yield from _blocks_of_pairs(piece[opposed], other[opposed])
 
-    def _integrate(self, first: Indices, second: Indices, limit: Array) -> Overlap:
-        """Integrate over pairs of secondary and primary pieces.
+    def _integrate(
+        self, first: Indices, second: Indices, limit: Array, *, covered_only: bool = False
+    ) -> Mask:
+        """Add the integrals over pairs of secondary and primary pieces.
 
         Args:
-            first: (pairs,) secondary pieces, ascending.
+            first: (pairs,) secondary pieces, ascending; all pairs of each of them.
             second: (pairs,) primary pieces.
             limit: (pieces,) distance beyond which points are not paired [length].
+            covered_only: whether to leave out secondary pieces that are not fully covered.
+
+        Returns:
+            (pieces,) whether these pairs cover a secondary piece fully, whatever the roles are.
         """
         secondary, primary, dim = self._facets, self._other_facets, self._facets.dim
-        pieces = self.pieces
+        pieces = self._pieces
         simplices, size, pair = overlaps(
             pieces.local_coordinates(first, pieces.points[first])[:, :, :dim],
             pieces.local_coordinates(first, self._others.points[second])[:, :, :dim],
             centred=not self._polynomial,
         )
-        large = size > (self._rounding * self.piece_area)[first][pair]
+        large = size > (self._rounding * self._area)[first][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
         # quadrature points in the planes, (simplices * count, dim), and their weights
         count = len(self._weights)
@@ -304,7 +219,7 @@ class OverlapIntegrals:
         )
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
         weight = nearest_layer_weights(
-            first, pair, simplices, size, places, apart, weight, self.piece_area
+            first, pair, simplices, size, places, apart, weight, self._area
         )
         to_surface, outward = self._surface.at(own_facet, x_own)
         to_other_surface, their_outward = self._other_surface.at(their_facet, x_their)
@@ -351,19 +266,23 @@ class OverlapIntegrals:
         # at the corners of the simplices: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
-        return Overlap(
-            secondary=facet[kept],
-            primary=other[kept],
-            hats=products(hats),
-            values=products(values),
-            means=products(np.column_stack([distance, secondary_sagitta, sagitta, normals])),
-            other=products(others),
-            least=np.minimum.reduceat(least, simplex_starts),
-            piece=first[kept],
-            area=np.add.reduceat(weight, simplex_starts * count),
-            opposite=opposite[kept],
-            seen=np.add.reduceat(seen, simplex_starts * count),
+        piece = first[kept]
+        seen = np.add.reduceat(seen, simplex_starts * count)
+        covered: Mask = np.bincount(piece, seen, minlength=len(limit)) >= (
+            (1.0 - COVER_ROUNDING) * self._area
         )
+        add = covered[piece] if covered_only else np.ones(len(piece), dtype=np.bool_)
+        means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
+        for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
+            np.add.at(total, facet[kept][add], products(integrand)[add])
+        least = np.minimum.reduceat(least, simplex_starts)
+        np.minimum.at(self.least, facet[kept][add], least[add])
+        sizes = np.add.reduceat(weight, simplex_starts * count)
+        np.add.at(self._covered, piece[add], sizes[add])
+        both: Indices = np.column_stack([facet, other])[kept]
+        paired = add & (sizes > 0.0)
+        self._overlaps.append((both[paired], products(others)[paired], both[add & opposite[kept]]))
+        return covered
 
 
 def _blocks_of_pairs(first: Indices, second: Indices) -> Iterator[tuple[Indices, Indices]]:

@@ -163,10 +163,8 @@ def _couple_surfaces(
         return np.asarray(group.pair_of_tags[tags] >= 0)
 
     with errors_on_all_ranks(V.mesh.comm):
-        order = SelfContact.of(facets) if pair.touches_itself else None
-        integrals = MortarIntegrals.of(
-            nodes, other_nodes, around, pair.search_limit, order, may_meet
-        )
+        order = SelfContact(facets) if pair.touches_itself else None
+        integrals = MortarIntegrals(nodes, other_nodes, around, pair.search_limit, order, may_meet)
         shared: Mask
         if order is None:
             shared = np.isin(nodes.numbers, others.nodes)

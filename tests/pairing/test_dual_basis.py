@@ -53,7 +53,7 @@ def test_on_covered_parts_it_is_biorthogonal_too(cell, shift):
     """The covered part may be a strip or a corner of a facet."""
     secondary = sheet(cell, 3, (shift, 1.0 + shift), up=False)
     primary = sheet(cell, 4, first=1000)
-    integrals = MortarIntegrals.of(
+    integrals = MortarIntegrals(
         nodes_of(secondary), nodes_of(primary), np.arange(3**secondary.dim), 1.0
     )
     hats = integrals.hats

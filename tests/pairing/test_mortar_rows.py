@@ -32,7 +32,7 @@ def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=
     if selected is None:
         selected = np.arange(len(secondary.points))
     nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
-    integrals = MortarIntegrals.of(nodes, other_nodes, selected, limit)
+    integrals = MortarIntegrals(nodes, other_nodes, selected, limit)
     return mortar_rows(nodes, primary, integrals, columns)
 
 

@@ -17,7 +17,7 @@ def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
     nodes, others = nodes_of(secondary), nodes_of(primary)
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     everything = np.arange(len(secondary.points))
-    integrals = MortarIntegrals.of(nodes, others, everything, np.inf)
+    integrals = MortarIntegrals(nodes, others, everything, np.inf)
     found = mortar_rows(nodes, primary, integrals, columns)
     height = np.zeros(columns)
     for side in (secondary, primary):

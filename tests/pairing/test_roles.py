@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from sheets import joined, nodes_of, sheet
 
@@ -28,12 +30,12 @@ def test_of_two_nodes_that_are_secondary_and_primary_one_is_redundant():
     """All but those at the ends are both; bodies opposite are those that a node is secondary to."""
     lower = sheet("interval", NUMBER)
     upper = sheet("interval", NUMBER, height=0.1, up=False, first=NUMBER + 1)
-    facets = joined(lower, upper)
-    nodes = nodes_of(facets)
     bodies = np.repeat([0, 1], NUMBER)
-    order = Alternating(bodies, *8 * [np.zeros(len(bodies))])
+    origins = np.column_stack([bodies, np.zeros((2 * NUMBER, 11))])
+    facets = dataclasses.replace(joined(lower, upper), origins=origins)
+    nodes, order = nodes_of(facets), Alternating(facets)
     everything = np.arange(len(bodies))
-    integrals = MortarIntegrals.of(nodes, nodes, everything, np.inf, order)
+    integrals = MortarIntegrals(nodes, nodes, everything, np.inf, order)
 
     x, is_upper = nodes.points[:, 0], nodes.points[:, 1] > 0.05
     inner = (x > 0.0) & (x < 1.0)

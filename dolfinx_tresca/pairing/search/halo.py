@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +20,6 @@ from dolfinx_tresca.pairing.search.balls import (
     expanded_ranges,
     flattened,
     line_intervals,
-    within_reach,
 )
 from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets, Pieces
 from dolfinx_tresca.pairing.search.visibility import (
@@ -66,9 +64,10 @@ class Halo:
         self._send(self._owned_records, facet, self._owners(corners.ravel()))
         self._records_at_own_nodes = self._records
         self._pieces = Pieces.of(owned)
-        self._reach = self._pieces.radii.max(initial=0.0)
-        row = np.append(bounding_box(self._pieces.centres), [self._reach, count])
-        self._boxes = np.array(self.comm.allgather(row))
+        size = [self._pieces.radii.max(initial=0.0), count, 0.0]
+        box = np.vstack([bounding_box(self._pieces.centres), size])
+        #: (ranks, 3, 3): the box of the centres of each rank's pieces; their largest radius, number
+        self._boxes = np.array(self.comm.allgather(box))
 
     def facets_at_own_nodes(self) -> Indices:
         """Return the indices of the facets with a corner owned by this rank. Not collective."""
@@ -78,69 +77,41 @@ class Halo:
 
     def largest_radius(self) -> float:
         """Return the largest radius [length] of all ranks' pieces. Not collective."""
-        return float(self._boxes[:, -2].max())
+        return float(self._boxes[:, 2, 0].max())
 
-    def add_near_lines(self, lines: Array) -> None:
-        """Add the facets of all ranks that are close to lines. Collective.
-
-        Args:
-            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), the distance
-                within which facets are close, and the length of the line in both directions from
-                the point [length]; see `Balls.on_normals`.
-        """
-
-        def near(box: Array, largest_radius: float) -> Mask:
-            width = lines[:, 6] + largest_radius
-            enter, leave = line_intervals(box, lines[:, :3], lines[:, 3:6], width)
-            far = lines[:, 7] + width
-            return np.asarray(np.maximum(enter, -far) <= np.minimum(leave, far))
-
-        balls = Balls(self._pieces.centres, self._pieces.radii)
-        self._add_near(
-            *(lines, near),
-            lambda rows: balls.on_normals(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]),
-        )
-
-    def add_near_points(self, points: Array, reach: Array) -> None:
-        """Add the facets of all ranks near points, and maybe further facets nearby. Collective.
-
-        Args:
-            points: (n, 3) the points [length].
-            reach: (n,) distance within which a facet is near [length].
-        """
-        tree = cKDTree(self._pieces.centres)
-        self._add_near(
-            np.column_stack([points, reach]),
-            lambda box, largest_radius: within_reach(box, points, reach + largest_radius),
-            lambda rows: flattened(tree.query_ball_point(rows[:, :3], rows[:, 3] + self._reach)),
-        )
-
-    def _add_near(
-        self,
-        rows: Array,
-        near: Callable[[Array, float], Mask],
-        search: Callable[[Array], tuple[Indices, Indices]],
+    def add_near_lines(
+        self, points: Array, directions: Array, reach: Array, length: Array | float
     ) -> None:
-        """Add the facets that other ranks find near this rank's points or lines. Collective.
+        """Add the facets of all ranks that are close to lines, and maybe others nearby. Collective.
+
+        See `Balls.on_normals`. Lines without length are points.
 
         Args:
-            rows: (n, k) the points or lines as rows.
-            near: function of a box (2, 3) of centres and the largest radius of a rank's pieces,
-                which returns the mask (n,) of the rows to send to this rank.
-            search: function of received rows, which returns pairs of a row and a piece.
+            points: (n, 3) a point of each line [length].
+            directions: (n, 3) unit vectors along the lines.
+            reach: (n,) distance within which facets are close [length].
+            length: length of the lines in both directions from their points [length]; a number, or
+                an array (n,).
         """
-        chosen = [
-            np.flatnonzero(near(row[:6].reshape(2, 3), row[6]) & (row[7] > 0.0))
-            for row in self._boxes
-        ]
-        chosen[self.comm.rank] = np.zeros(0, dtype=np.intp)
+        chosen = []
+        for rank, (low, high, (largest_radius, count, _)) in enumerate(self._boxes):
+            width = reach + largest_radius
+            enter, leave = line_intervals(np.stack([low, high]), points, directions, width)
+            far = length + width
+            near = np.maximum(enter, -far) <= np.minimum(leave, far)
+            chosen.append(np.flatnonzero(near & (rank != self.comm.rank) & (count > 0.0)))
         ranks = np.repeat(np.arange(self.comm.size), [len(indices) for indices in chosen])
-        rows, source = exchange(self.comm, rows[np.concatenate(chosen)], ranks)
+        length = np.broadcast_to(length, len(points))
+        lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
+        lines, source = exchange(self.comm, lines, ranks)
+        balls = Balls(self._pieces.centres, self._pieces.radii)
         pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
-        for block in blocks(len(rows)):
-            row, piece = search(rows[block])
+        for block in blocks(len(lines)):
+            line, piece = balls.on_normals(
+                lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
+            )
             facet = self._pieces.facet[piece]
-            pairs.append(np.unique(np.column_stack([facet, source[block][row]]), axis=0))
+            pairs.append(np.unique(np.column_stack([facet, source[block][line]]), axis=0))
         self._send(self._owned_records, *np.concatenate(pairs).T)
 
     def add_neighbours(self, numbers: GlobalNumbers) -> None:
@@ -176,7 +147,7 @@ class Halo:
             points: (n, 3) the points [length].
             normals: (n, 3) normals of the points; the normal of an opposed facet is against them.
         """
-        self.add_near_points(points, reach)
+        self.add_near_lines(points, normals, reach, 0.0)
         pieces = Pieces.of(self.facets)
         lists = cKDTree(pieces.centres).query_ball_point(
             points, reach + pieces.radii.max(initial=0)
@@ -235,10 +206,9 @@ def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     centres, normals, radii = pieces.centres[some], pieces.normals[some], pieces.radii[some]
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far = limit + radii + 2.0 * max(secondary.largest_radius(), primary.largest_radius())
-    lines = np.column_stack([centres, normals, radii, far])
     mine = secondary.numbers[mine]
-    primary.add_near_lines(lines)
-    secondary.add_near_lines(lines)
+    primary.add_near_lines(centres, normals, radii, far)
+    secondary.add_near_lines(centres, normals, radii, far)
 
     others = Pieces.of(primary.facets)
     balls = Balls(others.centres, others.radii)
@@ -258,7 +228,7 @@ def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     depth = np.minimum(depth + (0.0 if flat else radii), far)
     deep = depth > 0.5 * SHALLOW_DEPTH * radii
     reach = 2.0 * radii + CREDIBLE_PART * depth
-    primary.add_near_points(centres[deep], reach[deep])
+    primary.add_near_lines(centres[deep], normals[deep], reach[deep], 0.0)
 
     secondary.add_neighbours(mine)
     primary.add_neighbours(theirs)

@@ -9,14 +9,13 @@ are the same in all configurations of finite sliding, and on any number of ranks
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.search.facets import Facets, quadrature
@@ -41,7 +40,6 @@ LEAST_COMPONENT = 0.3
 WALL_PART = 0.5
 
 
-@dataclass(frozen=True)
 class SelfContact:
     """Data that decide which facet of a surface that touches itself is the secondary one.
 
@@ -57,35 +55,14 @@ class SelfContact:
         present_normal: (n, 3) outward unit normal in the present configuration.
     """
 
-    body: Indices
-    size: Array
-    centre: Array
-    normal: Array
-    radius: Array
-    direction: Array
-    corners: GlobalNumbers
-    place: Array
-    present_normal: Array
-
-    @classmethod
-    def of(cls, facets: Facets) -> SelfContact:
-        """Return the data of facets, from their present corners and their `origins`.
-
-        The `origins`, which describe the undeformed facets, must be set. Not collective.
-        """
+    def __init__(self, facets: Facets) -> None:
+        """Take the data from the present corners of facets and their `origins`. Not collective."""
         columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
-        body, size, x, normal, radius, direction = columns
-        return cls(
-            body[:, 0].astype(np.intp),
-            size[:, 0],
-            x,
-            normal,
-            radius[:, 0],
-            direction,
-            facets.nodes[:, : facets.corners],
-            facets.points[:, : facets.corners].mean(axis=1),
-            facets.mean_normals,
-        )
+        body, size, self.centre, self.normal, radius, self.direction = columns
+        self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
+        self.corners = facets.nodes[:, : facets.corners]
+        self.place = facets.points[:, : facets.corners].mean(axis=1)
+        self.present_normal = facets.mean_normals
 
     def _facing_before(self, first: Indices, second: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""

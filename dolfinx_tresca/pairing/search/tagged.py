@@ -11,7 +11,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
@@ -25,7 +25,7 @@ from dolfinx_tresca.pairing.search.facets import (
     quadrature,
     tabulate,
 )
-from dolfinx_tresca.scene.geometry import Projection, open_projections, project_points
+from dolfinx_tresca.scene.geometry import open_projections, project_points
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -86,7 +86,40 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
             "the bodies when meshing."
         )
 
-    result = _facets_with_nodes(V, prescribed, facets)
+    dofmap = V.dofmap
+    to_cell = mesh.topology.connectivity(dim, dim + 1)
+    cells = to_cell.array[to_cell.offsets[facets]]
+    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
+    cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
+            "hexahedron": "quadrilateral"}[kind]  # fmt: skip
+    sides = entities_per_cell(V, dim)
+    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
+    place = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
+    closures = np.array(
+        [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)], dtype=np.int64
+    )
+    closure = closures[place]
+    corners = {"interval": 2, "triangle": 3, "quadrilateral": 4}[cell]
+
+    x = V.tabulate_dof_coordinates()
+    cell_nodes = dofmap.list[cells]
+    nodes = np.take_along_axis(cell_nodes, closure, axis=1)
+    points = x[nodes]
+    middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
+    free = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs, np.float64)
+    free.array[: len(prescribed)] = ~prescribed
+    free.scatter_forward()
+    is_free = free.array.reshape(-1, dofmap.index_map_bs) > 0.5
+    numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
+    result = oriented(
+        cell,
+        V.element.basix_element.degree,
+        np.asarray(numbers, dtype=np.int64),
+        points,
+        is_free[nodes[:, :corners]],
+        numbers_in_file(V)[nodes[:, :corners]],
+        middle,
+    )
     return checked(comm, result, f"tag {tag}", side)
 
 
@@ -139,54 +172,6 @@ def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
     return replace(facets, bent=bool(bent), plane=not uneven)
 
 
-def _facets_with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
-    """Return the facets with local numbers (n,) of the mesh as `Facets`. Collective."""
-    mesh, dofmap = V.mesh, V.dofmap
-    dim = mesh.topology.dim - 1
-    to_cell = mesh.topology.connectivity(dim, dim + 1)
-    cells = to_cell.array[to_cell.offsets[facets]]
-    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
-    cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
-            "hexahedron": "quadrilateral"}[kind]  # fmt: skip
-    sides = entities_per_cell(V, dim)
-    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
-    side = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
-    closures = np.array(
-        [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)], dtype=np.int64
-    )
-    closure = closures[side]
-    corners = {"interval": 2, "triangle": 3, "quadrilateral": 4}[cell]
-
-    x = V.tabulate_dof_coordinates()
-    cell_nodes = dofmap.list[cells]
-    nodes = np.take_along_axis(cell_nodes, closure, axis=1)
-    points = x[nodes]
-    middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
-    free = _free_with_ghosts(V, prescribed)
-    numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
-    return oriented(
-        cell,
-        V.element.basix_element.degree,
-        np.asarray(numbers, dtype=np.int64),
-        points,
-        free[nodes[:, :corners]],
-        numbers_in_file(V)[nodes[:, :corners]],
-        middle,
-    )
-
-
-def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
-    """Return a mask (nodes, dim of space) of the free components of this rank's nodes.
-
-    Collective.
-    """
-    dim = V.dofmap.index_map_bs
-    vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
-    vector.array[: len(prescribed)] = ~prescribed
-    vector.scatter_forward()
-    return np.asarray(vector.array.reshape(-1, dim) > 0.5)
-
-
 def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
     """Return the sides of a pair with the `Facets.offsets` of their facets. Collective.
 
@@ -204,42 +189,32 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
     """
     if pair.geometry is None or isinstance(pair.primary, RigidObstacle):
         return sides
-    result = dict(sides)
-    with errors_on_all_ranks(V.mesh.comm), open_projections(pair.geometry) as surfaces:
+    comm, result = V.mesh.comm, dict(sides)
+    with errors_on_all_ranks(comm), open_projections(pair.geometry) as surfaces:
         for tag, facets in sides.items():
             if tag in surfaces:
-                offsets = _offsets(facets, tag, surfaces[tag], V.mesh.geometry.dim)
+                values = facets.basis(lagrange_points(facets.cell, OFFSET_DEGREE))
+                points = np.einsum("qk,nki->nqi", values, facets.points)
+                places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
+                exact = project_points(
+                    places, f"geometry[{tag}]", surfaces[tag], V.mesh.geometry.dim
+                )
+                offsets = (exact - places)[index.ravel()].reshape(points.shape)
                 result[tag] = replace(facets, offsets=offsets)
     for tag, facets in result.items():
         if any_known_surface(facets):
-            _check_corners(V.mesh.comm, tag, facets)
+            size = np.ptp(facets.points, axis=1).max(axis=1)
+            off = np.linalg.norm(facets.offsets[:, : facets.corners], axis=2)
+            farthest = (off.max(axis=1, initial=0.0) / size).max(initial=0.0)
+            worst = float(reduce_array(comm, farthest, MPI.MAX))
+            if worst > FAR_CORNER:
+                raise InputError(
+                    f"facets with tag {tag} are not on their surface in `geometry`: the distance "
+                    f"of a corner is {worst:.2g} times the size of its facet. Give the geometry "
+                    "from which the mesh was made, in its units; for a mesh that was moved, give "
+                    "functions of points."
+                )
     return result
-
-
-def _offsets(facets: Facets, tag: int, projection: Projection, dim: int) -> Array:
-    """Return the `Facets.offsets` of facets by a projection onto their surface. Not collective."""
-    values = facets.basis(lagrange_points(facets.cell, OFFSET_DEGREE))
-    points = np.einsum("qk,nki->nqi", values, facets.points)
-    places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-    moved = (project_points(places, f"geometry[{tag}]", projection, dim) - places)[index.ravel()]
-    return np.asarray(moved.reshape(points.shape))
-
-
-def _check_corners(comm: MPI.Comm, tag: int, facets: Facets) -> None:
-    """Check that all corners are near their surface, see `FAR_CORNER`. Collective.
-
-    Raises:
-        InputError: a corner is too far away.
-    """
-    size = np.ptp(facets.points, axis=1).max(axis=1)
-    off = np.linalg.norm(facets.offsets[:, : facets.corners], axis=2).max(axis=1, initial=0.0)
-    worst = float(reduce_array(comm, (off / size).max(initial=0.0), MPI.MAX))
-    if worst > FAR_CORNER:
-        raise InputError(
-            f"facets with tag {tag} are not on their surface in `geometry`: the distance of a "
-            f"corner is {worst:.2g} times the size of its facet. Give the geometry from which the "
-            "mesh was made, in its units; for a mesh that was moved, give functions of points."
-        )
 
 
 def any_known_surface(*sides: Facets) -> bool:
