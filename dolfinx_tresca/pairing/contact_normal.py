@@ -221,19 +221,17 @@ class SmoothSurface:
             self._normals[ends, c] -= lean[:, None] * along
         self._normals /= np.linalg.norm(self._normals, axis=2)[:, :, None]
 
-    def nodes_on_surface(self) -> Array:
-        """Return the nodes (n, k, 3) of the displacement, moved to the fitted surface [length].
+    def points(self, facet: Indices, x: Array) -> Array:
+        """Return points (n, q, 3) of the fitted surface over facets (n,) [length].
 
-        Corners are on the surface already; the other nodes of degree 2 are on straight edges.
+        Args:
+            facet: the facets.
+            x: (q, dim) reference coordinates, the same for all facets.
         """
-        facets = self._facets
-        if not self.nonzero:
-            return facets.points
-        hats = facets.hats_at_nodes
-        count = len(facets.points)
-        facet = np.repeat(np.arange(count), len(hats))
-        offsets = self.fitted_offsets(facet, np.tile(hats, (count, 1)))
-        return np.asarray(facets.points + offsets.reshape(facets.points.shape))
+        points = np.einsum("qk,nki->nqi", self._facets.basis(x), self._facets.points[facet])
+        hats = np.tile(self._facets.hats(x), (len(facet), 1))
+        offsets = self.fitted_offsets(np.repeat(facet, len(x)), hats)
+        return np.asarray(points + offsets.reshape(points.shape))
 
     def heights(self, facet: Indices, hats: Array) -> Array:
         """Return the fitted heights (n,) over facets, along the outward normal [length].

@@ -25,7 +25,7 @@ from dolfinx_tresca.pairing.coupling import (
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets
-from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes
+from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, node_sums
 from dolfinx_tresca.pairing.search.tagged import any_known_surface
 from dolfinx_tresca.scene.friction import DryFriction, Friction
 from dolfinx_tresca.scene.pair import ContactPair
@@ -207,16 +207,15 @@ def mortar_rows(
     if carries is not None:
         weights = redistributed(weights[:, :, None], carries)[:, :, 0]
 
-    sums = np.bincount(nodes.facet_nodes.ravel(), weights.ravel(), minlength=len(nodes.numbers))
-    weights = sums.astype(np.float64)
+    corners, count = nodes.facet_nodes, len(nodes.numbers)
+    weights = node_sums(corners, weights, count)
     own = dual @ integrals.values
     facet, other = integrals.pairs.T
     block = dual[facet] @ integrals.other
     across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
     jump = assemble_rows(nodes, nodes.facet_nodes, nodes.facets.nodes, own, columns) - across
-    means, acting = np.zeros((len(weights), 6)), np.zeros((len(weights), 3))
-    np.add.at(means, nodes.facet_nodes, dual @ integrals.means)
-    np.add.at(acting, nodes.facet_nodes, own @ nodes.facets.points)
+    means = node_sums(corners, dual @ integrals.means, count)
+    acting = node_sums(corners, own @ nodes.facets.points, count)
     distance, secondary_sagitta, heights = means[:, :3].T
     jump, across = (
         drop_rounding(matrix, nodes, nodes.facet_nodes, weights) for matrix in (jump, across)
@@ -258,9 +257,8 @@ def nodes_without_multiplier(
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     count = len(nodes.numbers)
-    covered = np.bincount(corners.ravel(), weights.ravel(), minlength=count)
-    whole = np.broadcast_to(weights.mean(axis=1, keepdims=True), weights.shape)
-    whole = np.bincount(corners.ravel(), whole.ravel(), minlength=count)
+    covered = node_sums(corners, weights, count)
+    whole = node_sums(corners, weights.mean(axis=1, keepdims=True), count)
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1

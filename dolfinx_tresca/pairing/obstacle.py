@@ -30,7 +30,7 @@ from dolfinx_tresca.pairing.coupling import (
 )
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
-from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes, node_sums
 from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -82,7 +82,9 @@ def couple(
         height = np.zeros_like(distance)
         surface = SmoothSurface(nodes)
         if facets.degree > 1:
-            height = distance - obstacle.at(surface.nodes_on_surface().reshape(-1, 3))[0]
+            x = lagrange_points(facets.cell, facets.degree)
+            smooth = surface.points(np.arange(len(facets.points)), x)
+            height = distance - obstacle.at(smooth.reshape(-1, 3))[0]
         _, obstacle_normals = obstacle.at(nodes.points[node_entry])
         at_corners = obstacle_normals[nodes.facet_nodes]
         faces, turns = _facing_corners(facets, obstacle, at_corners)
@@ -92,11 +94,7 @@ def couple(
     weighted = dual_coefficients(hats, np.ones(len(facets.points), dtype=np.bool_)) @ values
     corner_weights = redistributed(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
-    def summed(values: Array) -> Array:
-        sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(node_entry))
-        return sums.astype(np.float64)
-
-    weights = summed(corner_weights)
+    weights = node_sums(facet_nodes, corner_weights, len(node_entry))
     shares = np.zeros((len(weights), len(group.pairs)))
     pair_of_facet = group.pair_of_tags[facets.tag_index, 0]
     np.add.at(shares, (facet_nodes, pair_of_facet[:, None]), corner_weights)
@@ -109,9 +107,10 @@ def couple(
     def nodal_means(at_nodes: Array) -> Array:
         """Return means (nodes,) of values at facets' nodes, by the dual basis on facing facets."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
-        return scale * summed(values / nodes.corner_weights * corner_weights)
+        values = values / nodes.corner_weights * corner_weights
+        return scale * node_sums(facet_nodes, values, len(weights))
 
-    means = np.stack([summed(corner_weights * normals[:, :, i]) for i in range(3)], axis=1)
+    means = node_sums(facet_nodes, corner_weights[:, :, None] * normals, len(weights))
     means = nodal_contact_normals(scale[:, None] * means, nodes)
     cosine = -np.einsum("ni,ni->n", means, obstacle_normals)
     along = np.maximum(cosine, FACING_COSINE)
@@ -123,9 +122,7 @@ def couple(
         _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, surface, facing, at_nodes)
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
-    place = np.zeros((len(weights), 3))
-    np.add.at(place, facet_nodes, rows @ facets.points)
-    place *= scale[:, None]
+    place = scale[:, None] * node_sums(facet_nodes, rows @ facets.points, len(weights))
     return Coupling(
         position,
         weights[position],
@@ -162,9 +159,7 @@ def _warn_of_entered_facets(
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     near = facing[np.abs(at_nodes[facing]).min(axis=1, initial=np.inf) <= size[facing]]
     x = lagrange_points(facets.cell, ENTERED_DEGREE)
-    points = np.einsum("qk,nki->nqi", facets.basis(x), facets.points[near])
-    hats = np.tile(facets.hats(x), (len(near), 1))
-    points += surface.fitted_offsets(np.repeat(near, len(x)), hats).reshape(points.shape)
+    points = surface.points(near, x)
     with errors_on_all_ranks(comm):
         inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
     depth = inside.max(axis=1, initial=0.0)

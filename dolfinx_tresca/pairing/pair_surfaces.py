@@ -112,9 +112,26 @@ def _pair(
         nodes = other_nodes = _surface_nodes(V, pair, "secondary", halo, moved)
         if not pair.touches_itself:
             other_nodes = _surface_nodes(V, pair, "primary", primary, moved)
-        around = halo.facets_at_own_nodes()
-        coupling, bodies = _couple_surfaces(V, group, nodes, other_nodes, around, moved)
-        others = primary.facets
+        facets, others = nodes.facets, other_nodes.facets
+
+        def may_meet(facet: Indices, other: Indices) -> Mask:
+            tags = facets.tag_index[facet], primary.facets.tag_index[other]
+            return np.asarray(group.pair_of_tags[tags] >= 0)
+
+        with errors_on_all_ranks(comm):
+            around, limit = halo.facets_at_own_nodes(), pair.search_limit
+            order = SelfContact(facets) if pair.touches_itself else None
+            integrals = MortarIntegrals(nodes, other_nodes, around, limit, order, may_meet)
+            shared: Mask = np.isin(nodes.numbers, others.nodes)
+            if order is not None:
+                shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
+                bodies = opposite_bodies(nodes, integrals.pairs, order)
+        if pair.touches_itself:
+            decided = nodes.numbers[shared & owned_nodes(V, nodes)]
+            shared = np.isin(nodes.numbers, gather_rows(comm, decided))
+        coupling = mortar.couple(V, group, nodes, other_nodes, integrals, shared, moved)
+        if pair.pairing == "nodes" and not moved:
+            _check_meshes_match(V, pair, coupling, nodes)
     if not moved and len(group.pairs) > 1:
         areas = reduce_array(comm, coupling.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
@@ -124,60 +141,8 @@ def _pair(
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
         group.say_laws(comm, coupling.shares)
-    largest = reduce_array(comm, np.abs(halo.owned.points).max(initial=0.0), MPI.MAX)
-    rounding = ROUNDING * float(largest)
-    return PairOperators.of(V, coupling, nodes, rounding, undeformed, others, bodies)
-
-
-def _couple_surfaces(
-    V: Any,
-    group: PairGroup,
-    nodes: SurfaceNodes,
-    other_nodes: SurfaceNodes,
-    around: Indices,
-    moved: bool,
-) -> tuple[Coupling, Indices | None]:
-    """Find the jumps at secondary nodes by mortar integrals. Collective.
-
-    Args:
-        V: the space of the displacement.
-        group: the contact pairs.
-        nodes: nodes of the secondary side.
-        other_nodes: nodes of the primary side.
-        around: (m,) the secondary facets with a corner that this rank owns.
-        moved: whether the surfaces are displaced.
-
-    Returns:
-        The coupling, and the number of the body opposite to each node (`opposite_bodies`), which is
-        None unless the surface touches itself.
-
-    Raises:
-        PairingError: `pair.pairing` is "nodes", but the undeformed meshes do not match; or no node
-            can carry a multiplier.
-    """
-    pair, facets, others = group.surfaces, nodes.facets, other_nodes.facets
-    bodies = None
-
-    def may_meet(first: Indices, second: Indices) -> Mask:
-        tags = facets.tag_index[first], others.tag_index[second]
-        return np.asarray(group.pair_of_tags[tags] >= 0)
-
-    with errors_on_all_ranks(V.mesh.comm):
-        order = SelfContact(facets) if pair.touches_itself else None
-        integrals = MortarIntegrals(nodes, other_nodes, around, pair.search_limit, order, may_meet)
-        shared: Mask
-        if order is None:
-            shared = np.isin(nodes.numbers, others.nodes)
-        else:
-            shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
-            bodies = opposite_bodies(nodes, integrals.pairs, order)
-    if pair.touches_itself:
-        own = owned_nodes(V, nodes)
-        shared = np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[shared & own]))
-    coupling = mortar.couple(V, group, nodes, other_nodes, integrals, shared, moved)
-    if pair.pairing == "nodes" and not moved:
-        _check_meshes_match(V, pair, coupling, nodes)
-    return coupling, bodies
+    largest = float(reduce_array(comm, np.abs(halo.owned.points).max(initial=0.0), MPI.MAX))
+    return PairOperators.of(V, coupling, nodes, ROUNDING * largest, undeformed, others, bodies)
 
 
 def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: SurfaceNodes) -> None:

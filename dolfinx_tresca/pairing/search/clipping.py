@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.pairing.search.balls import flattened
 
 #: The overlaps of a piece are taken not to cover each other if their total area is at most this
@@ -36,7 +36,11 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
         return np.stack([low, high], axis=1)[pair], size[pair], pair
     low, high = np.maximum(first.min(1), second.min(1)), np.minimum(first.max(1), second.max(1))
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
-    polygons = clip(second[near], _counter_clockwise(first[near]))
+    windows = first[near]
+    sides = windows - windows[:, :1]
+    clockwise = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1) < 0.0
+    windows[clockwise] = windows[clockwise, ::-1]
+    polygons = clip(second[near], windows)
     fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
     if centred:
         total = areas.sum(axis=1)
@@ -105,13 +109,6 @@ def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
     return np.take_along_axis(result, slot[:, :, None], axis=1)
 
 
-def _counter_clockwise(polygons: Array) -> Array:
-    """Return polygons (n, a, 2) with their corners in counter-clockwise order."""
-    sides = polygons - polygons[:, :1]
-    area = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1)
-    return np.where((area < 0.0)[:, None, None], polygons[:, ::-1], polygons)
-
-
 def _cross(a: Array, b: Array) -> Array:
     """Return the cross products (...) of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
@@ -168,14 +165,9 @@ def nearest_layer_weights(
     distance = np.abs(gap).reshape(-1, count).mean(axis=1)
     nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
     point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
-    inside = _inside(simplices[b], place)
+    sides = np.swapaxes(simplices[b, 1:] - simplices[b, :1], 1, 2)
+    reference = np.linalg.solve(sides, (place - simplices[b, 0])[..., None])[..., 0]
+    inside = (reference > 0.0).all(axis=1) & (reference.sum(axis=1) < 1.0)
     result = weight.reshape(-1, count).copy()
     result[a[inside], point[inside] % count] = 0.0
     return result.ravel()
-
-
-def _inside(simplices: Array, points: Array) -> Mask:
-    """Return whether each point (n, d) lies inside its simplex (n, d + 1, d)."""
-    sides = np.swapaxes(simplices[:, 1:] - simplices[:, :1], 1, 2)
-    coordinates = np.linalg.solve(sides, (points - simplices[:, 0])[..., None])[..., 0]
-    return np.asarray((coordinates > 0.0).all(axis=1) & (coordinates.sum(axis=1) < 1.0))

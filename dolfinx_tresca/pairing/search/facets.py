@@ -116,11 +116,6 @@ class Facets:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, 1, 0, x)[0])
 
-    @property
-    def hats_at_nodes(self) -> Array:
-        """The hat functions (k, corners) of the corners at the displacement's nodes."""
-        return self.hats(lagrange_points(self.cell, self.degree))
-
     def basis(self, x: Array) -> Array:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
@@ -134,7 +129,8 @@ class Facets:
         if self.degree == 1 and self.cell != "quadrilateral":
             return replace(self, points=points)  # always straight and plane
         corners = points[:, : self.corners]
-        straight = np.einsum("kc,nci->nki", self.hats_at_nodes, corners)
+        hats = self.hats(lagrange_points(self.cell, self.degree))
+        straight = np.einsum("kc,nci->nki", hats, corners)
         size = np.ptp(corners, axis=1).max(axis=1)
         rounding = SHAPE_ROUNDING + rounding_of(corners)
         bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())

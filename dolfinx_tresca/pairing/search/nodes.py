@@ -176,26 +176,34 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
     corners = np.flatnonzero(np.isin(node, node[leans <= limit[node]]))
     if len(corners) == 0:
         return node, np.arange(count)
-    part = np.zeros(len(node), dtype=np.intp)
-    part[corners] = _connected(node[corners], normals[corners])
-    parts = int(part.max()) + 1
-    patches, patch = np.unique(node * parts + part, return_inverse=True)
-    return patch, patches // parts
+    own = node[corners]
+    order = np.argsort(own, kind="stable")
+    starts = np.searchsorted(own[order], own)
+    counts = np.searchsorted(own[order], own, side="right") - starts
+    corner, place = expanded_ranges(starts, counts)
+    partner = order[place]
+    cosine = np.einsum("ni,ni->n", normals[corners[corner]], normals[corners[partner]])
+    near = cosine >= math.cos(math.radians(EDGE_ANGLE))
+    links = np.ones(near.sum()), (corner[near], partner[near])
+    graph = coo_array(links, shape=(len(own), len(own)))
+    component = np.zeros(len(node), dtype=np.intp)
+    component[corners] = connected_components(graph, directed=False)[1]
+    number = int(component.max()) + 1
+    patches, patch = np.unique(node * number + component, return_inverse=True)
+    return patch, patches // number
 
 
-def _connected(node: Indices, normals: Array) -> Indices:
-    """Return the number (n,) of the connected component of each corner; see `smooth_patches`."""
-    order = np.argsort(node, kind="stable")
-    starts = np.searchsorted(node[order], node)
-    numbers = np.searchsorted(node[order], node, side="right") - starts
-    first, place = expanded_ranges(starts, numbers)
-    second = order[place]
-    angle = np.einsum("ni,ni->n", normals[first], normals[second])
-    near = angle >= math.cos(math.radians(EDGE_ANGLE))
-    graph = coo_array(
-        (np.ones(near.sum()), (first[near], second[near])), shape=(len(node), len(node))
-    )
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+def node_sums(nodes: Indices, values: Array, count: int) -> Array:
+    """Return the sums (count, ...) at nodes of values (facets, corners, ...) at facets' corners.
+
+    Args:
+        nodes: (facets, corners) the node of each corner.
+        values: the values.
+        count: the number of nodes.
+    """
+    sums = np.zeros((count, *values.shape[2:]))
+    np.add.at(sums, nodes, values)
+    return sums
 
 
 def tangents(normals: Array) -> Array:

@@ -88,15 +88,11 @@ class Visibility:
         self._facing_away = np.flatnonzero(may)
 
     @cached_property
-    def _own_balls(self) -> Balls:
-        """The enclosing balls of all secondary pieces."""
-        return Balls(self._pieces.centres, self._pieces.radii)
-
-    @cached_property
-    def _other_balls(self) -> Balls:
-        """The enclosing balls of the primary pieces that may be occluders."""
-        some = self._facing_away
-        return Balls(self._others.centres[some], self._others.radii[some])
+    def _balls(self) -> tuple[Balls, Balls]:
+        """The enclosing balls of the primary and of the secondary pieces that may be occluders."""
+        others, away = self._others, self._facing_away
+        own = Balls(self._pieces.centres, self._pieces.radii)
+        return Balls(others.centres[away], others.radii[away]), own
 
     def hidden(
         self,
@@ -206,8 +202,7 @@ class Visibility:
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         # segments end at primary facets with opposed normals; such facets hide nothing
-        balls = self._own_balls if own else self._other_balls
-        target, occluder = balls.on_normals(
+        target, occluder = self._balls[own].on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             reach + pieces.radii[targets],
         )  # fmt: skip
