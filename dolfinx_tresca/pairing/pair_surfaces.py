@@ -29,10 +29,10 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
 #: Difference of the sums of squares of a node's means over both sides up to which the meshes match
-#: there. It is twice the distance of the nodes along the surface, relative to the size of a facet.
-#: (Nodes of a mesh generator differ by 1e-10 or less; with a tenth of this, those of CAD files that
-#: were written with eight digits would not match.)
-MATCHING_SQUARES = 1e-7
+#: there: one to two times the distance of the nodes along the surface, relative to the size of a
+#: facet. With twice as much, meshes match that are twice as far apart; those of a mesh generator
+#: differ by 1e-10 or less.
+MATCHING_SQUARES = 2e-8
 
 #: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
 SAME_PLACE = 1e-6
