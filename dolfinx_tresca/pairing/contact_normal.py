@@ -38,9 +38,11 @@ OPPOSED_ANGLE = 0.5
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
-#: Least cosine between a facet's normal and the normals at its corners (26 degrees). Below it a
-#: corner is on an edge, and the facet counts as flat.
-SMOOTH_COSINE = 0.9
+#: Cosines between a facet's normal and the normals at its corners (37 and 26 degrees): below the
+#: lower one a corner is on an edge, and the facet counts as flat; above the upper one it is smooth.
+#: Between them it is a mean of both, since with a limit in place of a range the contact of soft
+#: bodies may have no solution: the ironing block's corner, where facets kink more with more force.
+EDGE_COSINE, SMOOTH_COSINE = 0.8, 0.9
 
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
 #: the surface counts as curved over the side. The height falls to zero where the sum is equal to
@@ -140,13 +142,14 @@ class SmoothSurface:
             self._turn_end_normals(rim[corner_nodes], smooth)
         cosines = np.einsum("nci,ni->nc", self._normals, self._facet_normals)
         self.turns = turned_angles(cosines)
-        edge = (cosines < SMOOTH_COSINE).any(axis=1)
-        self._mean = np.where(edge[:, None], self._facet_normals, 0.0)
-        self._normals[edge] = 0.0
+        least = cosines.min(axis=1, initial=1.0)
+        curved = np.clip((least - EDGE_COSINE) / (SMOOTH_COSINE - EDGE_COSINE), 0.0, 1.0)
+        self._mean = (1.0 - curved)[:, None] * self._facet_normals
+        self._normals *= curved[:, None, None]
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
-        cosines = np.where(edge[:, None], 1.0, cosines)
+        cosines = np.where(curved[:, None] > 0.0, cosines, 1.0)
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
         size = np.ptp(self._corners, axis=1).max(axis=1)
