@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -94,10 +93,10 @@ def couple(
     without = nodes_without_multiplier(V, nodes, others, integrals, shared, pair.friction)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
-        found = mortar_rows(nodes, others, integrals, columns, without)
-    unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
+        rows = mortar_rows(nodes, others, integrals, columns, without)
+    unpaired = rows.weights <= LEAST_AREA_PART * nodes.weights
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-    weights = found.weights[position]
+    weights = rows.weights[position]
     facet, other = integrals.pairs.T
     corner = nodes.facet_nodes[facet]
     covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[corner])[:, :, 0]
@@ -106,10 +105,11 @@ def couple(
     np.add.at(areas, (corner, member[:, None]), covered)
     shares = areas[position]
     scale: Array = np.reciprocal(weights)
-    jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
-    place = found.force_moments[position] / weights[:, None]
-    means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
-    gap = found.distance[position] / weights
+    jump, primary = (scaled_rows(matrix[position], scale) for matrix in (rows.jump, rows.primary))
+    means = rows.means / np.where(rows.weights > 0.0, rows.weights, 1.0)[:, None]
+    normals = nodal_contact_normals(means[:, 3:6], nodes)[position]
+    means = means[position]
+    gap, secondary_sagitta, sagitta = means[:, :3].T
     if not moved:
         # Functions of the dual basis are negative in part: a mean may be less than all distances
         # around the node. (The gap of moved surfaces must change as N says, or the positions of
@@ -118,19 +118,13 @@ def couple(
         np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
         gap = np.maximum(gap, least[position])
     if not moved and not any_known_surface(facets, others):
-        _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
+        _warn_of_close_fit(V.mesh.comm, pair, gap, sagitta)
     # only displacements of degree 2 can bend facets and so make up for the sagitta
-    secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
+    secondary_sagitta = secondary_sagitta * (facets.degree > 1)
+    shares *= (weights / shares.sum(axis=1))[:, None]
+    place = means[:, 6:]
     return Coupling(
-        position,
-        weights,
-        shares * (weights / shares.sum(axis=1))[:, None],
-        nodal_contact_normals(means, nodes)[position],
-        jump,
-        primary,
-        gap,
-        place,
-        secondary_sagitta,
+        position, weights, shares, normals, jump, primary, gap, place, secondary_sagitta
     )
 
 
@@ -152,29 +146,21 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
         )
 
 
-@dataclass(frozen=True)
-class MortarRows:
+class MortarRows(NamedTuple):
     """Weighted jumps at the nodes of the secondary side.
 
     Attributes:
         weights: (n,) covered area of each node [length^2, in 2D length].
         jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
         primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
-        sagitta: (n,) sum of the heights of both curved surfaces over their facets, times weight.
-        secondary_sagitta: (n,) height of the secondary surface over its facets, times weight.
-        distance: (n,) distance of the surfaces along the contact normal, times weight.
-        normals: (n, 3) contact normals, times weight.
-        force_moments: (n, 3) points of application of the nodal forces, times weight.
+        means: (n, 9) six quantities of `MortarIntegrals.means` and the three coordinates of the
+            point of application of the nodal forces, times weight.
     """
 
     weights: Array
     jump: Any
     primary: Any
-    sagitta: Array
-    secondary_sagitta: Array
-    distance: Array
-    normals: Array
-    force_moments: Array
+    means: Array
 
 
 def mortar_rows(
@@ -195,27 +181,21 @@ def mortar_rows(
             distributed over the other nodes of its facets (`nodes_without_multiplier`); None if all
             nodes have multipliers.
     """
-    carries = None if without is None else ~without[nodes.facet_nodes]
+    corners, count = nodes.facet_nodes, len(nodes.numbers)
+    carries = None if without is None else ~without[corners]
     dual = dual_coefficients(integrals.hats, integrals.full, carries)
     weights = integrals.hats.sum(axis=2)
     if carries is not None:
         weights = redistributed(weights[:, :, None], carries)[:, :, 0]
-
-    corners, count = nodes.facet_nodes, len(nodes.numbers)
     weights = node_sums(corners, weights, count)
     own = dual @ integrals.values
     facet, other = integrals.pairs.T
     block = dual[facet] @ integrals.other
-    across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    jump = assemble_rows(nodes, nodes.facet_nodes, nodes.facets.nodes, own, columns) - across
-    means = node_sums(corners, dual @ integrals.means, count)
-    acting = node_sums(corners, own @ nodes.facets.points, count)
-    distance, secondary_sagitta, heights = means[:, :3].T
-    jump, across = (
-        drop_rounding(matrix, nodes, nodes.facet_nodes, weights) for matrix in (jump, across)
-    )
-    normals = means[:, 3:]
-    return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, normals, acting)
+    across = assemble_rows(nodes, corners[facet], primary.nodes[other], block, columns)
+    jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns) - across
+    means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
+    jump, across = (drop_rounding(matrix, nodes, corners, weights) for matrix in (jump, across))
+    return MortarRows(weights, jump, across, node_sums(corners, means, count))
 
 
 def nodes_without_multiplier(
