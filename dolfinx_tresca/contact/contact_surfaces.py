@@ -26,10 +26,10 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.summary import ProblemSummary
-from dolfinx_tresca.pairing.choice import pair_group
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -15,9 +15,9 @@ from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.owner import destroyed_on_error
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
-from dolfinx_tresca.pairing.moved import straightened
+from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 

@@ -25,7 +25,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, fixed
 

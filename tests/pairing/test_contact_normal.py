@@ -17,7 +17,7 @@ from dolfinx_tresca import (
     RigidSphere,
     read_gmsh,
 )
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from scenes.elasticity import elasticity, fixed, no_load
 
 GAP = 0.03

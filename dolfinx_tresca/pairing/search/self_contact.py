@@ -9,18 +9,18 @@ are the same in all configurations of finite sliding, and on any number of ranks
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.numbering import label_bodies
-from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
 #: 1, slight differences in size would decide, and between equal bricks rounding.
@@ -40,7 +40,6 @@ LEAST_COMPONENT = 0.3
 WALL_PART = 0.5
 
 
-@dataclass(frozen=True)
 class SelfContact:
     """Data that decide which facet of a surface that touches itself is the secondary one.
 
@@ -56,40 +55,14 @@ class SelfContact:
         present_normal: (n, 3) outward unit normal in the present configuration.
     """
 
-    body: Indices
-    size: Array
-    centre: Array
-    normal: Array
-    radius: Array
-    direction: Array
-    corners: GlobalNumbers
-    place: Array
-    present_normal: Array
-
-    @classmethod
-    def of(cls, facets: Facets) -> SelfContact:
-        """Return the data of facets, from their present corners and their `origins`.
-
-        The `origins`, which describe the undeformed facets, must be set. Not collective.
-        """
+    def __init__(self, facets: Facets) -> None:
+        """Take the data from the present corners of facets and their `origins`. Not collective."""
         columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
-        body, size, x, normal, radius, direction = columns
-        return cls(
-            body[:, 0].astype(np.intp),
-            size[:, 0],
-            x,
-            normal,
-            radius[:, 0],
-            direction,
-            facets.nodes[:, : facets.corners],
-            facets.points[:, : facets.corners].mean(axis=1),
-            facets.mean_normals,
-        )
-
-    def in_one_body(self, first: Indices, second: Indices) -> Mask:
-        """Return, for pairs of facets (m,), whether both belong to the same body, (m,)."""
-        result: Mask = self.body[first] == self.body[second]
-        return result
+        body, size, self.centre, self.normal, radius, self.direction = columns
+        self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
+        self.corners = facets.nodes[:, : facets.corners]
+        self.place = facets.points[:, : facets.corners].mean(axis=1)
+        self.present_normal = facets.mean_normals
 
     def _facing_before(self, first: Indices, second: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
@@ -109,7 +82,7 @@ class SelfContact:
         depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
-        some = np.flatnonzero(self.in_one_body(first, second))
+        some = np.flatnonzero(self.body[first] == self.body[second])
         f, g = first[some], second[some]
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
@@ -141,7 +114,7 @@ class SelfContact:
             self.centre[g] - self.centre[f],
         )
         in_body = np.einsum("ni,ni->n", towards, self.direction[f]) > 0.0
-        return np.where(self.in_one_body(f, g), in_body, of_bodies)
+        return np.where(self.body[f] == self.body[g], in_body, of_bodies)
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
@@ -176,24 +149,78 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1, initial=0.0)
     normals = facets.mean_normals
-    some = _directions(V.mesh.geometry.dim)
-    cosine = np.abs(normals @ some.T)
+    directions = np.zeros((DIRECTIONS, 3))  # random ones, none of which is along an axis
+    directions[:, : 1 + facets.dim] = np.random.default_rng(0).normal(
+        size=(DIRECTIONS, 1 + facets.dim)
+    )
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    cosine = np.abs(normals @ directions.T)
     along = np.minimum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), cosine)
-    quality = np.zeros((number, len(some)))
+    quality = np.zeros((number, DIRECTIONS))
     np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
     quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
     best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
-    origins = np.column_stack([body, size[body], centre, normals, radius, some[best][body]])
+    origins = np.column_stack([body, size[body], centre, normals, radius, directions[best][body]])
     return origins, int(np.count_nonzero(count))
 
 
-def _directions(dim: int) -> Array:
-    """Return different directions (n, 3), none of which is along an axis of coordinates."""
-    k = np.arange(DIRECTIONS) + 0.5
-    if dim == 2:
-        angle = np.pi * k / DIRECTIONS
-        return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
-    height = k / DIRECTIONS  # Fibonacci's lattice on a half sphere
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * k
-    across = np.sqrt(1.0 - height**2)
-    return np.column_stack([across * np.cos(angle), across * np.sin(angle), height])
+def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
+    """Return the nodes whose jump another node already constrains. Not collective.
+
+    `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
+    facet to facet, two opposite nodes may each be secondary on one facet and primary on the next.
+    Both nodes would have the same jump: only the node that comes first in the mesh file has a
+    multiplier, and the second node is returned. A node that is opposite to itself, such as the tip
+    of a crack, has no jump, and is returned.
+
+    Args:
+        nodes: the nodes of the surface.
+        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
+        opposite: (q, 2) pairs of facets that see each other with exchanged roles.
+
+    Returns:
+        (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
+        all on this rank.
+    """
+    count, in_file = nodes.facets.corners, nodes.facets.file_numbers
+
+    def rows(pairs: Indices) -> Indices:
+        """Return rows (node, its number in the mesh file, this number of an opposite node).
+
+        There is a row for each corner of the first facet of a pair, with each corner of the second.
+        """
+        own, theirs = pairs.T
+        columns = (
+            np.repeat(nodes.facet_nodes[own], count, axis=1),
+            np.repeat(in_file[own], count, axis=1),
+            np.tile(in_file[theirs], count),
+        )
+        result: Indices = np.column_stack([column.ravel() for column in columns])
+        return np.unique(result, axis=0)
+
+    together = np.concatenate([rows(paired), rows(opposite)])
+    seen, times = np.unique(together, axis=0, return_counts=True)
+    own, theirs = seen[:, 1], seen[:, 2]
+    second = seen[(own == theirs) | (times > 1) & (own > theirs), 0]
+    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    result[second] = True
+    return result
+
+
+def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) -> Indices:
+    """Return the body that is opposite to each node. Not collective.
+
+    Args:
+        nodes: the nodes of the surface.
+        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
+        order: the bodies of the facets.
+
+    Returns:
+        (n,) the number of the body, the least number if there are several bodies; -1 for nodes
+        without an opposite facet.
+    """
+    none = np.iinfo(np.intp).max
+    result = np.full(len(nodes.numbers), none)
+    facet, partner = paired.T
+    np.minimum.at(result, nodes.facet_nodes[facet], order.body[partner][:, None])
+    return np.where(result == none, -1, result)

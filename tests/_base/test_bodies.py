@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca.surface.numbering import _connected_nodes
+from dolfinx_tresca._base.bodies import _connected_nodes
 
 
 def test_nodes_are_connected_by_cells():

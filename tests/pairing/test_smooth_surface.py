@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from sheets import CELLS, joined, nodes_of, sheet
 
-from dolfinx_tresca.surface.facets import quadrature
-from dolfinx_tresca.surface.smooth_surface import SmoothSurface
+from dolfinx_tresca.pairing.contact_normal import SmoothSurface
+from dolfinx_tresca.pairing.search.facets import quadrature
 
 RADIUS = 2.0
 
@@ -31,7 +31,7 @@ def heights(facets, nodes, across) -> tuple[np.ndarray, np.ndarray]:
     facet = np.repeat(np.arange(len(facets.points)), len(x))
     values = np.tile(hats, (len(facets.points), 1))
     points = np.einsum("qc,nci->nqi", hats, facets.points[:, : facets.corners]).reshape(-1, 3)
-    surface = SmoothSurface(facets, nodes)
+    surface = SmoothSurface(nodes)
     assert surface.nonzero
     return surface.heights(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
 
@@ -80,7 +80,7 @@ def test_sagitta_of_a_cylinder_with_distorted_facets(cell):
 @pytest.mark.parametrize("cell", CELLS)
 def test_flat_surface_has_no_sagitta(cell):
     facets = sheet(cell, 4, distort=0.5)
-    surface = SmoothSurface(facets, nodes_of(facets))
+    surface = SmoothSurface(nodes_of(facets))
     assert not surface.nonzero
 
 
@@ -93,7 +93,7 @@ def test_sharp_edge_has_no_sagitta(cell):
         return x
 
     facets = sheet(cell, 4, move=roof)
-    assert not SmoothSurface(facets, nodes_of(facets)).nonzero
+    assert not SmoothSurface(nodes_of(facets)).nonzero
 
 
 def test_smooth_surface_beside_a_sharp_edge_keeps_its_sagitta():
@@ -108,7 +108,7 @@ def test_smooth_surface_beside_a_sharp_edge_keeps_its_sagitta():
         away=lambda x: np.array([0.0, 1.0, 0.0]),
     )
     both = joined(cap, wall)
-    surface = SmoothSurface(both, nodes_of(both))
+    surface = SmoothSurface(nodes_of(both))
     hats = np.full((2, 3), 1.0 / 3.0)
     found = surface.heights(np.array([30, len(cap.points) + 5]), hats)
     assert surface.nonzero and found[0] > 0.0 and abs(found[1]) < 1e-12
@@ -116,4 +116,4 @@ def test_smooth_surface_beside_a_sharp_edge_keeps_its_sagitta():
 
 def test_curved_facets_have_no_sagitta():
     facets = sheet("triangle", 4, (-0.5, 0.5), degree=2, height=RADIUS, move=on_sphere)
-    assert not SmoothSurface(facets, nodes_of(facets)).nonzero
+    assert not SmoothSurface(nodes_of(facets)).nonzero

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rotations import rotation
 
-from dolfinx_tresca.surface.search import Balls
+from dolfinx_tresca.pairing.search.balls import Balls
 
 #: Relative rounding of the distance from a line: such balls may be found or not.
 ROUNDING = 2e-9

@@ -10,8 +10,7 @@ from sheets import CELLS, sheet
 
 import basix
 
-from dolfinx_tresca.surface.facets import quadrature, tabulate
-from dolfinx_tresca.surface.projection import project
+from dolfinx_tresca.pairing.search.facets import project, quadrature, tabulate
 from scenes.scene import EPS
 
 

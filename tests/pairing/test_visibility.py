@@ -7,9 +7,8 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, part_of, sheet
 
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility, distances
+from dolfinx_tresca.pairing.search.facets import Facets, Pieces
+from dolfinx_tresca.pairing.search.visibility import CREDIBLE_PART, Visibility, distances
 
 UP, DOWN = True, False
 
@@ -124,7 +123,7 @@ def test_deep_penetration_beside_a_near_surface_is_hidden(cell, shallow):
     pieces = Pieces.of(own)
     # a sheet that ends at the distance `side` from the line
     axes = np.zeros((3, 3))
-    axes[: own.dim] = pieces.frames()[0, :-1]
+    axes[: own.dim] = pieces.frames[0, :-1]
     near = pieces.centres[0] + side * axes[0]
     beside = sheet(cell, 1, first=9000, move=lambda x: near + x @ axes)
     others = Pieces.of(joined(target, beside))

@@ -13,8 +13,8 @@ from rotations import rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
-from dolfinx_tresca.pairing.side import Side
-from dolfinx_tresca.surface.nodes import EDGE_ANGLE, smooth_patches
+from dolfinx_tresca.pairing.pair_surfaces import _surface_nodes
+from dolfinx_tresca.pairing.search.nodes import EDGE_ANGLE, smooth_patches
 from scenes.scene import EPS
 
 
@@ -107,10 +107,10 @@ def test_error_names_a_node_whose_normals_cancel():
     assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
     assert np.isfinite(nodes.normals).all()
     pair = SimpleNamespace(side=lambda name: "tag 1")
-    side = Side(pair, "secondary", SimpleNamespace(facets=needle))
+    halo = SimpleNamespace(facets=needle)
     space = SimpleNamespace(
         mesh=SimpleNamespace(comm=MPI.COMM_SELF),
         dofmap=SimpleNamespace(index_map=SimpleNamespace(local_range=(1, count + 2))),
     )
     with pytest.raises(PairingError, match=r"no normal at \[0\. 0\. 1\.\].*Repair the mesh"):
-        side.nodes_on_this_rank(space, moved=False)
+        _surface_nodes(space, pair, "secondary", halo, moved=False)

@@ -8,8 +8,7 @@ from sheets import CELLS, joined, nodes_of, part_of, sheet
 
 from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nearest import _candidate_pairs, _inside
+from dolfinx_tresca.pairing.search.facets import Facets
 from scenes.scene import EPS
 
 
@@ -18,8 +17,8 @@ def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
     nodes, others = nodes_of(secondary), nodes_of(primary)
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     everything = np.arange(len(secondary.points))
-    integrals = MortarIntegrals.of(secondary, nodes, primary, others, everything, np.inf)
-    found = mortar_rows(secondary, nodes, primary, integrals, columns)
+    integrals = MortarIntegrals(nodes, others, everything, np.inf)
+    found = mortar_rows(nodes, primary, integrals, columns)
     height = np.zeros(columns)
     for side in (secondary, primary):
         height[side.nodes] = side.points[..., side.dim]
@@ -61,27 +60,3 @@ def test_penetration_counts_by_its_absolute_value():
     weights, distance = gaps(secondary, joined(ahead, behind))
     assert weights.sum() == pytest.approx(1.0, rel=1e3 * EPS)
     assert np.allclose(distance, -0.05, atol=1e4 * EPS)
-
-
-@pytest.mark.parametrize("dim", [1, 2])
-def test_candidate_pairs_include_all_containing_simplices_and_few_others(dim):
-    """Each owner has two fine layers; the number of candidates is proportional to the simplices."""
-    pairs = []
-    for n in (4, 8):
-        sheets = [sheet(("interval", "triangle")[dim - 1], n, distort=0.3 * k) for k in (1, 2)]
-        layer = np.concatenate([facets.points[:, : dim + 1, :dim] for facets in sheets])
-        simplices = np.concatenate([layer, 5.0 - 2.0 * layer])
-        owner = np.repeat([3, 7], len(layer))
-        points = simplices.mean(axis=1, keepdims=True) + 0.1 * (simplices[:, :2] - simplices[:, 1:])
-        point, simplex = _candidate_pairs(owner, simplices, points)
-        number = points.shape[1]
-        assert (owner[point // number] == owner[simplex]).all()
-        found = np.zeros((len(owner) * number, len(owner)), dtype=bool)
-        found[point, simplex] = True
-        assert found.sum() == len(point)  # no pair occurs twice
-        every, other = np.nonzero(owner.repeat(number)[:, None] == owner)
-        inside = _inside(simplices[other], points.reshape(-1, dim)[every])
-        assert inside.sum() >= 2 * len(found)
-        assert found[every[inside], other[inside]].all()
-        pairs.append(len(point) / len(found))
-    assert pairs[1] < 1.2 * pairs[0]  # the number of candidates per point does not grow

@@ -9,10 +9,10 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.surface.halo import Halo, extend_halos
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls
-from dolfinx_tresca.surface.tagged import tagged_facets
+from dolfinx_tresca.pairing.search.balls import Balls
+from dolfinx_tresca.pairing.search.facets import Pieces
+from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
+from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from scenes.patches import LOWER, UPPER, patch
 
 
@@ -60,7 +60,7 @@ def test_halo_contains_all_facets_along_the_normals(comm, kind, limit):
     """One ring is inside another; normals also meet the opposite side unless the limit is small."""
     scene = patch(comm, kind, upper=(7, 2), lower=(5, 2), warp=ring, gap=0.1)
     secondary, primary = halos(scene)
-    whole = [comm.allgather(halo._owned.facets) for halo in (secondary, primary)]
+    whole = [comm.allgather(halo.owned) for halo in (secondary, primary)]
     extend_halos(secondary, primary, limit)
     mine = Pieces.of(secondary.facets)
     some = np.isin(mine.facet, secondary.facets_at_own_nodes())
@@ -91,7 +91,7 @@ def test_halo_contains_no_distant_facets(comm):
     extend_halos(secondary, primary, np.inf)
     treated = secondary.facets.points[secondary.facets_at_own_nodes()][..., 0].ravel()
     for halo in (secondary, primary):
-        owned = keys(comm, halo._owned.facets)
+        owned = keys(comm, halo.owned)
         for nodes, points in zip(halo.facets.nodes, halo.facets.points, strict=True):
             if tuple(sorted(nodes.tolist())) not in owned:
                 low = scene.V.dofmap.index_map.local_range

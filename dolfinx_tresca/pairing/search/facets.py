@@ -1,10 +1,10 @@
-"""Facets of a surface, with the shape functions of the displacement."""
+"""Facets of a surface with the shape functions of the displacement, and their straight pieces."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,27 @@ FACET_ARRAYS = (
     *("nodes", "points", "free", "file_numbers"),
     *("outward", "offsets", "origins", "tag_index"),
 )
+
+#: Largest number of Newton steps; the length of a step, in reference coordinates, that counts as
+#: rounding.
+NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
+
+# corners of each piece, in the order round it, as indices of the facet's nodes in basix' order
+_WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
+_QUARTERS = {
+    "interval": [[0, 2], [2, 1]],
+    "triangle": [[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]],
+    "quadrilateral": [[0, 4, 8, 5], [4, 1, 6, 8], [8, 6, 3, 7], [5, 8, 7, 2]],
+}
+
+#: Distance of two corners, relative to the size of the facet, up to which they match, in addition
+#: to the rounding of coordinates. Twice as much would admit meshes that are twice as far apart;
+#: those of a mesh generator differ by 1e-10 or less.
+MATCHING_DISTANCE = 1e-8
+
+#: Overlap of two facets, relative to the area of the secondary facet, up to which the facets count
+#: as sharing only an edge or a corner. A mismatch of `MATCHING_DISTANCE` causes smaller overlaps.
+RIM_PART = 1e-6
 
 
 @dataclass(frozen=True)
@@ -42,9 +63,9 @@ class Facets:
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            surface/offsets.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
+            search/tagged.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
-            see surface/self_contact.py; (n, 0) on other surfaces.
+            see search/self_contact.py; (n, 0) on other surfaces.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane of its own.
@@ -95,11 +116,6 @@ class Facets:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, 1, 0, x)[0])
 
-    @property
-    def hats_at_nodes(self) -> Array:
-        """The hat functions (k, corners) of the corners at the displacement's nodes."""
-        return _hats_at_nodes(self.cell, self.degree)
-
     def basis(self, x: Array) -> Array:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
@@ -108,16 +124,21 @@ class Facets:
         """Return the facets with their nodes at other points (n, k, 3).
 
         `bent` and `plane` of the result describe the facets of this rank only; see `checked` in
-        surface/tagged.py.
+        pairing/search/tagged.py.
         """
         if self.degree == 1 and self.cell != "quadrilateral":
             return replace(self, points=points)  # always straight and plane
         corners = points[:, : self.corners]
-        straight = np.einsum("kc,nci->nki", self.hats_at_nodes, corners)
+        hats = self.hats(lagrange_points(self.cell, self.degree))
+        straight = np.einsum("kc,nci->nki", hats, corners)
         size = np.ptp(corners, axis=1).max(axis=1)
         rounding = SHAPE_ROUNDING + rounding_of(corners)
         bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
-        plane = not bent and _flat(self.cell, corners, size, rounding)
+        plane = not bent
+        if plane and self.cell == "quadrilateral":
+            sides = corners[:, 1:] - corners[:, :1]
+            volume = np.einsum("ni,ni->n", cross(sides[:, 0], sides[:, 1]), sides[:, 2])
+            plane = bool((np.abs(volume) <= rounding * size**3).all())
         return replace(self, points=points, bent=bent, plane=plane)
 
     def frames(self) -> Array:
@@ -224,11 +245,6 @@ def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
 
 
-def _hats_at_nodes(cell: str, degree: int) -> Array:
-    """Return the hat functions (k, corners) of the corners at the nodes of a Lagrange basis."""
-    return np.asarray(tabulate(cell, 1, 0, lagrange_points(cell, degree))[0])
-
-
 def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
     """Return quadrature points (q, dim) and weights (q,) on a reference cell."""
     points, weights = basix.make_quadrature(basix.CellType[cell], degree)
@@ -276,10 +292,114 @@ def oriented(
     return result
 
 
-def _flat(cell: str, corners: Array, size: Array, rounding: Array) -> bool:
-    """Return whether the corners of each facet lie in a plane."""
-    if cell != "quadrilateral":
-        return True
-    sides = corners[:, 1:] - corners[:, :1]
-    volume = np.einsum("ni,ni->n", cross(sides[:, 0], sides[:, 1]), sides[:, 2])
-    return bool((np.abs(volume) <= rounding * size**3).all())
+@dataclass(frozen=True)
+class Pieces:
+    """Segments, triangles or quadrilaterals that approximate facets.
+
+    If any facet of the surface is curved (`Facets.bent`), each facet is cut into two (in 2D) or
+    four pieces; else each facet is one piece.
+
+    Attributes:
+        facet: (n,) the facet of each piece, ascending.
+        nodes: (n, corners) global numbers of the displacement's nodes at the corners.
+        points: (n, corners, 3) corners in the order round the piece [length].
+        centres: (n, 3) means of the corners [length].
+        radii: (n,) largest distance of a corner from the centre [length].
+        normals: (n, 3) outward unit normals of the (mean) planes.
+    """
+
+    facet: Indices
+    nodes: GlobalNumbers
+    points: Array
+    centres: Array
+    radii: Array
+    normals: Array
+
+    @classmethod
+    def of(cls, facets: Facets) -> Pieces:
+        """Cut facets into pieces."""
+        corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
+        points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
+        nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
+        facet = np.repeat(np.arange(len(facets.points)), len(corners))
+        centres = points.mean(axis=1)
+        if facets.dim == 1:
+            vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
+        else:  # the area vector is half the cross product of the diagonals, or of two sides
+            vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
+        vectors = vectors * facets.outward[facet, None]
+        return cls(
+            facet,
+            nodes,
+            points,
+            centres,
+            np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
+            np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None]),
+        )
+
+    @cached_property
+    def frames(self) -> Array:
+        """Orthonormal axes (n, dim + 1, 3) of the pieces: tangents, and the normal last."""
+        axes = frames_along(self.points[:, 1] - self.points[:, 0], self.normals)
+        return axes[:, [0, 2]] if self.points.shape[1] == 2 else axes
+
+    def local_coordinates(self, piece: Indices, points: Array) -> Array:
+        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
+
+        The origin is the centre of the piece; the last coordinate is the height over its plane.
+        """
+        relative = points - self.centres[piece][:, None]
+        return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
+
+
+def project(facets: Facets, nodes: Array, target: Array) -> Array:
+    """Find the reference points (n, dim) of facets whose images are given points of a plane.
+
+    Args:
+        facets: the facets; only their cell and degree are used.
+        nodes: (n, k, dim) nodes of one facet for each point, projected into the plane [length].
+        target: (n, dim) the given points in the plane [length].
+    """
+    dim = facets.dim
+    # the affine map is exact for straight segments, triangles and parallelograms
+    sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(dim)], axis=2)
+    x = _solve(sides, target - nodes[:, 0])
+    if facets.affine:
+        return x
+    for _ in range(NEWTON_STEPS):
+        table = tabulate(facets.cell, facets.degree, 1, x)
+        defect = target - np.einsum("nk,nki->ni", table[0], nodes)
+        step = _solve(np.einsum("jnk,nki->nij", table[1:], nodes), defect)
+        x = x + step
+        if np.abs(step).max(initial=0.0) <= STEP_ROUNDING:
+            break
+    return x
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solve n systems of size dim = 1 or 2; the solution of a singular system is zero."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if matrix.shape[1] == 1:
+            result = right / matrix[:, 0]
+        else:
+            (a, b), (c, d) = np.moveaxis(matrix, 0, 2)
+            x, y = right.T
+            result = np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None]
+    return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, other: Indices) -> Mask:
+    """Return whether each pair (p,) of a secondary and a primary facet has the same corners.
+
+    Args:
+        secondary: facets of the secondary side.
+        facet: (p,) secondary facet of each pair.
+        primary: facets of the primary side.
+        other: (p,) primary facet of each pair.
+    """
+    corners = secondary.points[facet, : secondary.corners]
+    offset = primary.points[other, None, : primary.corners] - corners[:, :, None]
+    size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
+    allowed = (MATCHING_DISTANCE + secondary.rounding[facet]) * size
+    nearest = np.linalg.norm(offset, axis=3).min(axis=2)
+    return np.asarray((nearest <= allowed[:, None]).all(axis=1))

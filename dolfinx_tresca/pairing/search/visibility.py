@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.balls import Balls, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.facets import Pieces
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
 #: degrees). At larger angles the facet's area is more than ten times the area of its projection.
@@ -62,7 +61,7 @@ class Visibility:
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
-    surface/nearest.py.
+    search/clipping.py.
     """
 
     def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
@@ -78,7 +77,6 @@ class Visibility:
                 the same pieces; None for two surfaces.
         """
         self._pieces, self._others, self._body = pieces, others, body
-        self._frames = pieces.frames()
         # `least` bounds the angles between the normals of secondary pieces and their mean. By this
         # bound only the primary pieces in `may` can have a normal at less than a right angle to the
         # normal of a secondary piece.
@@ -90,15 +88,11 @@ class Visibility:
         self._facing_away = np.flatnonzero(may)
 
     @cached_property
-    def _own_balls(self) -> Balls:
-        """The enclosing balls of all secondary pieces."""
-        return Balls(self._pieces.centres, self._pieces.radii)
-
-    @cached_property
-    def _other_balls(self) -> Balls:
-        """The enclosing balls of the primary pieces that may be occluders."""
-        some = self._facing_away
-        return Balls(self._others.centres[some], self._others.radii[some])
+    def _balls(self) -> tuple[Balls, Balls]:
+        """The enclosing balls of the primary and of the secondary pieces that may be occluders."""
+        others, away = self._others, self._facing_away
+        own = Balls(self._pieces.centres, self._pieces.radii)
+        return Balls(others.centres[away], others.radii[away]), own
 
     def hidden(
         self,
@@ -130,22 +124,29 @@ class Visibility:
         targets, first, target = np.unique(piece[apart], return_index=True, return_inverse=True)
         reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
         for own in (True, False):
-            occluders = self._occluders(own, targets, reach)
-            begin = np.searchsorted(occluders.target, target)
-            numbers = np.searchsorted(occluders.target, target, side="right") - begin
+            occluders, occluder_target, corners, height, slope = self._occluders(
+                own, targets, reach
+            )
+            begin = np.searchsorted(occluder_target, target)
+            numbers = np.searchsorted(occluder_target, target, side="right") - begin
             block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
             for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
                 owner, occluder = expanded_ranges(begin[some], numbers[some])
                 place = apart[some[owner]]
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
-                    passed = occluders.piece[occluder] != end_piece[place]
+                    passed = occluders[occluder] != end_piece[place]
                     occluder, place = occluder[passed], place[passed]
-                place, height, outward = occluders.crossings(occluder, place, places[place])
+                around = corners[occluder] - places[place][:, None]
+                crosses = _around_origin(around)
+                occluder, place, middle = occluder[crosses], place[crosses], around[crosses]
+                middle = middle.mean(axis=1)
+                crossing = height[occluder] - np.einsum("nd,nd->n", slope[occluder, :-1], middle)
+                outward = slope[occluder, -1] > 0.0
                 gap = end[place] > start[place]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
                 matters = leaves | gap if own else leaves == gap
-                distance = (height - start[place]) * np.where(gap, 1.0, -1.0)
+                distance = (crossing - start[place]) * np.where(gap, 1.0, -1.0)
                 touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
                 at = np.where(leaves, distance - touch, distance + touch)
                 length = np.abs(end - start)[place]
@@ -168,7 +169,7 @@ class Visibility:
             return result
         local = np.column_stack([places, start])[deep]
         points = self._pieces.centres[piece[deep]]
-        points = points + np.einsum("nd,ndi->ni", local, self._frames[piece[deep]])
+        points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
         limit = CREDIBLE_PART * (start - end)[deep]
         near = cKDTree(self._others.centres).query_ball_point(
             points, limit + self._others.radii.max()
@@ -181,7 +182,9 @@ class Visibility:
         result[deep[point[within]]] = True
         return result
 
-    def _occluders(self, own: bool, targets: Indices, reach: Array) -> _Occluders:
+    def _occluders(
+        self, own: bool, targets: Indices, reach: Array
+    ) -> tuple[Indices, Indices, Array, Array, Array]:
         """Return the facets of one side that may cross segments from pieces to primary points.
 
         Args:
@@ -189,11 +192,17 @@ class Visibility:
             targets: (m,) secondary pieces, along whose normals the segments run.
             reach: (m,) largest distance of the segments' ends from the plane of each piece
                 [length].
+
+        Returns:
+            For each pair (n,) of an occluder and a piece whose bounding boxes overlap in the plane
+            of the piece: the index of the occluder among the pieces of its side; the index in
+            `targets`, ascending; the corners (n, corners, d) of the occluder in the plane, and the
+            height (n,) of its centre over it [length]; and (n, d + 1) the gradient of its height
+            over the plane, followed by the cosine between the normals of both.
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         # segments end at primary facets with opposed normals; such facets hide nothing
-        balls = self._own_balls if own else self._other_balls
-        target, occluder = balls.on_normals(
+        target, occluder = self._balls[own].on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             reach + pieces.radii[targets],
         )  # fmt: skip
@@ -216,87 +225,28 @@ class Visibility:
             common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
             target, occluder, piece = target[keep], occluder[keep], piece[keep]
-        return _Occluders.overlapping(
-            target,
-            occluder,
-            pieces.local_coordinates(self._frames, piece, side.points[occluder]),
-            np.einsum("ni,ndi->nd", side.normals[occluder], self._frames[piece]),
-            pieces.local_coordinates(self._frames, piece, pieces.points[piece]),
-        )
+        corners = pieces.local_coordinates(piece, side.points[occluder])
+        flat = corners[:, :, :-1]
+        own_flat = pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1]
+        low = np.maximum(flat.min(axis=1), own_flat.min(axis=1))
+        high = np.minimum(flat.max(axis=1), own_flat.max(axis=1))
+        keep = (high - low > POSITION_ROUNDING * np.ptp(own_flat, axis=1)).all(axis=1)
+        occluder, target, corners = occluder[keep], target[keep], corners[keep]
+        slope = np.einsum("ni,ndi->nd", side.normals[occluder], pieces.frames[piece[keep]])
+        slope[:, :-1] /= -slope[:, -1:]
+        return occluder, target, corners[:, :, :-1], corners[:, :, -1].mean(axis=1), slope
 
 
-@dataclass(frozen=True)
-class _Occluders:
-    """Facets that may hide primary points from a secondary piece, in the frame of this piece.
-
-    Attributes:
-        target: (n,) index of the piece in `targets` of `Visibility._occluders`, ascending.
-        piece: (n,) index of the facet among the pieces of its side.
-        corners: (n, corners, d) corners of the facet in the plane of the piece [length].
-        height: (n,) height of the facet's centre over this plane [length].
-        slope: (n, d) gradient of the height of the facet over this plane.
-        outward: (n,) whether the outward normal of the facet points along the piece's normal.
-    """
-
-    target: Indices
-    piece: Indices
-    corners: Array
-    height: Array
-    slope: Array
-    outward: Mask
-
-    @classmethod
-    def overlapping(
-        cls,
-        target: Indices,
-        occluder: Indices,
-        corners: Array,
-        normals: Array,
-        piece_corners: Array,
-    ) -> _Occluders:
-        """Return the facets whose bounding box in the plane of the piece overlaps the piece's box.
-
-        Args:
-            target: (n,) see the attribute `target`.
-            occluder: (n,) see the attribute `piece`.
-            corners: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
-            normals: (n, d + 1) outward unit normal of the facet in the frame of the piece.
-            piece_corners: (n, corners, d + 1) corners of the piece in its own frame [length].
-        """
-        flat, piece = corners[:, :, :-1], piece_corners[:, :, :-1]
-        low, high = np.maximum(flat.min(1), piece.min(1)), np.minimum(flat.max(1), piece.max(1))
-        keep = (high - low > POSITION_ROUNDING * np.ptp(piece, axis=1)).all(axis=1)
-        height, normals = corners[keep, :, -1].mean(axis=1), normals[keep]
-        slope = -normals[:, :-1] / normals[:, -1:]
-        return cls(target[keep], occluder[keep], flat[keep], height, slope, normals[:, -1] > 0.0)
-
-    def crossings(
-        self, occluder: Indices, point: Indices, positions: Array
-    ) -> tuple[Indices, Array, Mask]:
-        """Intersect lines through points, along the normals of the pieces, with occluders.
-
-        Args:
-            occluder: (n,) the occluder of each pair.
-            point: (n,) index of the point of each pair.
-            positions: (n, d) position of the point in the plane of the piece [length].
-
-        Returns:
-            For the pairs that intersect: the index of the point, the height of the intersection
-            over the plane [length], and whether the facet's outward normal points along the line.
-        """
-        corners = self.corners[occluder] - positions[:, None]
-        if positions.shape[1] == 1:
-            low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
-            slack = POSITION_ROUNDING * (high - low)
-            inside = (low <= slack) & (high >= -slack)
-        else:
-            following = np.roll(corners, -1, axis=1)
-            turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
-            slack = POSITION_ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
-            inside = (turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1)
-        occluder, middle = occluder[inside], corners[inside].mean(axis=1)
-        above_plane = np.einsum("nd,nd->n", self.slope[occluder], middle)
-        return point[inside], self.height[occluder] - above_plane, self.outward[occluder]
+def _around_origin(corners: Array) -> Mask:
+    """Return whether the origin lies in segments or polygons (n, corners, d), or on their edges."""
+    if corners.shape[2] == 1:
+        low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
+        slack = POSITION_ROUNDING * (high - low)
+        return np.asarray((low <= slack) & (high >= -slack))
+    following = np.roll(corners, -1, axis=1)
+    turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
+    slack = POSITION_ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
+    return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
 
 def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -13,11 +13,16 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca.surface.box import Box
-from dolfinx_tresca.surface.facets import FACET_ARRAYS, Facets
-from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
-from dolfinx_tresca.surface.visibility import (
+from dolfinx_tresca.pairing.search.balls import (
+    Balls,
+    blocks,
+    bounding_box,
+    expanded_ranges,
+    flattened,
+    line_intervals,
+)
+from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets, Pieces
+from dolfinx_tresca.pairing.search.visibility import (
     CREDIBLE_PART,
     FACING_COSINE,
     SHALLOW_DEPTH,
@@ -34,6 +39,9 @@ class Halo:
 
     Attributes:
         comm: the communicator.
+        owned: the facets that this rank owns.
+        facets: the facets of the halo.
+        numbers: (n,) global numbers of the facets of the halo, ascending.
     """
 
     def __init__(self, V: Any, owned: Facets) -> None:
@@ -46,35 +54,20 @@ class Halo:
         self.comm: MPI.Comm = V.mesh.comm
         self._range = V.dofmap.index_map.local_range
         self._ends = np.array(self.comm.allgather(self._range[1]))
+        self.owned = self.facets = owned
         count = len(owned.points)
-        first = sum(self.comm.allgather(count)[: self.comm.rank])
-        self._owned = _NumberedFacets(owned, np.arange(first, first + count))
-        self._local = self._owned
+        start = sum(self.comm.allgather(count)[: self.comm.rank])
+        self.numbers: GlobalNumbers = start + np.arange(count)
+        self._records = self._owned_records = self._as_records()
         corners = owned.nodes[:, : owned.corners]
         facet = np.repeat(np.arange(count), owned.corners)
-        self._send_facets(self._owned, facet, self._owners(corners.ravel()))
-        self._at_own_nodes = self._local
-        if self.comm.size > 1:
-            self._pieces = Pieces.of(owned)
-            self._reach = self._pieces.radii.max(initial=0.0)
-            row = np.append(Box.around(self._pieces.centres).to_row(), [self._reach, count])
-            self._boxes = np.empty((self.comm.size, len(row)))
-            self.comm.Allgather(row, self._boxes)
-
-    @property
-    def owned(self) -> Facets:
-        """The facets that this rank owns."""
-        return self._owned.facets
-
-    @property
-    def facets(self) -> Facets:
-        """The facets of the halo, in the order of `numbers`."""
-        return self._local.facets
-
-    @property
-    def numbers(self) -> GlobalNumbers:
-        """The global numbers (n,) of the facets, ascending."""
-        return self._local.number
+        self._send(self._owned_records, facet, self._owners(corners.ravel()))
+        self._records_at_own_nodes = self._records
+        self._pieces = Pieces.of(owned)
+        size = [self._pieces.radii.max(initial=0.0), count, 0.0]
+        box = np.vstack([bounding_box(self._pieces.centres), size])
+        #: (ranks, 3, 3): the box of the centres of each rank's pieces; their largest radius, number
+        self._boxes = np.array(self.comm.allgather(box))
 
     def facets_at_own_nodes(self) -> Indices:
         """Return the indices of the facets with a corner owned by this rank. Not collective."""
@@ -83,53 +76,43 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius [length] of all ranks' pieces; for two or more ranks."""
-        return float(self._boxes[:, -2].max())
+        """Return the largest radius [length] of all ranks' pieces. Not collective."""
+        return float(self._boxes[:, 2, 0].max())
 
-    def add_near_lines(self, lines: Array) -> None:
-        """Add the facets of all ranks that are close to lines. Collective.
+    def add_near_lines(
+        self, points: Array, directions: Array, reach: Array, length: Array | float
+    ) -> None:
+        """Add the facets of all ranks that are close to lines, and maybe others nearby. Collective.
+
+        See `Balls.on_normals`. Lines without length are points.
 
         Args:
-            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), the distance
-                within which facets are close, and the length of the line in both directions from
-                the point [length]; see `Balls.on_normals`.
+            points: (n, 3) a point of each line [length].
+            directions: (n, 3) unit vectors along the lines.
+            reach: (n,) distance within which facets are close [length].
+            length: length of the lines in both directions from their points [length]; a number, or
+                an array (n,).
         """
-        queries = []
-        for rank, box, reach in self._other_ranks():
-            near = lines[:, 6] + reach
-            enter, leave = box.line_intervals(lines[:, :3], lines[:, 3:6], near)
-            far = lines[:, 7] + near
-            queries.append((rank, np.maximum(enter, -far) <= np.minimum(leave, far)))
-        lines, source = self._send_queries(lines, queries)
+        chosen = []
+        for rank, (low, high, (largest_radius, count, _)) in enumerate(self._boxes):
+            width = reach + largest_radius
+            enter, leave = line_intervals(np.stack([low, high]), points, directions, width)
+            far = length + width
+            near = np.maximum(enter, -far) <= np.minimum(leave, far)
+            chosen.append(np.flatnonzero(near & (rank != self.comm.rank) & (count > 0.0)))
+        ranks = np.repeat(np.arange(self.comm.size), [len(indices) for indices in chosen])
+        length = np.broadcast_to(length, len(points))
+        lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
+        lines, source = exchange(self.comm, lines, ranks)
         balls = Balls(self._pieces.centres, self._pieces.radii)
         pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
-        for some in blocks(len(lines)):
+        for block in blocks(len(lines)):
             line, piece = balls.on_normals(
-                lines[some, :3], lines[some, 3:6], lines[some, 6], lines[some, 7]
+                lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
             )
-            found = np.column_stack([self._pieces.facet[piece], source[some][line]])
-            pairs.append(np.unique(found, axis=0))
-        self._send_facets(self._owned, *np.concatenate(pairs).T)
-
-    def add_near_points(self, balls: Array) -> None:
-        """Add the facets of all ranks that meet balls, and maybe further facets nearby. Collective.
-
-        Args:
-            balls: (n, 4) balls as rows: the centre (3) and the radius [length].
-        """
-        queries = [
-            (rank, box.within_reach(balls[:, :3], balls[:, 3] + reach))
-            for rank, box, reach in self._other_ranks()
-        ]
-        balls, source = self._send_queries(balls, queries)
-        tree = cKDTree(self._pieces.centres)
-        pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
-        for some in blocks(len(balls)):
-            lists = tree.query_ball_point(balls[some, :3], balls[some, 3] + self._reach)
-            ball, piece = flattened(lists)
-            found = np.column_stack([self._pieces.facet[piece], source[some][ball]])
-            pairs.append(np.unique(found, axis=0))
-        self._send_facets(self._owned, *np.concatenate(pairs).T)
+            facet = self._pieces.facet[piece]
+            pairs.append(np.unique(np.column_stack([facet, source[block][line]]), axis=0))
+        self._send(self._owned_records, *np.concatenate(pairs).T)
 
     def add_neighbours(self, numbers: GlobalNumbers) -> None:
         """Add two rings of facets around those with global numbers (m,). Collective.
@@ -147,13 +130,14 @@ class Halo:
         owners = self._owners(nodes)
         elsewhere = owners != self.comm.rank
         nodes, source = exchange(self.comm, nodes[elsewhere], owners[elsewhere])
-        corners = self._at_own_nodes.facets.nodes[:, : self.facets.corners]
+        corners = self._records_at_own_nodes["nodes"][:, : self.facets.corners]
         order = np.argsort(corners, axis=None)
         ascending = corners.ravel()[order]
         starts = np.searchsorted(ascending, nodes)
         count = np.searchsorted(ascending, nodes, side="right") - starts
         node, place = expanded_ranges(starts, count)
-        self._send_facets(self._at_own_nodes, order[place] // self.facets.corners, source[node])
+        facet = order[place] // self.facets.corners
+        self._send(self._records_at_own_nodes, facet, source[node])
 
     def faced_within(self, reach: Array, points: Array, normals: Array) -> Mask:
         """Return whether points (n,) have an opposed facet of any rank nearby. Collective.
@@ -163,8 +147,7 @@ class Halo:
             points: (n, 3) the points [length].
             normals: (n, 3) normals of the points; the normal of an opposed facet is against them.
         """
-        if self.comm.size > 1:
-            self.add_near_points(np.column_stack([points, reach]))
+        self.add_near_lines(points, normals, reach, 0.0)
         pieces = Pieces.of(self.facets)
         lists = cKDTree(pieces.centres).query_ball_point(
             points, reach + pieces.radii.max(initial=0)
@@ -180,62 +163,27 @@ class Halo:
         """Return the rank (n,) that owns each of the nodes (n,)."""
         return np.searchsorted(self._ends, nodes, side="right")
 
-    def _other_ranks(self) -> list[tuple[int, Box, float]]:
-        """Return the other ranks that own facets, with box and largest radius of their pieces."""
-        return [
-            (rank, Box.from_row(row[:-2]), row[-2])
-            for rank, row in enumerate(self._boxes)
-            if rank != self.comm.rank and row[-1] > 0
-        ]
-
-    def _send_queries(self, rows: Array, queries: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
-        """Send some rows to each rank; return the received rows and their senders. Collective.
-
-        Args:
-            rows: (n, k) the rows.
-            queries: pairs of a rank and the mask (n,) of the rows to send to it.
-        """
-        chosen = [np.flatnonzero(mask) for _, mask in queries]
-        ranks = np.repeat([rank for rank, _ in queries], [len(some) for some in chosen])
-        some = np.concatenate([*chosen, np.zeros(0, dtype=np.intp)])
-        return exchange(self.comm, rows[some], ranks.astype(np.intp))
-
-    def _send_facets(self, source: _NumberedFacets, facet: Indices, rank: Indices) -> None:
-        """Send the facets (n,) of `source` to ranks (n,); add received facets. Collective."""
-        size = self.comm.size
-        elsewhere = rank != self.comm.rank
-        pairs = np.unique(facet[elsewhere] * size + rank[elsewhere])
-        rows, _ = exchange(self.comm, source.records(pairs // size), pairs % size)
-        self._local = self._local.joined_with(rows)
-
-
-@dataclass(frozen=True)
-class _NumberedFacets:
-    """Facets with their global numbers (n,), ascending."""
-
-    facets: Facets
-    number: GlobalNumbers
-
-    def records(self, some: Indices) -> npt.NDArray[Any]:
-        """Return the facets with given indices as records, for communication."""
-        of_facets = {name: getattr(self.facets, name) for name in FACET_ARRAYS}
-        arrays = {"number": self.number, **of_facets}
+    def _as_records(self) -> npt.NDArray[Any]:
+        """Return the facets and their numbers as records (n,), for communication."""
+        arrays = {"number": self.numbers}
+        arrays |= {name: getattr(self.facets, name) for name in FACET_ARRAYS}
         kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
-        result = np.empty(len(some), dtype=kinds)
+        result = np.empty(len(self.numbers), dtype=kinds)
         for name, array in arrays.items():
-            result[name] = array[some]
+            result[name] = array
         return result
 
-    def joined_with(self, rows: npt.NDArray[Any]) -> _NumberedFacets:
-        """Return these facets and the facets in records, each facet once."""
-        if len(rows) == 0:
-            return self
-        number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
-        together: dict[str, Any] = {
-            name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
-            for name in FACET_ARRAYS
-        }
-        return _NumberedFacets(replace(self.facets, **together), number)
+    def _send(self, records: npt.NDArray[Any], facet: Indices, rank: Indices) -> None:
+        """Send the facets (n,) among records to ranks (n,); add received facets. Collective."""
+        elsewhere = rank != self.comm.rank
+        pairs = np.unique(facet[elsewhere] * self.comm.size + rank[elsewhere])
+        rows, _ = exchange(self.comm, records[pairs // self.comm.size], pairs % self.comm.size)
+        if len(rows):
+            together = np.concatenate([self._records, rows])
+            self.numbers, kept = np.unique(together["number"], return_index=True)
+            self._records = together[kept]
+            arrays: dict[str, Any] = {name: self._records[name].copy() for name in FACET_ARRAYS}
+            self.facets = replace(self.facets, **arrays)
 
 
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
@@ -258,10 +206,9 @@ def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     centres, normals, radii = pieces.centres[some], pieces.normals[some], pieces.radii[some]
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far = limit + radii + 2.0 * max(secondary.largest_radius(), primary.largest_radius())
-    lines = np.column_stack([centres, normals, radii, far])
     mine = secondary.numbers[mine]
-    primary.add_near_lines(lines)
-    secondary.add_near_lines(lines)
+    primary.add_near_lines(centres, normals, radii, far)
+    secondary.add_near_lines(centres, normals, radii, far)
 
     others = Pieces.of(primary.facets)
     balls = Balls(others.centres, others.radii)
@@ -281,7 +228,7 @@ def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     depth = np.minimum(depth + (0.0 if flat else radii), far)
     deep = depth > 0.5 * SHALLOW_DEPTH * radii
     reach = 2.0 * radii + CREDIBLE_PART * depth
-    primary.add_near_points(np.column_stack([centres, reach])[deep])
+    primary.add_near_lines(centres[deep], normals[deep], reach[deep], 0.0)
 
     secondary.add_neighbours(mine)
     primary.add_neighbours(theirs)

@@ -10,9 +10,9 @@ from rotations import rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import InputError, PairingError
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.tagged import tagged_facets
 from scenes.patches import KINDS, LOWER, SIDES, UPPER, dim_of, patch
 from scenes.scene import EPS
 

@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross
-from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.search import expanded_ranges
+from dolfinx_tresca.pairing.search.balls import expanded_ranges
+from dolfinx_tresca.pairing.search.facets import Facets, quadrature
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
 #: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
@@ -52,6 +52,7 @@ class SurfaceNodes:
     `smooth_patches` for the patches.
 
     Attributes:
+        facets: the facets.
         numbers: (n,) global numbers of the nodes in V, ascending. Among the entries of one node the
             patch with the largest weight comes last.
         points: (n, 3) positions [length].
@@ -65,6 +66,7 @@ class SurfaceNodes:
         has_no_normal: (n,) whether the normals of the facets cancel.
     """
 
+    facets: Facets
     numbers: GlobalNumbers
     points: Array
     weights: Array
@@ -102,6 +104,7 @@ class SurfaceNodes:
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
         return cls(
+            facets,
             numbers,
             points,
             weights,
@@ -173,54 +176,43 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
     corners = np.flatnonzero(np.isin(node, node[leans <= limit[node]]))
     if len(corners) == 0:
         return node, np.arange(count)
-    part = np.zeros(len(node), dtype=np.intp)
-    part[corners] = _connected(node[corners], normals[corners])
-    parts = int(part.max()) + 1
-    patches, patch = np.unique(node * parts + part, return_inverse=True)
-    return patch, patches // parts
+    own = node[corners]
+    order = np.argsort(own, kind="stable")
+    starts = np.searchsorted(own[order], own)
+    counts = np.searchsorted(own[order], own, side="right") - starts
+    corner, place = expanded_ranges(starts, counts)
+    partner = order[place]
+    cosine = np.einsum("ni,ni->n", normals[corners[corner]], normals[corners[partner]])
+    near = cosine >= math.cos(math.radians(EDGE_ANGLE))
+    links = np.ones(near.sum()), (corner[near], partner[near])
+    graph = coo_array(links, shape=(len(own), len(own)))
+    component = np.zeros(len(node), dtype=np.intp)
+    component[corners] = connected_components(graph, directed=False)[1]
+    number = int(component.max()) + 1
+    patches, patch = np.unique(node * number + component, return_inverse=True)
+    return patch, patches // number
 
 
-def _connected(node: Indices, normals: Array) -> Indices:
-    """Return the number (n,) of the connected component of each corner; see `smooth_patches`."""
-    order = np.argsort(node, kind="stable")
-    starts = np.searchsorted(node[order], node)
-    numbers = np.searchsorted(node[order], node, side="right") - starts
-    first, place = expanded_ranges(starts, numbers)
-    second = order[place]
-    angle = np.einsum("ni,ni->n", normals[first], normals[second])
-    near = angle >= math.cos(math.radians(EDGE_ANGLE))
-    graph = coo_array(
-        (np.ones(near.sum()), (first[near], second[near])), shape=(len(node), len(node))
-    )
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
-
-
-def tangents(normals: Array, frame: Array) -> Array:
-    """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals.
-
-    The first tangent points towards the first of two reference points. The second tangent has a
-    positive component towards the second reference point. So the tangents rotate with the surface,
-    and results do not depend on the coordinate axes.
+def node_sums(nodes: Indices, values: Array, count: int) -> Array:
+    """Return the sums (count, ...) at nodes of values (facets, corners, ...) at facets' corners.
 
     Args:
-        normals: (n, d) unit normals.
-        frame: (n, 2, d) vectors from the node to two reference points of the surface.
+        nodes: (facets, corners) the node of each corner.
+        values: the values.
+        count: the number of nodes.
+    """
+    sums = np.zeros((count, *values.shape[2:]))
+    np.add.at(sums, nodes, values)
+    return sums
+
+
+def tangents(normals: Array) -> Array:
+    """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals (n, d).
+
+    In 3D the first tangent is across the coordinate axis that is farthest from the normal.
     """
     if normals.shape[1] == 2:
-        first = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
-        sign = np.where(np.einsum("ni,ni->n", first, frame[:, 0]) < 0.0, -1.0, 1.0)
-        return np.asarray((sign[:, None] * first)[:, None])
-    axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    first = _across(frame[:, 0], normals)
-    length = np.linalg.norm(first, axis=1)
-    size = np.linalg.norm(frame, axis=2).max(axis=1, initial=0.0)
-    first = np.where((length > 1e-6 * size)[:, None], first, _across(axis, normals))
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    second = cross(normals, first)
-    sign = np.where(np.einsum("ni,ni->n", second, frame[:, 1]) < 0.0, -1.0, 1.0)
-    return np.stack([first, sign[:, None] * second], axis=1)
-
-
-def _across(v: Array, normals: Array) -> Array:
-    """Return the tangential part (n, d) of vectors v (n, d)."""
-    return np.asarray(v - np.einsum("ni,ni->n", v, normals)[:, None] * normals)
+        return np.stack([-normals[:, 1], normals[:, 0]], axis=1)[:, None]
+    along = cross(np.eye(3)[np.abs(normals).argmin(axis=1)], normals)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    return np.stack([along, cross(normals, along)], axis=1)

@@ -1,10 +1,16 @@
-"""Intersection of segments on a line and of convex polygons in a plane, vectorised."""
+"""Intersection of segments or convex polygons, and the nearest of those that cover each other."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca.pairing.search.balls import flattened
+
+#: The overlaps of a piece are taken not to cover each other if their total area is at most this
+#: times the area of the piece: 1 plus rounding.
+COVERED_ONCE = 1.0 + 1e-8
 
 
 def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
@@ -30,7 +36,11 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
         return np.stack([low, high], axis=1)[pair], size[pair], pair
     low, high = np.maximum(first.min(1), second.min(1)), np.minimum(first.max(1), second.max(1))
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
-    polygons = clip(second[near], _counter_clockwise(first[near]))
+    windows = first[near]
+    sides = windows - windows[:, :1]
+    clockwise = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1) < 0.0
+    windows[clockwise] = windows[clockwise, ::-1]
+    polygons = clip(second[near], windows)
     fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
     if centred:
         total = areas.sum(axis=1)
@@ -99,13 +109,65 @@ def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
     return np.take_along_axis(result, slot[:, :, None], axis=1)
 
 
-def _counter_clockwise(polygons: Array) -> Array:
-    """Return polygons (n, a, 2) with their corners in counter-clockwise order."""
-    sides = polygons - polygons[:, :1]
-    area = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1)
-    return np.where((area < 0.0)[:, None, None], polygons[:, ::-1], polygons)
-
-
 def _cross(a: Array, b: Array) -> Array:
     """Return the cross products (...) of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def nearest_layer_weights(
+    piece: Indices,
+    pair: Indices,
+    simplices: Array,
+    size: Array,
+    places: Array,
+    gap: Array,
+    weight: Array,
+    piece_area: Array,
+) -> Array:
+    """Set the weights of quadrature points to zero where a nearer simplex covers the point.
+
+    The overlap of each pair of pieces is cut into simplices, each with the same number of
+    quadrature points. Where simplices of two pairs overlap, the simplex with the smaller mean |gap|
+    counts.
+
+    Args:
+        piece: (pairs,) the secondary piece of each pair, ascending.
+        pair: (simplices,) the pair of each simplex, ascending.
+        simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
+        size: (simplices,) sizes of the simplices [length^d].
+        places: (points, d) quadrature points in the plane of the secondary piece [length].
+        gap: (points,) gap along the normal [length], positive if open.
+        weight: (points,) quadrature weights, 0 for points that are already excluded.
+        piece_area: (pieces,) sizes of all secondary pieces [length^d].
+
+    Returns:
+        The new weights (points,).
+    """
+    if len(pair) == 0:
+        return weight
+    count = len(places) // len(pair)
+    counts = weight.reshape(-1, count).any(axis=1)
+    covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
+    overlaid = (covered > COVERED_ONCE * piece_area)[piece[pair]]
+    crowded = np.flatnonzero(overlaid & counts)
+    if len(crowded) == 0:
+        return weight
+    inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
+    # a tree for the planes of all pieces, far apart along one more axis
+    middles = simplices[crowded].mean(axis=1)
+    reach = np.linalg.norm(simplices[crowded] - middles[:, None], axis=2).max()
+    plane = 4.0 * reach * piece[pair[crowded]]
+    tree = cKDTree(np.column_stack([middles, plane]))
+    points = np.column_stack([inner, np.repeat(plane, count)])
+    point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
+    a, b, place = crowded[point // count], crowded[b], inner[point]
+    # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
+    distance = np.abs(gap).reshape(-1, count).mean(axis=1)
+    nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
+    point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
+    sides = np.swapaxes(simplices[b, 1:] - simplices[b, :1], 1, 2)
+    reference = np.linalg.solve(sides, (place - simplices[b, 0])[..., None])[..., 0]
+    inside = (reference > 0.0).all(axis=1) & (reference.sum(axis=1) < 1.0)
+    result = weight.reshape(-1, count).copy()
+    result[a[inside], point[inside] % count] = 0.0
+    return result.ravel()
