@@ -21,9 +21,10 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
+
 import ufl
 from dolfinx import fem
-from scipy.sparse import csr_array
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.classes import Argument, Grad
