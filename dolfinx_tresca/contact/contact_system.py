@@ -241,10 +241,10 @@ class ContactSystem(PetscOwner):
         """
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
         if solution.status is ContactStatus.CONVERGED:
-            surfaces, u = self.surfaces, solution.u
+            surfaces, u, v = self.surfaces, solution.u, solution.deformation
             paired, tractions = surfaces.state.geometry, solution.multipliers
             departures = [
-                *(motions_of_bodies(u, self._stiffness.bodies) if linear else ()),
+                *(motions_of_bodies(v, self._stiffness.bodies) if linear else ()),
                 *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)

@@ -207,17 +207,33 @@ class FiniteSliding:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
         Its displacement is the displacement of the present configuration plus the response to the
-        change of the prescribed values, with the present K and unchanged contact forces.
+        change of the prescribed values, with the present K and unchanged contact forces. A body
+        that is held turns with the prescribed values, with the same deformation in its frame.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
         surfaces, origin = self._surfaces, self._surfaces.state.configuration
+        linear, frames = surfaces.linear, surfaces.jump.frames
         solver = surfaces.compliance.operator.solver
-        w = surfaces.linear.response_to_prescribed_values(solver, origin)
-        if surfaces.comm.allreduce(bool(w.x.array.any()), op=MPI.LOR):
+        if surfaces.frames_at_rest is None:
+            w = linear.response_to_prescribed_values(solver, origin)
+            moves = bool(w.x.array.any())
             w.x.array[:] += origin.x.array
+        else:
+            held, linear.frames = origin.copy(), None
+            held.x.array[: len(linear.prescribed)][linear.prescribed] = linear.prescribed_values()
+            held.x.scatter_forward()
+            changes = np.abs(held.x.array - origin.x.array)
+            moves = bool((changes > ROUNDING * np.abs(origin.x.array).max(initial=0.0)).any())
+            linear.frames = surfaces.frames_at(held)
+            v = origin if frames is None else frames.deformation(origin)
+            w = linear.response_to_prescribed_values(solver, v)
+            w.x.array[:] += v.x.array
+            w = w if linear.frames is None else linear.frames.displacement(w)
+            linear.frames = frames
+        if surfaces.comm.allreduce(moves, op=MPI.LOR):
             surfaces.pair_where_changed(w)
 
     def pair_next_configuration(self) -> None:
@@ -309,7 +325,9 @@ def solve_with_finite_sliding(
                 failure = f"{solution.sliding}. " * bool(solution.sliding)
                 failure += f"This happened in {number}. {ADVICE}"
             break
-        sliding.observe(solution.u, solution.residuals[0])
+        frames = contact.surfaces.jump.frames or contact.surfaces.frames_at_rest
+        u = solution.u if frames is None else frames.exactly_turned(solution.u)
+        sliding.observe(u, solution.residuals[0])
         if sliding.error <= options.geometry_accuracy:
             if loosened != options:
                 solutions.append(contact.solve(options, units, in_configuration))

@@ -20,6 +20,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
 def moved_jump(
@@ -27,6 +28,7 @@ def moved_jump(
     pairs: Sequence[ContactPair],
     u: fem.Function,
     anew: Sequence[bool] | Mask | None = None,
+    frames: BodyFrames | None = None,
 ) -> JumpOperator:
     """Return B of displaced surfaces, owned by the caller. Collective.
 
@@ -43,6 +45,7 @@ def moved_jump(
         u: displacement at which the surfaces are paired [length].
         anew: for each pair whether its surfaces are paired at u. Other pairs, and bonded pairs in
             any case, stay as in `before`. None: True for all pairs.
+        frames: the frames of bodies that have turned.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -65,7 +68,7 @@ def moved_jump(
                 stay[k] = before.pairs[k].bonded
                 operators[k] = before.pairs[k] if stay[k] else one
     moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
-    jump = JumpOperator(system, operators)
+    jump = JumpOperator(system, operators, frames)
     with destroyed_on_error(jump):
         closings = jump.closings(moves)
         for k, (one, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):

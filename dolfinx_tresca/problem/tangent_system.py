@@ -246,7 +246,7 @@ class TangentSystem(LinearSystem):
         free = ~self.prescribed
         values = self.prescribed_values()
         u = np.array(self.u.x.array[: len(free)])
-        moved = self._forces_of(u[self.prescribed] - values)
+        moved = self.forces_of(u[self.prescribed] - values)
         inside, load = self.K.createVecs()
         inside.array = np.where(free, u, 0.0)
         self.K.mult(inside, load)

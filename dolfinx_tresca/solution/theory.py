@@ -74,7 +74,8 @@ TURNS = 2.0
 
 ADVICE_TO_BODIES = (
     "Look for a force that should be a prescribed displacement, for missing supports, and at the "
-    "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations"
+    "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations, "
+    'or ContactPair(..., sliding="finite"), with which linear bodies have frames that turn'
 )
 ADVICE_TO_PAIRS = (
     "Prescribe the displacement in place of a force that friction cannot carry, or take "
