@@ -170,7 +170,21 @@ class Newton:
             found += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if self._unstable:
             found += ", and the tangent is indefinite even with fixed contact: they are unstable"
+        if any("proximal" in step.added for step in self.steps):
+            found += self._unstable_elements()
         return found
+
+    def _unstable_elements(self) -> str:
+        """Return a text on elements that are unstable since they keep their volume. Collective."""
+        names = self.problem.hardly_compressible()
+        if not names:
+            return ""
+        return (
+            ". Elements with displacements alone become unstable early in bodies that hardly "
+            f"change their volume: {names}. Take a pressure as a further unknown, in a mixed space "
+            "(see 'Nearly incompressible rubber' in the docs), or one point of integration for the "
+            "energy of the volume"
+        )
 
     def _equilibrium(self) -> str:
         """Take Newton steps to equilibrium for the present part of the load. Collective.
@@ -357,7 +371,7 @@ class Newton:
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                "buckle or fold here, or cells are almost inside out"
+                f"buckle or fold here, or cells are almost inside out{self._unstable_elements()}"
             )
         raise failure
 

@@ -22,6 +22,7 @@ from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
+from dolfinx_tresca.problem.compressibility import HARDLY_COMPRESSIBLE, poisson_ratios
 from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.mixed_norm import MixedNorm
 from dolfinx_tresca.problem.tangent_system import TangentSystem
@@ -412,6 +413,24 @@ class TangentProblem:
     def owned_nodes(self) -> int:
         """The number of this rank's nodes of the displacement."""
         return int(self.tangent.V.dofmap.index_map.size_local)
+
+    def hardly_compressible(self) -> str:
+        """Return a text that names bodies of displacements alone that hardly change their volume.
+
+        The text is empty if there is none, or if the form has other unknowns. Collective.
+        """
+        if self.tangent.component is not None:
+            return ""
+        self._tangent_is_plain = False
+        with self.at(self._reference):
+            self.tangent.assemble_stiffness()
+        ratios = poisson_ratios(self.tangent, self.contact.bodies)
+        names = [
+            f"{name} (Poisson's ratio about {ratio:.2f})"
+            for name, ratio in zip(self.contact.bodies.names, ratios, strict=True)
+            if self.comm.bcast(ratio >= HARDLY_COMPRESSIBLE)
+        ]
+        return ", ".join(names)
 
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
