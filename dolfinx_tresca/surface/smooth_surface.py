@@ -131,9 +131,10 @@ class SmoothSurface:
         outer = at_rim.any(axis=1)
         of_nodes = np.full(len(rim), np.inf)
         np.minimum.at(of_nodes, corner_nodes[~outer], result[~outer, None])
-        of_nodes[np.isinf(of_nodes)] = 0.0 if self._facets.dim == 1 else 1.0
-        of_corners = np.where(at_rim, 1.0, of_nodes[corner_nodes]).min(axis=1, initial=1.0)
-        return np.where(outer, of_corners, result)
+        around = np.where(at_rim, np.inf, of_nodes[corner_nodes]).min(axis=1, initial=np.inf)
+        alone = np.zeros_like(result) if self._facets.dim == 1 else result
+        around = np.where(np.isinf(around), alone, around)
+        return np.where(outer, around, result)
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
