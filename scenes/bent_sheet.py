@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Literal
 
@@ -9,10 +10,18 @@ from mpi4py import MPI
 
 import numpy as np
 
+import ufl
 from dolfinx import fem, mesh
 
-from dolfinx_tresca import ContactPair, Frictionless, RigidObstacle, RigidSphere
+from dolfinx_tresca import (
+    ContactPair,
+    Frictionless,
+    NonlinearContactProblem,
+    RigidObstacle,
+    RigidSphere,
+)
 from scenes.elasticity import elasticity, fixed, no_load
+from scenes.metal import Metal
 from scenes.scene import Scene
 
 #: Half the length of the sheet, and its thickness.
@@ -45,8 +54,65 @@ def distance_from_die(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return distance, np.vstack([gradient, 0.0 * distance])
 
 
+#: Stroke of the punch at which the sheet is bent.
+STROKE = 28.5
+
+
+def hardening(strain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the yield stress [MPa] of aluminium 6111-T4 and its slope, at a plastic strain."""
+    shifted = np.maximum(0.0093 + strain, 1e-6)
+    stress = 550.4 * shifted**0.223
+    return stress, 0.223 * stress / shifted
+
+
+@dataclass(frozen=True)
+class PlasticSheet:
+    """A sheet of metal in the die.
+
+    Attributes:
+        problem: the contact problem.
+        punch: the punch.
+        u: displacement.
+    """
+
+    problem: NonlinearContactProblem
+    punch: RigidSphere
+    u: fem.Function
+
+    def angle(self) -> float:
+        """Return the angle between the two halves of the sheet, 15 mm at its ends. Collective."""
+        V = self.u.function_space
+        places, moved = V.tabulate_dof_coordinates(), self.u.x.array.reshape(-1, 2)
+        owned = V.dofmap.index_map.size_local
+        ends = np.zeros((2, 2))
+        for end, at in zip(ends, (LENGTH - 15.0, LENGTH), strict=True):
+            here = np.isclose(places[:owned, :2], [at, THICKNESS / 2.0]).all(axis=1)
+            end[:] = (places[:owned, :2] + moved[:owned])[here].sum(axis=0)
+        ends = V.mesh.comm.allreduce(ends)
+        return 180.0 - 2.0 * float(np.degrees(np.arctan2(*(ends[1] - ends[0])[::-1])))
+
+
+def plastic_sheet(comm: MPI.Comm, cells: tuple[int, int]) -> PlasticSheet:
+    """Return a sheet of aluminium in the die, with finite sliding. Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        cells: numbers of cells along the sheet and across it.
+    """
+    scene = bent_sheet(comm, cells, sliding="finite")
+    u = fem.Function(scene.V)
+    metal = Metal(u, YOUNG, POISSON, hardening)
+    F = ufl.derivative(metal.energy, u, ufl.TestFunction(scene.V))
+    problem = NonlinearContactProblem(F, u, scene.pairs, scene.bcs, on_accept=metal.accept)
+    return PlasticSheet(problem, scene.data.punch, u)
+
+
 def bent_sheet(
-    comm: MPI.Comm, cells: tuple[int, int], *, degree: int = 2, sliding: Literal["small", "finite"] = "small"
+    comm: MPI.Comm,
+    cells: tuple[int, int],
+    *,
+    degree: int = 2,
+    sliding: Literal["small", "finite"] = "small",
 ) -> Scene:
     """Return an elastic sheet that lies on the die, under the punch. Collective.
 

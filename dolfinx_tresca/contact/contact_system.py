@@ -25,6 +25,7 @@ from dolfinx_tresca.contact.solve_to_bound import solve_to_bound
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
@@ -111,6 +112,11 @@ class ContactSystem(PetscOwner):
         solution = state.solution or state.accepted.solution
         valid = solution is not None and solution.dual.compliance is self.surfaces.compliance
         return solution if valid else None
+
+    @property
+    def bodies(self) -> Bodies:
+        """The bodies of the mesh."""
+        return self._stiffness.bodies
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""

@@ -35,11 +35,11 @@ ANDERSON_DEPTH = 3
 #: steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
 
-#: Two configurations are alike, so that their difference tells how u changes with w, if at most this
+#: Two configurations are alike, and their difference tells how u changes with w, if at most this
 #: part of the contact force is at nodes that are open in one of them.
 ALIKE = 0.1
 
-#: Least and largest part of the last step between two configurations that are not alike, and whose
+#: Least and largest part of the last step between two configurations that are not alike, whose
 #: residuals point at each other, at which the next one lies: the solution is between them.
 LEAST_PART, LARGEST_PART = 0.1, 0.9
 

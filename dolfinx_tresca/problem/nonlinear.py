@@ -391,6 +391,8 @@ class NonlinearContactProblem(ContactProcess):
             "products": sum(one.products for one in run.steps),
             "krylov_iterations": run.krylov_iterations,
             "timings": run.timings,
-            "newton": NewtonRecord(tuple(run.steps), run.fraction, message, released, snaps, *failed),
+            "newton": NewtonRecord(
+                tuple(run.steps), run.fraction, message, released, snaps, *failed
+            ),
         }
         return self._contact.checked(NonlinearContactSolution(**values), linear=False)

@@ -22,6 +22,7 @@ from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
+from dolfinx_tresca.problem.compressibility import HARDLY_COMPRESSIBLE, poisson_ratios
 from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.mixed_norm import MixedNorm
 from dolfinx_tresca.problem.tangent_system import TangentSystem
@@ -78,6 +79,7 @@ class TangentProblem:
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
+        self._last_contact_forces: Array = np.zeros(len(tangent.prescribed))
         with self.at(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
@@ -342,8 +344,15 @@ class TangentProblem:
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def force_norm(self) -> float:
-        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective."""
-        return self._norm_of_correction(self.surfaces.contact_forces())
+        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective.
+
+        If nothing is pressed any more, these are the contact forces of an earlier step: springs may
+        have taken over a force that is not zero.
+        """
+        forces = self.surfaces.contact_forces()
+        if self.comm.allreduce(bool(forces.any()), op=MPI.LOR):
+            self._last_contact_forces = forces
+        return self._norm_of_correction(self._last_contact_forces)
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
@@ -404,6 +413,24 @@ class TangentProblem:
     def owned_nodes(self) -> int:
         """The number of this rank's nodes of the displacement."""
         return int(self.tangent.V.dofmap.index_map.size_local)
+
+    def hardly_compressible(self) -> str:
+        """Return a text that names bodies of displacements alone that hardly change their volume.
+
+        The text is empty if there is none, or if the form has other unknowns. Collective.
+        """
+        if self.tangent.component is not None:
+            return ""
+        self._tangent_is_plain = False
+        with self.at(self._reference):
+            self.tangent.assemble_stiffness()
+        ratios = poisson_ratios(self.tangent, self.contact.bodies)
+        names = [
+            f"{name} (Poisson's ratio about {ratio:.2f})"
+            for name, ratio in zip(self.contact.bodies.names, ratios, strict=True)
+            if self.comm.bcast(ratio >= HARDLY_COMPRESSIBLE)
+        ]
+        return ", ".join(names)
 
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""

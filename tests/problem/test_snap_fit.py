@@ -15,7 +15,7 @@ ROUGH = 0.6
 
 
 def forces(problem_of_hook, path):
-    """Return the forces (steps, 2) [N] on the hook along a path, and the numbers of Newton steps."""
+    """Return the forces (steps, 2) [N] on the hook along a path, and numbers of Newton steps."""
     found, steps = [], []
     with problem_of_hook.problem as problem:
         for distance in path:
