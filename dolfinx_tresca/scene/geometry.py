@@ -82,26 +82,48 @@ class GmshGeometry:
         return cls(path.resolve(), dict(parameters), curved)
 
     @contextmanager
-    def projections(self, *, to_edges: bool = True) -> Iterator[dict[int, Projection]]:
-        """Open the file in Gmsh and yield tag -> projection onto the surfaces with this tag.
+    def projections(self) -> Iterator[dict[int, Projection]]:
+        """Open the file in Gmsh and yield tag -> projection of nodes onto the surfaces of this tag.
 
-        Not collective: each rank runs Gmsh on its own.
+        Nodes that belong to an edge of the surfaces are projected onto the edge, so that a flat
+        surface on the other side of the edge stays flat. Not collective: each rank runs Gmsh on its
+        own.
 
-        Args:
-            to_edges: whether nodes that belong to an edge of the surface are projected onto the
-                edge, so that a flat surface on the other side of the edge stays flat.
+        Raises:
+            InputError: the file does not use the value of a parameter any more; in the projections:
+                too few nodes are on the surface before they are moved.
+            MeshError: the file does not exist any more, or Gmsh cannot read it.
+        """
+        with self._model() as model:
+            dim = model.getDimension() - 1
+            yield {
+                tag: partial(_project_to_surfaces, model, dim, entities)
+                for tag, entities in self.curved.items()
+            }
+
+    @contextmanager
+    def pieces(self) -> Iterator[dict[int, list[Projection]]]:
+        """Open the file in Gmsh and yield tag -> projections onto each surface with this tag.
+
+        Not collective.
 
         Raises:
             InputError: the file does not use the value of a parameter any more.
             MeshError: the file does not exist any more, or Gmsh cannot read it.
         """
-        with gmsh_session() as gmsh:
-            open_file(gmsh, self.path, self.parameters, reopened=True)
-            dim = gmsh.model.getDimension() - 1
+        with self._model() as model:
+            dim = model.getDimension() - 1
             yield {
-                tag: partial(_project_to_surfaces, gmsh.model, dim, entities, to_edges)
+                tag: [partial(_nearest, model, (dim, entity)) for entity in entities]
                 for tag, entities in self.curved.items()
             }
+
+    @contextmanager
+    def _model(self) -> Iterator[Any]:
+        """Yield the file's model of Gmsh."""
+        with gmsh_session() as gmsh:
+            open_file(gmsh, self.path, self.parameters, reopened=True)
+            yield gmsh.model
 
 
 #: A geometry of Gmsh, or tag of facets -> projection onto the surface that the facets approximate.
@@ -127,13 +149,13 @@ def check_geometry(geometry: Geometry | None) -> None:
 
 
 @contextmanager
-def open_projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
-    """Yield tag -> projection onto the surface, without projection onto edges. Not collective."""
+def open_pieces(geometry: Geometry) -> Iterator[Mapping[int, Sequence[Projection]]]:
+    """Yield tag -> projections onto the pieces of its surface, see `GmshGeometry.pieces`."""
     if isinstance(geometry, GmshGeometry):
-        with geometry.projections(to_edges=False) as found:
-            yield found
+        with geometry.pieces() as pieces:
+            yield pieces
     else:
-        yield geometry
+        yield {tag: [projection] for tag, projection in geometry.items()}
 
 
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
@@ -185,17 +207,15 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
     return np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
 
 
-def _project_to_surfaces(
-    model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array
-) -> Array:
-    """Project points (3, n) onto surfaces; if `to_edges`, points at an edge onto the edge.
+def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
+    """Project points (3, n) onto surfaces, points at an edge onto the edge.
 
     Raises:
         InputError: too few points are on the surface before they are moved.
     """
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_points(model, surfaces, points)
-    if dim > 1 and to_edges:
+    if dim > 1:
         edges = model.getBoundary(surfaces, oriented=False)
         on_edge, away = _nearest_points(model, edges, points)
         place = np.where(away <= EDGE_REACH * distance, on_edge, place)
@@ -214,15 +234,19 @@ def _nearest_points(
 ) -> tuple[Array, Array]:
     """Return, for points (3, n), the nearest points (3, n) of entities and their distances (n,)."""
     place, distance = points.copy(), np.full(points.shape[1], np.inf)
-    for dim, entity in entities:
-        if model.getType(dim, entity) == BUILT_IN_SURFACE and not _is_flat(model, dim, entity):
-            there = _nearest_by_gauss_newton(model, entity, points)
-        else:
-            there = np.reshape(model.getClosestPoint(dim, entity, points.T.ravel())[0], (-1, 3)).T
+    for entity in entities:
+        there = _nearest(model, entity, points)
         away = np.linalg.norm(there - points, axis=0)
         nearer = away < distance
         place[:, nearer], distance[nearer] = there[:, nearer], away[nearer]
     return place, distance
+
+
+def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
+    """Return the nearest points (3, n) of a surface or a curve to points (3, n)."""
+    if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
+        return _nearest_by_gauss_newton(model, entity[1], points)
+    return np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
 
 
 def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:

@@ -16,7 +16,7 @@ from dolfinx_tresca.errors import InputError, MeshError, shown
 
 @contextmanager
 def gmsh_session() -> Iterator[Any]:
-    """Yield the initialised gmsh module; a session that the user has opened stays open.
+    """Yield the initialised gmsh module; a session that the user has opened keeps its models.
 
     Raises:
         MeshError: the Python package gmsh cannot be imported.
@@ -38,6 +38,7 @@ def gmsh_session() -> Iterator[Any]:
     ours = not gmsh.isInitialized()
     if ours:
         gmsh.initialize(interruptible=False)
+    current, models = gmsh.model.getCurrent(), len(gmsh.model.list())
     verbosity = gmsh.option.getNumber("General.Terminal")
     gmsh.option.setNumber("General.Terminal", 0)
     try:
@@ -46,6 +47,10 @@ def gmsh_session() -> Iterator[Any]:
         gmsh.option.setNumber("General.Terminal", verbosity)
         if ours:
             gmsh.finalize()
+        else:
+            while len(gmsh.model.list()) > models:  # the newest model is current
+                gmsh.model.remove()
+            gmsh.model.setCurrent(current)
 
 
 def open_file(
@@ -105,6 +110,7 @@ def _parse(gmsh: Any, path: Path) -> None:
     gmsh.option.setNumber("General.AbortOnError", 0)
     gmsh.logger.start()
     try:
+        gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
         gmsh.open(str(path))
         errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
     finally:

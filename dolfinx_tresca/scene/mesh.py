@@ -38,14 +38,19 @@ class NamedTags(MeshTags):  # type: ignore[misc]
         names: tag -> name in the mesh file, for all tags that have a name.
         cell_tags: for tags of facets, the tags of the cells, with the names of the bodies; else
             None.
+        geometry: for tags of facets, the geometry from which Gmsh made the mesh, if it is known.
     """
 
     def __init__(
-        self, tags: MeshTags, names: Mapping[int, str], cell_tags: NamedTags | None = None
+        self,
+        tags: MeshTags,
+        names: Mapping[int, str],
+        cell_tags: NamedTags | None = None,
+        geometry: GmshGeometry | None = None,
     ) -> None:
         super().__init__(tags._cpp_object)
         self.names = dict(names)
-        self.cell_tags = cell_tags
+        self.cell_tags, self.geometry = cell_tags, geometry
 
 
 class MergedTags(NamedTags):
@@ -62,11 +67,13 @@ class MergedTags(NamedTags):
         tags = given
         for first, merged in self.merged.items():
             words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
-            more = [f"{len(merged) - MOST_NAMES} more"] * (len(merged) > MOST_NAMES)
+            if len(merged) > MOST_NAMES:
+                words.append(f"{len(merged) - MOST_NAMES} more")
             if len(merged) > 1:
-                names[first] = ", ".join([*words, *more])
+                names[first] = ", ".join(words)
             tags = compat.with_one_tag(tags, np.isin(given.values, merged), first)
-        super().__init__(tags, names, getattr(given, "cell_tags", None))
+        of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
+        super().__init__(tags, names, *of_given)
 
 
 @dataclass(frozen=True)
@@ -166,7 +173,8 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
         _check_facets_of_cells(path, names, tag, count - found, count)
     cell_tags = NamedTags(cell_tags, cell_names)
-    return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names, cell_tags), tags, geometry)
+    facet_tags = NamedTags(facet_tags, names, cell_tags, geometry)
+    return TaggedMesh(mesh, cell_tags, facet_tags, tags, geometry)
 
 
 def _load_and_mesh(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
