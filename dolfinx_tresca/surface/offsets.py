@@ -14,7 +14,13 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.errors import InputError, MeshError
-from dolfinx_tresca.scene.geometry import Geometry, Projection, open_pieces, project_points
+from dolfinx_tresca.scene.geometry import (
+    ON_SURFACE,
+    Geometry,
+    Projection,
+    open_pieces,
+    project_points,
+)
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, cross_products, lagrange_points, tabulate
@@ -26,10 +32,6 @@ OFFSET_DEGREE = 4
 #: Distance of a corner from its surface, relative to the size of the facet, beyond which the
 #: geometry must be wrong. Nodes that could not be snapped to the surface are nearer than this.
 FAR_CORNER = 0.5
-
-#: The same distance if the geometry is that of the mesh, and the user did not ask for it: beyond it
-#: nodes were moved. Files of CAD systems are accurate to about 1e-7 of their length unit.
-MOVED_CORNER = 1e-5
 
 
 def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
@@ -57,7 +59,7 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
     if geometry is None or geometry.curved.keys().isdisjoint(sides):
         return sides
     try:
-        return _offset_sides(V, geometry, sides, MOVED_CORNER)
+        return _offset_sides(V, geometry, sides, ON_SURFACE)
     except (InputError, MeshError) as error:
         log(
             V.mesh.comm,
@@ -74,7 +76,10 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
 def _offset_sides(
     V: Any, geometry: Geometry, sides: dict[int, Facets], limit: float
 ) -> dict[int, Facets]:
-    """Return the sides with the offsets to a geometry; `limit`: see `FAR_CORNER`. Collective.
+    """Return the sides with the offsets to a geometry. Collective.
+
+    `limit` is the largest distance of a corner from its surface, relative to the size of the facet:
+    `FAR_CORNER`, or `ON_SURFACE` if the user did not ask for this geometry.
 
     Raises:
         InputError: a projection fails, or facets are not on their surface.
@@ -122,7 +127,7 @@ def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -
     probes = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
     away = np.stack([np.linalg.norm(moves(piece, probes), axis=2) for piece in pieces])
     of_corners = away[:, :, :-1].max(axis=2)
-    rounding = MOVED_CORNER * np.ptp(corners, axis=1).max(axis=1)
+    rounding = ON_SURFACE * np.ptp(corners, axis=1).max(axis=1)
     tied = of_corners <= of_corners.min(axis=0) + rounding
     nearest = np.where(tied, away[:, :, -1], np.inf).argmin(axis=0)
     result = np.zeros_like(points)
