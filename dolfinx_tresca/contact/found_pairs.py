@@ -17,14 +17,15 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import each_warning_once, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.scene.friction import Friction
-from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.numbering import label_bodies
 from dolfinx_tresca.surface.self_contact import FINER
@@ -147,7 +148,7 @@ def contacts(
         >>> from dolfinx_tresca import MESHES, Coulomb, contacts, read_gmsh
         >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
         >>> contacts(bricks, friction=Coulomb(0.3))
-        [<ContactPair: upper_contact on lower_contact, friction coefficient 0.3>]
+        [<ContactPair: lower_contact on upper_contact, coefficient of friction 0.3>]
     """
     if not isinstance(tagged, TaggedMesh):
         raise InputError(f"tagged must be the result of read_gmsh, found {shown(tagged)}.")
@@ -161,7 +162,7 @@ def contacts(
     of_body: dict[int, list[float]] = {}
     for face in faces.values():
         if len(face.bodies) == 1:
-            of_body.setdefault(*face.bodies, []).append(face.size)
+            of_body.setdefault(min(face.bodies), []).append(face.size)
     sizes = {body: float(np.mean(some)) for body, some in of_body.items()}
     free = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
     pairs: dict[ContactPair, TouchingFaces] = {}
@@ -178,14 +179,15 @@ def contacts(
         if np.linalg.norm(np.maximum(apart, 0.0)) > near:
             continue
         ratio = sizes[bodies[0]] / sizes[bodies[1]]
-        finer = ratio < FINER or ratio <= 1.0 / FINER and bodies[0] < bodies[1]
+        finer = ratio < FINER or (ratio <= 1.0 / FINER and bodies[0] < bodies[1])
         pair = ContactPair(facet_tags, *(both if finer else both[::-1]), friction, **options)
         measures = _measured(V, free, pair, near)
         if measures is not None:
             pairs[pair] = measures
             touched.update(bodies)
-    names = _names(tagged, V, label)
-    alone = [body for body in names if body not in touched]
+    cell_tags = tagged.cell_tags if isinstance(tagged.cell_tags, NamedTags) else None
+    names = Bodies.of(V, cell_tags).names
+    alone = [body for body in range(len(names)) if body not in touched]
     if alone and len(names) > 1:
         text = (
             "%s touches no other body: its tagged faces are %.3g away from those of others, more "
@@ -203,7 +205,7 @@ def contacts(
     return Contacts(pairs, reach)
 
 
-def _measured(V: Any, free: Array, pair: ContactPair, near: float) -> TouchingFaces | None:
+def _measured(V: Any, free: Mask, pair: ContactPair, near: float) -> TouchingFaces | None:
     """Return the measures of a pair's faces where they are near; None if nowhere. Collective."""
     limited = ContactPair(
         *(pair.facet_tags, pair.secondary, pair.primary, pair.friction),
@@ -243,20 +245,6 @@ def _faces(V: Any, facet_tags: Any, label: Indices) -> dict[int, _Face]:
         if not inside and number:
             result[tag] = _Face(nodes, bodies, np.vstack([low, -high]), length / number)
     return result
-
-
-def _names(tagged: TaggedMesh, V: Any, label: Indices) -> dict[int, str]:
-    """Return body -> the name of its cells' tag, or its number from 1. Collective."""
-    names: dict[int, str] = {}
-    tags = tagged.cell_tags
-    if tags is not None:
-        owned = tags.indices < V.mesh.topology.index_map(tags.dim).size_local
-        bodies = label[V.dofmap.list[tags.indices[owned], 0]]
-        pairs = np.unique(np.column_stack([bodies, tags.values[owned]]), axis=0)
-        for body, tag in gather_rows(V.mesh.comm, pairs.reshape(-1, 2)).tolist():
-            names.setdefault(body, getattr(tags, "names", {}).get(tag, f"body {body + 1}"))
-    count = int(reduce_array(V.mesh.comm, label.max(initial=-1), MPI.MAX)) + 1
-    return {body: names.get(body, f"body {body + 1}") for body in range(count)}
 
 
 def _distance_to_others(V: Any, faces: Mapping[int, _Face], body: int) -> float:

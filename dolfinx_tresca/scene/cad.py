@@ -1,4 +1,4 @@
-"""Bodies and faces of CAD models in Gmsh: their names, their physical groups, and sizes of cells."""
+"""Bodies and faces of CAD models in Gmsh: their names and groups, and the sizes of cells."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ CELLS_PER_EDGE = 6
 #: Number of cells round a full turn of a curved surface.
 CELLS_PER_TURN = 24
 
-#: Size of cells at faces near another body, relative to the size in the body, and distance over
-#: which cells grow from the one to the other, relative to the size in the body. Faces are near if
-#: their distance is at most the size in the body.
-NEAR_SIZE, GROWTH_DISTANCE = 0.5, 3.0
+#: Size of cells near another body, relative to the size in the body, and distances from the other
+#: body between which cells grow from the one to the other, relative to the size in the body.
+NEAR_SIZE, NEAR_DISTANCE, FAR_DISTANCE = 0.5, 0.5, 3.0
 
 #: What the kernel of Gmsh writes into STEP files in place of names.
 NO_NAME = "Open CASCADE STEP translator"
@@ -45,7 +44,7 @@ def name_groups(model: Any, name: str) -> None:
         MeshError: there is no body, a face is in no body, or two bodies share a face.
     """
     dim, size = model.getDimension(), _box(model, -1, -1)
-    if dim < 2 or dim == 2 and np.ptp(size[:, 2]) > PLANE_HEIGHT * np.ptp(size, axis=0).max():
+    if dim < 2 or (dim == 2 and np.ptp(size[:, 2]) > PLANE_HEIGHT * np.ptp(size, axis=0).max()):
         raise MeshError(
             f"'{name}' has {len(model.getEntities(2))} faces and no solid: the faces do not close "
             "a body (an open shell). Close and sew them in the CAD program, and export solids."
@@ -127,17 +126,21 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
             content = model.occ.getMass(dim, entity)
             sizes[entity] = float(given.get(body, content ** (1.0 / dim) / CELLS_PER_EDGE))
             fields.append(field("Constant", {listed: [entity]}, VIn=sizes[entity]))
-    for entity, near in _faces_near_others(model, dim, sizes).items():
+    for entity, near in _near_faces_of_others(model, dim, sizes).items():
         distance = field("Distance", {{3: "SurfacesList", 2: "CurvesList"}[dim]: near}, Sampling=20)
         cells = sizes[entity]
-        limits = {"SizeMin": NEAR_SIZE * cells, "SizeMax": cells, "DistMin": 0.0}
-        limits["DistMax"] = GROWTH_DISTANCE * cells
-        fields.append(field("Threshold", {}, InField=distance, **limits))
+        limits = {"SizeMin": NEAR_SIZE * cells, "SizeMax": cells}
+        limits |= {"DistMin": NEAR_DISTANCE * cells, "DistMax": FAR_DISTANCE * cells}
+        growing = field("Threshold", {}, InField=distance, **limits)
+        fields.append(field("Restrict", {listed: [entity]}, InField=growing))
     model.mesh.field.setAsBackgroundMesh(field("Min", {"FieldsList": fields}))
 
 
-def _faces_near_others(model: Any, dim: int, sizes: Mapping[int, float]) -> dict[int, list[int]]:
-    """Return body -> its faces that are near another body, of the kernel's numbers."""
+def _near_faces_of_others(model: Any, dim: int, sizes: Mapping[int, float]) -> dict[int, list[int]]:
+    """Return body -> the faces of other bodies that are near it, of the kernel's numbers.
+
+    They are near if their distance from a face of the body is at most the size of its cells.
+    """
     faces = {
         body: [abs(face) for _, face in model.getBoundary([(dim, body)], oriented=False)]
         for body in sizes
@@ -145,15 +148,16 @@ def _faces_near_others(model: Any, dim: int, sizes: Mapping[int, float]) -> dict
     boxes = {face: _box(model, dim - 1, face) for some in faces.values() for face in some}
     near: dict[int, set[int]] = {}
     for both in combinations(sizes, 2):
-        reach = min(sizes[body] for body in both)
+        reach = max(sizes[body] for body in both)
         for one in faces[both[0]]:
             for other in faces[both[1]]:
                 apart = np.maximum(boxes[one][0] - boxes[other][1], boxes[other][0] - boxes[one][1])
                 if np.linalg.norm(np.maximum(apart, 0.0)) > reach:
                     continue
-                if model.occ.getDistance(dim - 1, one, dim - 1, other)[0] <= reach:
-                    near.setdefault(both[0], set()).add(one)
-                    near.setdefault(both[1], set()).add(other)
+                distance = model.occ.getDistance(dim - 1, one, dim - 1, other)[0]
+                for body, face in zip(both, (other, one), strict=True):
+                    if distance <= sizes[body]:
+                        near.setdefault(body, set()).add(face)
     return {body: sorted(some) for body, some in near.items()}
 
 

@@ -61,7 +61,7 @@ def gmsh_session() -> Iterator[Any]:
 
 
 def shapes_of(gmsh: Any) -> bytes | None:
-    """Return the shapes of the current model as text of a `.brep` file; None without OpenCASCADE."""
+    """Return the current model's shapes of OpenCASCADE, if any, as text of a `.brep` file."""
     if not gmsh.model.occ.getEntities():
         return None
     with tempfile.TemporaryDirectory() as folder:

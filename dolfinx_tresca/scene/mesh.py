@@ -113,8 +113,8 @@ class TaggedMesh:
         untagged = self.mesh.comm.allreduce(int((~np.isin(outer, tags.indices)).sum()))
         if untagged:
             raise MeshError(
-                f"{untagged} facets on the outside have no tag: put all surfaces of the bodies into "
-                "physical groups."
+                f"{untagged} facets on the outside have no tag: put all surfaces of the bodies "
+                "into physical groups."
             )
         of_ranks = self.mesh.comm.allgather(np.unique(tags.values[with_tag]).tolist())
         return sorted(set().union(*of_ranks))
@@ -137,9 +137,9 @@ def read_gmsh(
     path: Any,
     comm: MPI.Comm,
     *,
-    size: float | Mapping[str, float] | None = None,
-    unit: str = "mm",
-    geometry: str | Path | None = None,
+    size: Any = None,
+    unit: Any = "mm",
+    geometry: Any = None,
     **parameters: float,
 ) -> TaggedMesh:
     """Mesh a CAD file or a `.geo` file, or load a mesh, with the names of bodies and faces.
@@ -185,7 +185,8 @@ def read_gmsh(
             f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
         )
     root = 0
-    if hasattr(path, "mesh") and not hasattr(path, "getPhysicalGroups") or isinstance(path, tuple):
+    is_model = hasattr(path, "getPhysicalGroups")
+    if isinstance(path, tuple) or (hasattr(path, "mesh") and not is_model):
         return _of_mesh_data(path, comm, geometry, unit)
     tags: dict[str, int] = {}
     names: dict[int, str] = {}
@@ -196,7 +197,7 @@ def read_gmsh(
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
             is_file = isinstance(path, str | PathLike)
-            if not is_file and not hasattr(path, "getPhysicalGroups") and comm.rank == root:
+            if not is_file and not is_model and comm.rank == root:
                 raise InputError(
                     "path must be the path of a file, gmsh.model, or the result of model_to_mesh, "
                     f"found {shown(path)}."
@@ -206,7 +207,7 @@ def read_gmsh(
                 model = gmsh.model
                 source = Path(path) if is_file else Path("gmsh.model")
                 if source.suffix == ".geo":
-                    parameters |= {} if size is None else {"size": size}  # type: ignore[dict-item]
+                    parameters |= {} if size is None else {"size": size}
                 if is_file:
                     open_file(gmsh, source, parameters, unit=unit)
                 if source.suffix.lower() in CAD_SUFFIXES:
@@ -238,9 +239,7 @@ def read_gmsh(
     return TaggedMesh(mesh, cell_tags, facet_tags, tags, known)
 
 
-def _of_mesh_data(
-    data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: str
-) -> TaggedMesh:
+def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: str) -> TaggedMesh:
     """Return the result of `dolfinx.io.gmsh.model_to_mesh` with names and geometry. Collective.
 
     Raises:
@@ -291,7 +290,7 @@ def _geometry_of(
         known = GmshGeometry(Path(file).resolve(), {}, {}, unit)
     if known is None:
         log(mesh.comm, "the mesh has no geometry: for exact curved surfaces give geometry=")
-    if known is None or file is None and known.content is None:
+    if known is None or (file is None and known.content is None):
         return known
     known, off = known.matched(mesh, facet_tags)
     if off and file is not None:
@@ -305,7 +304,7 @@ def _geometry_of(
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:
-    """Name the bodies and faces of a CAD model without groups, and mesh the model if it has no mesh.
+    """Name the bodies and faces of a CAD model without groups; mesh a model without mesh.
 
     Raises:
         InputError: see `set_sizes`.
@@ -324,7 +323,7 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
     before = {name: gmsh.option.getNumber(f"Mesh.{name}") for name in options}
     try:
         if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
-            if is_cad or suffix == ".model" and size is not None:
+            if is_cad or (suffix == ".model" and size is not None):
                 set_sizes(model, size, str(path))
                 for name, value in options.items():
                     gmsh.option.setNumber(f"Mesh.{name}", value)

@@ -130,7 +130,7 @@ def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -
     rounding = ON_SURFACE * np.ptp(corners, axis=1).max(axis=1)
     tied = of_corners <= of_corners.min(axis=0) + rounding
     nearest = np.where(tied, away[:, :, -1], np.inf).argmin(axis=0)
-    result = np.zeros_like(points)
+    result: Array = np.zeros_like(points)
     for k, piece in enumerate(pieces):
         result[nearest == k] = moves(piece, points[nearest == k])
     return result

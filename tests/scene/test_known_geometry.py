@@ -76,8 +76,10 @@ def worst(comm, values) -> float:
 
 @pytest.mark.parallel
 def test_cylinders_are_exact(comm, folder, caplog):
-    """Also if one tag has the whole boundary of a body, with its flat ends: a facet at a rim has
-    the surface it lies on. Radial normals have no axial part, with which pins would be wedged."""
+    """Also if one tag has the whole boundary of a body: each facet has the surface it lies on.
+
+    Radial normals have no axial part, with which pins would be wedged.
+    """
     tagged = mesh_of(comm, folder, PIN_IN_RING)
     for tags in ((2, 1), (1, 2)):
         operators = problem_of(tagged, *tags).operators[0]

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
@@ -19,9 +17,6 @@ from dolfinx_tresca import (
     ContactPair,
     ContactProblem,
     Coulomb,
-    Frictionless,
-    InputError,
-    MeshError,
     SolverOptions,
     contacts,
     read_gmsh,
