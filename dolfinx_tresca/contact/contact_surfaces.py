@@ -386,6 +386,18 @@ class ContactSurfaces(PetscOwner):
             at_nodes[pair.nodes[pair.normal_node]] = gaps[n]
         return result
 
+    def normal_forces_at_nodes(self) -> Array:
+        """Return the normal contact forces (pairs, owned nodes), 0 at open nodes. Not collective.
+
+        They are in the units of the multipliers times areas, which suits comparisons.
+        """
+        jump, V = self.jump, self.linear.V
+        result = np.zeros((len(self.pairs), V.dofmap.index_map.size_local))
+        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
+            forces = self._state.multipliers[n] * pair.weights[pair.normal_node]
+            at_nodes[pair.nodes[pair.normal_node]] = forces
+        return result
+
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         return np.array(self.jump.contact_force(self._state.multipliers).array)

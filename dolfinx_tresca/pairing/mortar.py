@@ -39,11 +39,6 @@ LEAST_AREA_PART = 3e-4
 #: sagitta, may then be more than a tenth of the penetration.
 CLOSE_FIT = 0.5
 
-#: Part of the least distance around a node of moved surfaces below which a mean distance is wrong
-#: (mortar.couple). With 1, gaps of curved surfaces that are apart change from one pairing to the
-#: next; means of tip lands of gear teeth are negative.
-FAR_BELOW = 0.5
-
 #: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
 #: may penetrate at a few nodes, by errors of the sagitta.
 FITTED_PART = 0.25
@@ -109,15 +104,14 @@ def couple(
     jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
     place = found.force_moments[position] / weights[:, None]
     means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
-    # Functions of the dual basis are negative in part: a mean may be less than all distances around
-    # the node. (Where moved surfaces touch, the gap must change as N says, or the positions of
-    # finite sliding do not converge: only those that are far apart have this bound.)
-    least: Array = np.full(len(nodes.numbers), np.inf)
-    np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
-    gap, least = found.distance[position] / weights, least[position]
-    if moved:
-        least = np.where((least > 0.0) & (gap < FAR_BELOW * least), least, -np.inf)
-    gap = np.maximum(gap, least)
+    gap = found.distance[position] / weights
+    if not moved:
+        # Functions of the dual basis are negative in part: a mean may be less than all distances
+        # around the node. (The gap of moved surfaces must change as N says, or the positions of
+        # finite sliding do not converge.)
+        least: Array = np.full(len(nodes.numbers), np.inf)
+        np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
+        gap = np.maximum(gap, least[position])
     if not moved and not any_known_surface(facets, others):
         _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # only displacements of degree 2 can bend facets and so make up for the sagitta

@@ -9,9 +9,11 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import NEIGHBOURS, REFERENCE_CORNERS, SurfaceNodes
 from dolfinx_tresca.surface.offsets import normals_at, offsets_at
 
-#: Least cosine between a facet's normal and the normals at its corners (26 degrees). Below it a
-#: corner is on an edge, and the facet counts as flat.
-SMOOTH_COSINE = 0.9
+#: Cosines between a facet's normal and the normals at its corners (37 and 26 degrees): below the
+#: lower one a corner is on an edge, and the facet counts as flat; above the upper one it is smooth.
+#: Between them it is a mean of both, since with a limit in place of a range the contact of soft
+#: bodies may have no solution: the ironing block's corner, where facets kink more with more force.
+EDGE_COSINE, SMOOTH_COSINE = 0.8, 0.9
 
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
 #: the surface counts as curved over the side. The height falls to zero where the sum is equal to
@@ -71,13 +73,14 @@ class SmoothSurface:
             self._turn_end_normals(rim[corner_nodes], smooth)
         cosines = np.einsum("nci,ni->nc", self._normals, self._facet_normals)
         self.turns = turned_angles(cosines)
-        edge = (cosines < SMOOTH_COSINE).any(axis=1)
-        self._mean = np.where(edge[:, None], self._facet_normals, 0.0)
-        self._normals[edge] = 0.0
+        least = cosines.min(axis=1, initial=1.0)
+        curved = np.clip((least - EDGE_COSINE) / (SMOOTH_COSINE - EDGE_COSINE), 0.0, 1.0)
+        self._mean = (1.0 - curved)[:, None] * self._facet_normals
+        self._normals *= curved[:, None, None]
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
-        cosines = np.where(edge[:, None], 1.0, cosines)
+        cosines = np.where(curved[:, None] > 0.0, cosines, 1.0)
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
         size = np.ptp(self._corners, axis=1).max(axis=1)
@@ -128,9 +131,10 @@ class SmoothSurface:
         outer = at_rim.any(axis=1)
         of_nodes = np.full(len(rim), np.inf)
         np.minimum.at(of_nodes, corner_nodes[~outer], result[~outer, None])
-        of_nodes[np.isinf(of_nodes)] = 0.0 if self._facets.dim == 1 else 1.0
-        of_corners = np.where(at_rim, 1.0, of_nodes[corner_nodes]).min(axis=1, initial=1.0)
-        return np.where(outer, of_corners, result)
+        around = np.where(at_rim, np.inf, of_nodes[corner_nodes]).min(axis=1, initial=np.inf)
+        alone = np.zeros_like(result) if self._facets.dim == 1 else result
+        around = np.where(np.isinf(around), alone, around)
+        return np.where(outer, around, result)
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.

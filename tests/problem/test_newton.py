@@ -231,6 +231,11 @@ def test_failure_names_the_step_and_what_to_do(comm):
         compressed(scene.push, 1.2)
         solution = problem.solve()
         assert solution.status is ContactStatus.NO_EQUILIBRIUM
+        # forces on free nodes are what the failed step has left out of balance
+        unbalanced = solution.newton.unbalanced
+        assert unbalanced.function_space == scene.u.function_space
+        assert np.abs(unbalanced.x.array).max() > 0.0 or np.isnan(unbalanced.x.array).any()
+        assert (solution.newton.flips.x.array == 0).all()  # all nodes stay in contact
         with pytest.raises(ConvergenceError, match=r"number 2 .* Newton step .*most at .*smaller"):
             solution.raise_if_failed()
         with pytest.raises(ConvergenceError, match="raise_if_failed"):
@@ -238,6 +243,7 @@ def test_failure_names_the_step_and_what_to_do(comm):
         compressed(scene.push, 0.4)
         again = problem.solve()
     again.raise_if_failed()
+    assert again.newton.unbalanced is again.newton.flips is None
     assert again.normal_force == pytest.approx(-uniaxial_stress(0.6, 2), rel=1e-5)
 
 
