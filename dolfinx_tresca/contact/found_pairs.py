@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -60,11 +60,15 @@ class Contacts(Tabulated, list[ContactPair]):
         distance: largest distance of the faces [length].
     """
 
-    def __init__(self, measures: Mapping[ContactPair, TouchingFaces], distance: float) -> None:
+    def __init__(
+        self,
+        pairs: Sequence[ContactPair],
+        measures: Mapping[tuple[int, int], TouchingFaces],
+        distance: float,
+    ) -> None:
         """Make the list of the pairs. Not collective."""
-        super().__init__(measures)
-        self.measures = {(pair.secondary, pair.primary): one for pair, one in measures.items()}
-        self.distance = distance
+        super().__init__(pairs)
+        self.measures, self.distance = dict(measures), distance
 
     def _rows(self) -> list[Row]:
         rows = [("contacts", f"{len(self)} pairs of faces nearer than {self.distance:.4g}")]
@@ -130,7 +134,8 @@ def contacts(
     surfaces where the geometry is known. Bodies that touch no other body are warned of.
 
     Args:
-        tagged: result of `read_gmsh`. All faces that may touch have tags.
+        tagged: result of `read_gmsh`. All faces that may touch have tags. Tags that several bodies
+            have, such as those of planes of symmetry, are left out, which is logged.
         friction: law of all pairs.
         distance: largest gap and largest overlap [length] of faces that are a pair; None: the mean
             size of the facets of the finer body.
@@ -164,8 +169,12 @@ def contacts(
         if len(face.bodies) == 1:
             of_body.setdefault(min(face.bodies), []).append(face.size)
     sizes = {body: float(np.mean(some)) for body, some in of_body.items()}
+    several = [str(tag) for tag, face in faces.items() if len(face.bodies) > 1]
+    if several:
+        log(mesh.comm, "contacts: tags %s, of several bodies, are left out", ", ".join(several))
     free = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
-    pairs: dict[ContactPair, TouchingFaces] = {}
+    pairs: list[ContactPair] = []
+    near_faces: dict[tuple[int, int], TouchingFaces] = {}
     reach = 0.0
     touched: set[int] = set()
     for both in combinations(sorted(faces), 2):
@@ -183,7 +192,8 @@ def contacts(
         pair = ContactPair(facet_tags, *(both if finer else both[::-1]), friction, **options)
         measures = _measured(V, free, pair, near)
         if measures is not None:
-            pairs[pair] = measures
+            pairs.append(pair)
+            near_faces[pair.secondary, pair.primary] = measures
             touched.update(bodies)
     cell_tags = tagged.cell_tags if isinstance(tagged.cell_tags, NamedTags) else None
     names = Bodies.of(V, cell_tags).names
@@ -202,7 +212,7 @@ def contacts(
             log(mesh.comm, text, names[body], away, reach, level=logging.WARNING, about=names[body])
     if not pairs:
         raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
-    return Contacts(pairs, reach)
+    return Contacts(pairs, near_faces, reach)
 
 
 def _measured(V: Any, free: Mask, pair: ContactPair, near: float) -> TouchingFaces | None:

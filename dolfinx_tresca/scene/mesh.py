@@ -206,7 +206,7 @@ def read_gmsh(
                 gmsh = session.enter_context(gmsh_session())
                 model = gmsh.model
                 source = Path(path) if is_file else Path("gmsh.model")
-                if source.suffix == ".geo":
+                if source.suffix in (".geo", ".msh"):  # the latter takes none, which is said
                     parameters |= {} if size is None else {"size": size}
                 if is_file:
                     open_file(gmsh, source, parameters, unit=unit)

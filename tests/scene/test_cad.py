@@ -97,8 +97,9 @@ def test_the_geometry_is_known_wherever_gmsh_knows_it(comm, folder, session, sou
                 read_gmsh(f"{path}.msh", comm, geometry=_scaled(comm, folder))
         assert abs(volume(tagged) - volume(first)) <= 1e-9 * volume(first)
     assert len(tagged.geometry.curved) == 2
-    found = contacts(tagged, friction=Frictionless())
+    found = contacts(tagged, friction=Frictionless(), sliding="finite")
     (measures,) = found.measures.values()
+    assert found[0].sliding == "finite" and "gap 0.05" in str(found)
     assert abs(measures.gap - 0.05) <= 1e-5
     area = 2 * np.pi * 5 * 5
     assert abs(measures.area - area) <= 0.02 * area
