@@ -18,6 +18,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
+from dolfinx_tresca.pairing.search.tagged import any_known_surface
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -89,8 +90,8 @@ def _bent_primary(
     """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
     N of the result enters the gap. On a surface that touches itself the primary nodes are those
-    opposite to secondary nodes. If the pair gives the true surfaces (`geometry`), primary edges
-    are straight, too: the height of these surfaces over the facets is kept.
+    opposite to secondary nodes. If the true surface of a side is known, primary edges are
+    straight, too: the height of these surfaces over the facets is kept.
 
     Args:
         V: the space of the displacement.
@@ -99,7 +100,8 @@ def _bent_primary(
         pair: the pair whose primary edges are bent.
         operators: N and T of the pair in the displaced configuration.
     """
-    if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
+    sides = operators.undeformed.sides.values()
+    if any_known_surface(*sides) or isinstance(pair.primary, RigidObstacle):
         return straight
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes
         numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +16,9 @@ import dolfinx
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell, numbers_in_file
-from dolfinx_tresca.errors import InputError, PairingError
+from dolfinx_tresca.errors import InputError, MeshError, PairingError
 from dolfinx_tresca.pairing.search.facets import (
     Facets,
     cross_products,
@@ -25,7 +27,13 @@ from dolfinx_tresca.pairing.search.facets import (
     quadrature,
     tabulate,
 )
-from dolfinx_tresca.scene.geometry import open_projections, project_points
+from dolfinx_tresca.scene.geometry import (
+    ON_SURFACE,
+    Geometry,
+    Projection,
+    open_pieces,
+    project_points,
+)
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -175,8 +183,10 @@ def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
 def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
     """Return the sides of a pair with the `Facets.offsets` of their facets. Collective.
 
-    The projections of `pair.geometry` are evaluated at the nodes of a Lagrange basis of
-    `OFFSET_DEGREE`. A side without a projection is returned unchanged.
+    The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
+    evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. A side without a projection is
+    returned unchanged. If a geometry that the user did not give fails, a warning is logged, and all
+    sides are returned unchanged.
 
     Args:
         V: the space of the displacement.
@@ -187,33 +197,88 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
         InputError: a projection fails, or facets are not on their surface.
         MeshError: Gmsh cannot read the geometry file any more.
     """
-    if pair.geometry is None or isinstance(pair.primary, RigidObstacle):
+    if isinstance(pair.primary, RigidObstacle):
         return sides
+    if pair.geometry is not None:
+        return _offset_sides(V, pair.geometry, sides, FAR_CORNER)
+    geometry = getattr(pair.facet_tags, "geometry", None)
+    if geometry is None or geometry.curved.keys().isdisjoint(sides):
+        return sides
+    try:
+        return _offset_sides(V, geometry, sides, ON_SURFACE)
+    except (InputError, MeshError) as error:
+        log(
+            V.mesh.comm,
+            "contact pair %s: the curved surfaces in the file from which Gmsh made the mesh are "
+            "not used: %s Smooth surfaces through the nodes take their place, as with "
+            "ContactPair(geometry={}).",
+            *(pair, f"{error}".rstrip(".") + "."),
+            level=logging.WARNING,
+            about=str(pair),
+        )
+        return sides
+
+
+def _offset_sides(
+    V: Any, geometry: Geometry, sides: dict[int, Facets], limit: float
+) -> dict[int, Facets]:
+    """Return the sides with the offsets to a geometry. Collective.
+
+    `limit` is the largest distance of a corner from its surface, relative to the size of the facet:
+    `FAR_CORNER`, or `ON_SURFACE` if the user did not ask for this geometry.
+
+    Raises:
+        InputError: a projection fails, or facets are not on their surface.
+        MeshError: Gmsh cannot read the geometry file any more.
+    """
     comm, result = V.mesh.comm, dict(sides)
-    with errors_on_all_ranks(comm), open_projections(pair.geometry) as surfaces:
-        for tag, facets in sides.items():
-            if tag in surfaces:
-                values = facets.basis(lagrange_points(facets.cell, OFFSET_DEGREE))
-                points = np.einsum("qk,nki->nqi", values, facets.points)
-                places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-                exact = project_points(
-                    places, f"geometry[{tag}]", surfaces[tag], V.mesh.geometry.dim
-                )
-                offsets = (exact - places)[index.ravel()].reshape(points.shape)
-                result[tag] = replace(facets, offsets=offsets)
+    with errors_on_all_ranks(comm), open_pieces(geometry) as surfaces:
+        for tag in sides.keys() & surfaces.keys():
+            offsets = _offsets(sides[tag], tag, surfaces[tag], V.mesh.geometry.dim)
+            result[tag] = replace(sides[tag], offsets=offsets)
     for tag, facets in result.items():
-        if any_known_surface(facets):
-            size = np.ptp(facets.points, axis=1).max(axis=1)
-            off = np.linalg.norm(facets.offsets[:, : facets.corners], axis=2)
-            farthest = (off.max(axis=1, initial=0.0) / size).max(initial=0.0)
-            worst = float(reduce_array(comm, farthest, MPI.MAX))
-            if worst > FAR_CORNER:
-                raise InputError(
-                    f"facets with tag {tag} are not on their surface in `geometry`: the distance "
-                    f"of a corner is {worst:.2g} times the size of its facet. Give the geometry "
-                    "from which the mesh was made, in its units; for a mesh that was moved, give "
-                    "functions of points."
-                )
+        size = np.ptp(facets.points, axis=1).max(axis=1)
+        off = np.linalg.norm(facets.offsets[:, : facets.corners], axis=2).max(axis=1, initial=0.0)
+        of_rank = [(off / size).max(initial=0.0), off.max(initial=0.0)]
+        relative, distance = map(float, reduce_array(comm, of_rank, MPI.MAX))
+        if relative > limit:
+            raise InputError(
+                f"facets with tag {tag} are not on their surface in `geometry`: a corner is "
+                f"{distance:.2g} away from it, {relative:.2g} times the size of its facet. Give "
+                "the geometry from which the mesh was made, in its units; for a mesh that was "
+                "moved, give functions of points."
+            )
+    return result
+
+
+def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -> Array:
+    """Return the `Facets.offsets` of facets by projection onto their surface. Not collective.
+
+    A facet belongs to the piece of the surface that is nearest to its corners; of pieces that all
+    corners are on, to the one that is nearest to its centre. So a facet at an edge is not projected
+    onto the surface beyond the edge.
+    """
+    points = np.einsum(
+        "qk,nki->nqi", facets.basis(lagrange_points(facets.cell, OFFSET_DEGREE)), facets.points
+    )
+
+    def moves(piece: Projection, points: Array) -> Array:
+        places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
+        moved = project_points(places, f"geometry[{tag}]", piece, dim) - places
+        return np.asarray(moved[index.ravel()].reshape(points.shape))
+
+    if len(pieces) == 1:
+        return moves(pieces[0], points)
+    corners = points[:, : facets.corners]
+    probes = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+    away = np.stack([np.linalg.norm(moves(piece, probes), axis=2) for piece in pieces])
+    of_corners = away[:, :, :-1].max(axis=2)
+    rounding = ON_SURFACE * np.ptp(corners, axis=1).max(axis=1)
+    tied = of_corners <= of_corners.min(axis=0) + rounding
+    nearest = np.where(tied, away[:, :, -1], np.inf).argmin(axis=0)
+    result: Array = np.zeros_like(points)
+    for k, piece in enumerate(pieces):
+        result[nearest == k] = moves(piece, points[nearest == k])
     return result
 
 
