@@ -22,6 +22,7 @@ from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.guaranteed.bound import GuaranteedError, guaranteed_error
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
@@ -342,6 +343,13 @@ class ContactProblem(ContactProcess):
         energy_error = solved.fields.energy_error_bound * dual.norm_of(u)
         secondary = self._contact.surfaces.secondary
         return goal_error(goal, dual, secondary, solved.multipliers, u, energy_error)
+
+    @collective(comm_of_self)
+    def guaranteed_error(self) -> GuaranteedError:
+        solved = self._solved_for("a guaranteed bound")
+        return guaranteed_error(
+            self._contact.linear, self.pairs, solved.dual, solved.multipliers, solved.fields.u
+        )
 
     @contextmanager
     def record(

@@ -1,0 +1,362 @@
+"""A guaranteed bound of the error of the displacement: iteration, mesh and contact together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+import basix
+import dolfinx
+import dolfinx.la
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.compat import geometry_degree, geometry_dofmap
+from dolfinx_tresca._base.functions import zero_like
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.guaranteed.cell_copies import CellCopies
+from dolfinx_tresca.guaranteed.contact_facets import (
+    ContactFacets,
+    defects,
+    jumps_on_facets,
+    lifted,
+)
+from dolfinx_tresca.guaranteed.forms import displacement_gradients, elasticity, loads
+from dolfinx_tresca.guaranteed.johnson_mercier import CellStresses, stress_element
+from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
+from dolfinx_tresca.guaranteed.stars import CellData, Stars
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+#: Force that a star lacks, relative to the forces on its cells, above which the displacement is not
+#: in equilibrium: a force at a point, or a failed solve.
+IMBALANCE = 1e-7
+
+#: Steps of the conjugate gradient method by which the stress comes nearer to the discrete stress.
+#: With the double of it the bound is 1 to 3 % smaller.
+STEPS = 3
+
+
+@dataclass(frozen=True)
+class GuaranteedError:
+    """A proven bound of |u - u*|, where u* is the exact solution on the domain of the mesh.
+
+    The norm is the energy norm, |v|^2 = a(v, v). The bound is proven up to rounding
+    (docs/theory/guaranteed.md). u* is the solution of Tresca's problem whose gaps and slip bounds
+    are linear between contact nodes; if bounds depend on the pressure, they are those of the
+    solution.
+
+    Attributes:
+        error: bound of |u - u*| [energy^(1/2)].
+        relative_error: `error` divided by |u|.
+        cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
+            root of the sum of their squares is at most some percent larger than `error`.
+        stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
+            displacement [energy^(1/2)].
+        oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
+            [energy^(1/2)]; zero for loads that are constant in cells and tractions that are linear
+            on facets.
+        complementarity: integral of pressure times gap [energy].
+        friction: integral of what the work of friction lacks of its bound [energy].
+        lift: |u - v|, the distance of u from a displacement v that does not penetrate
+            [energy^(1/2)].
+    """
+
+    error: float
+    relative_error: float
+    cell_errors: fem.Function
+    stress: float
+    oscillation: float
+    complementarity: float
+    friction: float
+    lift: float
+
+    def __repr__(self) -> str:
+        return (
+            f"<GuaranteedError: at most {self.error:.3e}, {self.relative_error:.1%} of the "
+            "displacement's energy norm>"
+        )
+
+
+def guaranteed_error(
+    linear: LinearSystem,
+    pairs: list[ContactPair],
+    dual: DualProgram,
+    multipliers: Array,
+    u: fem.Function,
+    steps: int = STEPS,
+) -> GuaranteedError:
+    """Return a guaranteed bound of the error of a solution, with one solve with K. Collective.
+
+    Args:
+        linear: the system K u = f.
+        pairs: the contact pairs.
+        dual: the dual problem that was solved.
+        multipliers: (size,) its multipliers.
+        u: the displacement of the solution.
+        steps: number of steps that make the bound sharper.
+
+    Raises:
+        InputError: the bound does not cover the problem.
+        ContactError: the displacement is not in equilibrium.
+    """
+    V, mesh = linear.V, linear.V.mesh
+    comm, dim = mesh.comm, mesh.geometry.dim
+    a, L = _checked_forms(linear, dual)
+    degree = V.element.basix_element.degree
+    topology = mesh.topology
+    for pair in ((dim, 0), (dim, dim - 1), (dim - 1, dim)):
+        topology.create_connectivity(*pair)
+    count = topology.index_map(dim).size_local
+    cells = Simplices(mesh.geometry.x[geometry_dofmap(mesh)[:count], :dim])
+    nodes = V.dofmap.list[:count]
+    edges = np.array(basix.topology(mesh.basix_cell())[1])
+    stiffness = elasticity(a, cells, mesh, linear.entity_maps)
+    given = loads(L, cells, mesh, linear.entity_maps)
+    prescribed = _on_nodes(V, linear.prescribed)
+    held = _held(mesh, prescribed[nodes], edges, degree)
+    gradient = dual.response.gradient_of(u.x.petsc_vec)
+    contacts = [
+        ContactFacets.of(V, dual, pair, rows, multipliers, gradient, prescribed)
+        for pair, rows in zip(pairs, dual.jump.by_pair, strict=True)
+    ]
+    mass = mean_products(dim, 3)
+    for contact in contacts:
+        for cell, facet, corners, traction in (
+            (contact.cell, contact.facet, contact.corners, contact.tractions),
+            contact.others,
+        ):
+            products = np.einsum("kla,mad->mkld", mass, traction)
+            products *= cells.areas[cell, facet][:, None, None, None]
+            target = given.traction
+            at = cell[:, None, None], facet[:, None, None], corners[:, :, None], corners[:, None]
+            np.add.at(target, at, products)
+
+    balanced = _in_equilibrium(linear, dual, u, given.load, given.traction, nodes, edges)
+    v = lifted(V, contacts, u, prescribed)
+    _check_contact(V, contacts, v, held)
+
+    def stresses(w: fem.Function) -> Array:
+        values = w.x.array.reshape(-1, dim)[nodes]
+        slopes = displacement_gradients(values, cells, edges)
+        basis = stress_element(dim).basis
+        strains = np.tensordot(slopes, basis, axes=([2, 3], [1, 2]))
+        return np.einsum("nab,nkb,aij->nkij", stiffness, strains, basis, optimize=True)
+
+    of_u, of_v = stresses(u), stresses(v)
+    copies = CellCopies(mesh)
+    own = CellStresses(cells, np.linalg.inv(stiffness))
+    stars = Stars(
+        CellStresses(Simplices(copies.spread(cells.points)), copies.spread(own.compliance)),
+        copies.vertices,
+        copies.owned,
+        CellData(
+            *map(copies.spread, (stresses(balanced), given.load, given.traction, held))
+        ),
+        degree > 1,
+    )
+    with errors_on_all_ranks(comm):
+        tractions = stars.equilibrated()
+        if stars.imbalance > IMBALANCE:
+            raise ContactError(
+                "the displacement is not in equilibrium: around a node, forces of "
+                f"{stars.imbalance:.1e} of the stresses are missing. A displacement that is "
+                "prescribed at a point, and not on facets, cannot hold a force."
+            )
+    tractions = copies.summed(tractions)
+    # divergence, constant in subcells, with the moments of the load
+    corners = dim + 1
+    means = (1.0 - np.eye(corners) + 1.0 / corners) / corners**2
+    load = given.load.sum(axis=2) / cells.volumes[:, None, None]
+    divergence = -np.linalg.inv(means) @ load
+    difference = own.of_tractions(tractions, divergence) - own.of_linear(of_v)
+    descent = -own.gradient(difference)
+    direction, previous = np.zeros_like(tractions), 0.0
+    for _ in range(steps):
+        near = copies.summed(stars.preconditioned(copies.spread(descent)))
+        slope = float(reduce_array(comm, (near * descent).sum()))
+        if not slope > 0.0:
+            break
+        direction = near + (slope / previous * direction if previous else 0.0)
+        previous = slope
+        change = own.of_tractions(direction)
+        curvature = float(reduce_array(comm, own.energies(change).sum()))
+        length = slope / curvature
+        difference = difference + length * change
+        descent = descent - length * own.gradient(change)
+    energies = own.energies(difference)
+    softness = np.sqrt(np.linalg.eigvalsh(own.compliance)[:, -1])
+    rest = given.load_rest + _rest_of_projection(cells, given.load, divergence)
+    fluctuation = cells.poincare_factors * rest
+    fluctuation += (cells.trace_factors * given.traction_rest * ~held.all(axis=2)).sum(axis=1)
+    fluctuation *= softness
+    terms = np.sqrt(energies) + fluctuation
+    squares = terms**2
+    complementarity = friction = 0.0
+    for contact in contacts:
+        areas = cells.areas[contact.cell, contact.facet]
+        pressed, slipping, _ = defects(contact, jumps_on_facets(V, contact, v), areas)
+        complementarity += pressed.sum()
+        friction += slipping.sum()
+        np.add.at(squares, contact.cell, 2.0 * np.maximum(pressed + slipping, 0.0))
+    moved = own.energies(own.of_linear(of_u - of_v)).sum()
+    size = own.energies(own.of_linear(of_u)).sum()
+    totals = reduce_array(
+        comm,
+        np.array(
+            [
+                *((terms**2).sum(), energies.sum(), (fluctuation**2).sum()),
+                *(complementarity, friction, moved, size),
+            ]
+        ),
+    )
+    eta, lift, norm = np.sqrt(totals[[0, 5, 6]])
+    lack = max(float(totals[3] + totals[4]), 0.0)
+    error = float(0.5 * eta + np.sqrt(0.25 * eta**2 + lack) + lift)
+    result = fem.Function(fem.functionspace(mesh, ("DG", 0)), name="guaranteed_cell_errors")
+    result.x.array[result.function_space.dofmap.list[:count, 0]] = np.sqrt(squares)
+    result.x.scatter_forward()
+    return GuaranteedError(
+        error=error,
+        relative_error=error / float(norm) if norm > 0.0 else float("inf"),
+        cell_errors=result,
+        stress=float(np.sqrt(totals[1])),
+        oscillation=float(np.sqrt(totals[2])),
+        complementarity=float(totals[3]),
+        friction=float(totals[4]),
+        lift=float(lift),
+    )
+
+
+def _checked_forms(linear: LinearSystem, dual: DualProgram) -> tuple[Any, Any]:
+    mesh = linear.V.mesh
+    if linear.component is not None or linear.axisymmetric:
+        raise InputError(
+            "a guaranteed bound is for displacements of plane or three-dimensional bodies, not for "
+            "mixed spaces or bodies of revolution."
+        )
+    if mesh.topology.cell_name() not in ("triangle", "tetrahedron"):
+        raise InputError(
+            f"a guaranteed bound needs triangles or tetrahedra, found {mesh.topology.cell_name()} "
+            "cells. Divide them into simplices."
+        )
+    if geometry_degree(mesh) != 1:
+        raise InputError("a guaranteed bound needs cells with straight edges.")
+    if dual.equilibrium is not None:
+        raise InputError(
+            "a guaranteed bound needs Dirichlet conditions that hold each body; here contact alone "
+            "holds a body against some motion."
+        )
+    return linear.ufl_forms
+
+
+def _on_nodes(V: Any, flags: Any) -> Any:
+    """Return flags (owned degrees of freedom,) at this rank's nodes (nodes, d). Collective."""
+    dofmap = V.dofmap
+    spread = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
+    spread.array[: len(flags)] = flags
+    spread.scatter_forward()
+    return spread.array.reshape(-1, dofmap.index_map_bs) > 0.0
+
+
+def _held(mesh: Any, prescribed: Any, edges: Array, degree: int) -> Any:
+    """Return on which facets of owned cells the displacement is prescribed (n, d + 1, d).
+
+    Args:
+        mesh: the mesh.
+        prescribed: (n, k, d) prescribed degrees of freedom of each cell.
+        edges: (e, 2) vertices of each edge of a cell.
+        degree: degree of the displacement.
+    """
+    tdim = mesh.topology.dim
+    count, corners = len(prescribed), tdim + 1
+    exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    facets = mesh.topology.connectivity(tdim, tdim - 1).array.reshape(-1, corners)[:count]
+    result = np.repeat(np.isin(facets, exterior)[:, :, None], prescribed.shape[2], axis=2)
+    for j in range(corners):
+        on_facet = [k for k in range(corners) if k != j]
+        if degree > 1:
+            on_facet += [corners + e for e, ends in enumerate(edges) if j not in ends]
+        result[:, j] &= prescribed[:, on_facet].all(axis=1)
+    return result
+
+
+def _in_equilibrium(
+    linear: LinearSystem,
+    dual: DualProgram,
+    u: fem.Function,
+    load: Array,
+    traction: Array,
+    nodes: Indices,
+    edges: Array,
+) -> fem.Function:
+    """Return the displacement, near u, that balances loads and tractions. Collective.
+
+    Args:
+        linear: the system K u = f.
+        dual: the dual problem, with the solver for K.
+        u: the displacement of the solution.
+        load: see `CellData`.
+        traction: see `CellData`.
+        nodes: (n, k) nodes of each cell.
+        edges: (e, 2) vertices of each edge of a cell.
+    """
+    products = load + traction.sum(axis=1)
+    if nodes.shape[1] == products.shape[1]:
+        forces = products.sum(axis=2)
+    else:
+        squares = np.einsum("nkkd->nkd", products)
+        i, j = edges.T
+        forces = np.concatenate(
+            [2.0 * squares - products.sum(axis=2), 4.0 * products[:, i, j]], axis=1
+        )
+    right, result = zero_like(u, "force"), u.copy()
+    np.add.at(right.x.array.reshape(-1, forces.shape[2]), nodes, forces)
+    right.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    change = zero_like(u, "change")
+    residual = linear.residual(right.x.petsc_vec, u.x.petsc_vec)
+    dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
+    residual.destroy()
+    change.x.scatter_forward()
+    result.x.array[:] += change.x.array
+    return result
+
+
+def _check_contact(V: Any, contacts: list[ContactFacets], v: fem.Function, held: Any) -> None:
+    for contact in contacts:
+        jumps = jumps_on_facets(V, contact, v)
+        size = float(np.abs(v.x.array).max(initial=0.0)) + float(np.abs(jumps).max(initial=0.0))
+        _, _, depth = defects(contact, jumps, np.ones(len(jumps)))
+        with errors_on_all_ranks(V.mesh.comm):
+            if held[contact.cell, contact.facet].any():
+                raise InputError(
+                    f"a guaranteed bound needs contact surfaces without prescribed displacements, "
+                    f"and some facets of contact pair {contact.pair} have them."
+                )
+            if not np.isfinite(contact.bounds).all():
+                raise InputError("a guaranteed bound needs finite slip bounds.")
+            if (depth > 1e-10 * size).any():
+                raise InputError(
+                    f"prescribed displacements penetrate at contact pair {contact.pair}, by "
+                    f"{depth.max():.2e}: there is no exact solution."
+                )
+
+
+def _rest_of_projection(cells: Simplices, load: Array, divergence: Array) -> Array:
+    """Return the norms (n,) of the linear projection of f plus the divergence of the stress."""
+    corners = load.shape[1]
+    first = load.sum(axis=2) / cells.volumes[:, None, None]
+    linear = np.linalg.inv(mean_products(corners, 2)) @ first
+    # at the vertices of subcells
+    values = np.repeat(linear[:, None], corners, axis=1)
+    r = np.arange(corners)
+    values[:, r, r] = linear.mean(axis=1, keepdims=True)
+    values = values + divergence[:, :, None]
+    mass = mean_products(corners, 2) / corners
+    squares = np.einsum("nijd,jk,nikd->n", values, mass, values, optimize=True)
+    return np.sqrt(cells.volumes * np.maximum(squares, 0.0))

@@ -1,0 +1,332 @@
+"""Tractions in equilibrium on the facets of a mesh of simplices, star by star."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
+from dolfinx_tresca.guaranteed.johnson_mercier import CellStresses
+from dolfinx_tresca.guaranteed.simplices import mean_products, moments
+
+#: Eigenvalue of a star's equations, relative to their mean diagonal entry, below which it belongs
+#: to a rigid motion that nothing holds. Those eigenvalues are zero up to rounding.
+FREE_EIGENVALUE = 1e-9
+
+#: Number of entries of the dense matrices of stars that are factored together.
+ENTRIES_AT_ONCE = 20_000_000
+
+
+@dataclass(frozen=True)
+class CellData:
+    """What the tractions on cells must balance.
+
+    Attributes:
+        stress: (n, d + 1, d, d) stress at the vertices of a displacement in discrete equilibrium.
+        load: (n, d + 1, d + 1, d) integrals of f lambda_i lambda_k over the cells.
+        traction: (n, d + 1, d + 1, d + 1, d) integrals of t lambda_i lambda_k over facet j on the
+            boundary in `traction[:, j, i, k]`.
+        held: (n, d + 1, d) whether the displacement is prescribed along an axis on facet j, whose
+            traction is then free along this axis.
+    """
+
+    stress: Array
+    load: Array
+    traction: Array
+    held: Mask
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Stars with equal numbers of cells and facets: their facets, and their solution operator."""
+
+    entries: Indices  # (stars, facets) entries of `Stars.entry`
+    operator: Array  # (stars, m, m) from a gradient to the tractions without resultants
+
+
+class Stars:
+    """The stars of vertices: for each vertex the cells around it.
+
+    A star has tractions on the facets at its vertex, linear on each, that are in equilibrium, cell
+    by cell, with the part lambda_z of the loads and of the discrete stress (docs/theory/
+    guaranteed.md). Their sum over all vertices is in equilibrium with the whole load.
+    """
+
+    def __init__(
+        self,
+        stresses: CellStresses,
+        vertices: Indices,
+        owned: Mask,
+        data: CellData,
+        linear_stress: bool,
+    ) -> None:
+        """Number the facets of the stars. Not collective.
+
+        Args:
+            stresses: the cells of all stars, with their compliances.
+            vertices: (n, d + 1) global numbers of the vertices of cells.
+            owned: (n, d + 1) whether this rank has the star of a vertex.
+            data: what the tractions must balance.
+            linear_stress: whether the stress is linear in cells, from displacements of degree 2.
+        """
+        self.stresses, self.cells, self.data = stresses, stresses.cells, data
+        self.vertices, self._linear_stress = vertices, linear_stress
+        n, corners = vertices.shape
+        self.d = d = corners - 1
+        self.opposite = np.array([[k for k in range(corners) if k != j] for j in range(corners)])
+        order = np.argsort(vertices[:, self.opposite], axis=2)
+        keys = np.take_along_axis(vertices[:, self.opposite], order, axis=2).reshape(-1, d)
+        _, first_use, facets, uses = np.unique(
+            keys, axis=0, return_index=True, return_inverse=True, return_counts=True
+        )
+        self.facets = facets.reshape(n, corners)
+        self.signs = np.full(n * corners, -1.0)
+        self.signs[first_use] = 1.0
+        self.signs = self.signs.reshape(n, corners)
+        # the position of vertex k among the sorted vertices of facet j; both cells agree on it
+        self.slots = np.zeros((n, corners, corners), dtype=np.intp)
+        np.put_along_axis(
+            self.slots,
+            np.take_along_axis(np.broadcast_to(self.opposite, order.shape), order, axis=2),
+            np.broadcast_to(np.arange(d), order.shape),
+            axis=2,
+        )
+        self.single = uses == 1
+        self.fixed = np.zeros((len(uses), d), dtype=np.bool_)
+        boundary = self.single[self.facets]
+        self.fixed[self.facets[boundary]] = ~data.held[boundary]
+
+        cell, corner = np.nonzero(owned)
+        ascending = np.argsort(vertices[cell, corner], kind="stable")
+        self.cell, self.corner = cell[ascending], corner[ascending]
+        _, self.start, self.count = np.unique(
+            vertices[self.cell, self.corner], return_index=True, return_counts=True
+        )
+        star = np.repeat(np.arange(len(self.start)), self.count)
+        self.sides = self.opposite[self.corner]  # (m, d) the facets at the vertex
+        facets = self.facets[self.cell[:, None], self.sides]
+        keys, entry = np.unique(star[:, None] * len(uses) + facets, return_inverse=True)
+        self.entry = entry.reshape(facets.shape)  # (m, d) number among the facets of all stars
+        self.facet = keys % len(uses)
+        self.facet_start = np.searchsorted(keys, np.arange(len(self.start)) * len(uses))
+        self.facet_count = np.diff(self.facet_start, append=len(keys))
+        # positions of the tractions at the vertices of these facets, in ascending order of vertices
+        self.corners = self.opposite[self.sides]
+        self.places = self.slots[self.cell[:, None, None], self.sides[:, :, None], self.corners]
+        self.side_signs = self.signs[self.cell[:, None], self.sides]
+
+    def equilibrated(self) -> Array:
+        """Return tractions on the cells that balance the data; factors all stars."""
+        tractions = self._means()
+        force, moment, size = self._missing(tractions)
+        self.batches: list[_Batch] = []
+        self.imbalance = 0.0
+        shapes = np.stack([self.count, self.facet_count], axis=1)
+        for shape in np.unique(shapes, axis=0):
+            stars = np.flatnonzero((shapes == shape).all(axis=1))
+            step = max(1, ENTRIES_AT_ONCE // int(shape[1] * self.d**2) ** 2)
+            for begin in range(0, len(stars), step):
+                self._factor(stars[begin : begin + step], *shape, (force, moment, size), tractions)
+        return self._on_cells(tractions)
+
+    def preconditioned(self, gradient: Array) -> Array:
+        """Return tractions on the cells without resultants that decrease a quadratic function.
+
+        Args:
+            gradient: (n, d + 1, d + 1, d) minus its derivative by the tractions on the cells.
+        """
+        on_facets = np.zeros((len(self.single), self.d, self.d))
+        j, k = np.nonzero(~np.eye(self.d + 1, dtype=np.bool_))
+        np.add.at(
+            on_facets,
+            (self.facets[:, j], self.slots[:, j, k]),
+            self.signs[:, j, None] * gradient[:, j, k],
+        )
+        tractions = np.zeros((len(self.facet), self.d, self.d))
+        for batch in self.batches:
+            shape = batch.entries.shape
+            local = on_facets[self.facet[batch.entries]].reshape(shape[0], -1, 1)
+            tractions[batch.entries] = (batch.operator @ local).reshape(*shape, self.d, self.d)
+        return self._on_cells(tractions)
+
+    def _on_cells(self, tractions: Array) -> Array:
+        """Return the sums over all stars of tractions (facets of stars, d, d), on the cells."""
+        result = np.zeros((*self.vertices.shape, self.d + 1, self.d))
+        values = tractions[self.entry[:, :, None], self.places]
+        values *= self.side_signs[:, :, None, None]
+        np.add.at(
+            result, (self.cell[:, None, None], self.sides[:, :, None], self.corners), values
+        )
+        return result
+
+    def _means(self) -> Array:
+        """Return the given tractions, elsewhere the means of the discrete stress of both sides.
+
+        They are multiplied by the hat function of the star's vertex, and projected onto linear
+        functions: (facets of stars, d, d).
+        """
+        d, c = self.d, self.cell[:, None]
+        result = np.zeros((len(self.facet), d, d))
+        inverse = np.linalg.inv(mean_products(d, 2))
+        at_vertex = self.corners == self.corner[:, None, None]  # (m, d, d)
+        normals = self.cells.normals[c, self.sides]
+        stress = self.data.stress[c[:, :, None], self.corners]
+        own = np.einsum("mjkab,mjb->mjka", stress, normals)
+        hats = np.einsum("mjz,zki->mjki", at_vertex.astype(np.float64), mean_products(d, 3))
+        own = np.einsum("li,mjki,mjka->mjla", inverse, hats, own, optimize=True)
+        fixed = self.fixed[self.facet[self.entry]]
+        shares = np.where(self.single[self.facet[self.entry]], 1.0, 0.5)[:, :, None, None]
+        given = self.data.traction[
+            c[:, :, None], self.sides[:, :, None], self.corner[:, None, None], self.corners
+        ] / self.cells.areas[c, self.sides][:, :, None, None]
+        given = np.einsum("li,mjia->mjla", inverse, given)
+        values = np.where(fixed[:, :, None, :], given, shares * own)
+        values *= self.side_signs[:, :, None, None]
+        np.add.at(result, (self.entry[:, :, None], self.places), values)
+        return result
+
+    @cached_property
+    def arms(self) -> Array:
+        """(m, d + 1, d) vectors from the star's vertex to the vertices of its cells."""
+        points = self.cells.points[self.cell]
+        return np.asarray(points - points[np.arange(len(points)), self.corner][:, None])
+
+    def _missing(self, tractions: Array) -> tuple[Array, Array, Array]:
+        """Return forces (m, d) and moments (m, .) that tractions lack, and sizes (m,) of forces."""
+        d, c, arms = self.d, self.cell, self.arms
+        load = self.data.load[c, self.corner]
+        flux = np.einsum(
+            "mjab,mb->mja", self.data.stress[c], self.cells.gradients[c, self.corner]
+        ) * (self.cells.volumes[c, None, None])
+        force = flux.mean(axis=1) - load.sum(axis=1)
+        mass = mean_products(d + 1, 2)
+        moment = moments(arms, mass @ flux - load).sum(axis=1)
+        size = np.abs(flux).mean(axis=(1, 2)) + np.abs(load).sum(axis=(1, 2))
+        values = tractions[self.entry[:, :, None], self.places]
+        areas = self.side_signs * self.cells.areas[c[:, None], self.sides]
+        values = areas[:, :, None, None] * values
+        force -= values.sum(axis=(1, 2)) / d
+        lever = mean_products(d, 2) @ self._facet_arms
+        moment -= moments(lever, values).sum(axis=(1, 2))
+        if not self._linear_stress:
+            moment += self._edge_moments()
+        return force, moment, size
+
+    @cached_property
+    def _facet_arms(self) -> Array:
+        """(m, d, d, d) `arms` at the vertices of each facet at the star's vertex."""
+        return self.arms[np.arange(len(self.cell))[:, None, None], self.corners]
+
+    def _edge_moments(self) -> Array:
+        """Return moments (m, .) that balance each star for displacements of degree 1.
+
+        lambda_z W (x - z) with a rotation W is no displacement of degree 1, but a sum of bubbles of
+        the edges at z. The residual's moment with the bubble of an edge is added in the star of one
+        end and subtracted in the star of the other end, in equal parts of the volume around.
+        """
+        d, n = self.d, len(self.vertices)
+        i, j = np.array(list(combinations(range(d + 1), 2))).T
+        ends = np.sort(np.stack([self.vertices[:, i], self.vertices[:, j]], axis=2), axis=2)
+        _, edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+        edge = edge.reshape(n, -1)
+        volumes = self.cells.volumes
+        residual = self.data.load[:, i, j] + self.data.traction[:, :, i, j].sum(axis=1)
+        slopes = self.cells.gradients[:, i] + self.cells.gradients[:, j]
+        stress = self.data.stress[:, 0] * (volumes / (d + 1))[:, None, None]
+        residual -= np.einsum("nab,neb->nea", stress, slopes)
+        total, around = np.zeros((edge.max() + 1, d)), np.zeros(edge.max() + 1)
+        np.add.at(total, edge, residual)
+        np.add.at(around, edge, volumes[:, None])
+        held = np.zeros(total.shape, dtype=np.bool_)
+        cell, facet = np.nonzero(self.data.held.any(axis=2))
+        inside = (facet[:, None] != i) & (facet[:, None] != j)
+        flags = np.broadcast_to(self.data.held[cell, facet][:, None], (*inside.shape, d))
+        np.logical_or.at(held, edge[cell][inside], flags[inside])
+        total[held] = 0.0
+        shares = total[edge] * (volumes[:, None] / around[edge])[:, :, None]
+        own = shares[self.cell]
+        ahead = moments(self.arms[:, j], own) * (self.corner[:, None] == i)[:, :, None]
+        behind = moments(self.arms[:, i], own) * (self.corner[:, None] == j)[:, :, None]
+        return np.asarray((ahead + behind).sum(axis=1))
+
+    def _factor(
+        self,
+        stars: Indices,
+        cells: int,
+        facets: int,
+        missing: tuple[Array, Array, Array],
+        tractions: Array,
+    ) -> None:
+        """Balance stars of equal shape: add to their tractions, and keep their operators."""
+        d, count = self.d, len(stars)
+        turns = d * (d - 1) // 2
+        own = self.start[stars][:, None] + np.arange(cells)
+        entries = self.facet_start[stars][:, None] + np.arange(facets)
+        lengths = np.sqrt(np.square(self.arms[own]).sum(axis=3).max(axis=(1, 2)))
+        form = np.zeros((count, facets, d, d, facets, d, d))
+        rows = np.zeros((count, cells, d + turns, facets, d, d))
+        star = np.arange(count)[:, None]
+        axes = np.eye(d)
+        for p in range(cells):
+            at = own[:, p]
+            c, signs = self.cell[at], self.side_signs[at]
+            position = np.repeat(self.entry[at] - entries[:, :1], d, axis=1)
+            place = self.places[at].reshape(count, -1)
+            local = self.stresses.stiffness(c, self.sides[at])
+            local *= signs[:, :, None, None, None, None, None]
+            local *= signs[:, None, None, None, :, None, None]
+            local = local.reshape(count, d * d, d, d * d, d).transpose(0, 1, 3, 2, 4)
+            form[
+                star[:, :, None],
+                position[:, :, None],
+                place[:, :, None],
+                :,
+                position[:, None],
+                place[:, None],
+            ] += local
+            areas = signs * self.cells.areas[c[:, None], self.sides[at]]
+            lever = mean_products(d, 2) @ self._facet_arms[at] / lengths[:, None, None, None]
+            equations = np.empty((count, d, d, d + turns, d))
+            equations[:, :, :, :d] = axes / d
+            for axis in range(d):
+                equations[:, :, :, d:, axis] = moments(lever, axes[axis])
+            equations *= areas[:, :, None, None, None]
+            rows[star, p, :, position, place] += equations.reshape(count, d * d, d + turns, d)
+        size = facets * d * d
+        form, rows = form.reshape(count, size, size), rows.reshape(count, -1, size)
+        free = np.broadcast_to(~self.fixed[self.facet[entries]][:, :, None], (count, facets, d, d))
+        free = free.reshape(count, size).astype(np.float64)
+        rows *= free[:, None]
+        transposed = np.swapaxes(rows, 1, 2)
+        # tractions out of equilibrium have no energy: add their squared resultants
+        weight = np.trace(form, axis1=1, axis2=2) / np.maximum(
+            np.square(rows).sum(axis=(1, 2)), LEAST_DIVISOR
+        )
+        form += weight[:, None, None] * transposed @ rows
+        form *= free[:, :, None] * free[:, None, :]
+        form[:, range(size), range(size)] += 1.0 - free
+        inverse = np.linalg.inv(form)
+        reactions = inverse @ transposed
+        gram = rows @ reactions
+        # rigid motions that nothing holds
+        motions = np.tile(np.eye(d + turns), (cells, 1)) / np.sqrt(cells)
+        values, vectors = np.linalg.eigh(motions.T @ gram @ motions)
+        scale = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
+        scale[scale == 0.0] = 1.0  # all tractions are given
+        loose = (motions @ vectors) * (values < FREE_EIGENVALUE * scale[:, None])[:, None]
+        gram += scale[:, None, None] * loose @ np.swapaxes(loose, 1, 2)
+        force, moment, sizes = missing
+        right = np.concatenate([force[own], moment[own] / lengths[:, None, None]], axis=2)
+        right = right.reshape(count, -1, 1)
+        unbalanced = np.abs(np.swapaxes(loose, 1, 2) @ right).max(axis=(1, 2))
+        relative = unbalanced / np.maximum(sizes[own].sum(axis=1), LEAST_DIVISOR)
+        self.imbalance = max(self.imbalance, float(relative.max()))
+        supports = reactions @ np.linalg.inv(gram)
+        step = (supports @ right)[:, :, 0] * free
+        tractions[entries] += step.reshape(count, facets, d, d)
+        operator = inverse - supports @ np.swapaxes(reactions, 1, 2)
+        operator *= free[:, :, None] * free[:, None, :]
+        self.batches.append(_Batch(entries, operator))
