@@ -169,12 +169,9 @@ def guaranteed_error(
                 "prescribed at a point, and not on facets, cannot hold a force."
             )
     tractions = copies.summed(tractions)
-    # divergence, constant in subcells, with the moments of the load
-    corners = dim + 1
-    means = (1.0 - np.eye(corners) + 1.0 / corners) / corners**2
-    load = given.load.sum(axis=2) / cells.volumes[:, None, None]
-    divergence = -np.linalg.inv(means) @ load
-    difference = own.of_tractions(tractions, divergence) - own.of_linear(of_v)
+    inverse = np.linalg.inv(mean_products(dim + 1, 2))
+    projection = inverse @ given.load.sum(axis=2) / cells.volumes[:, None, None]
+    difference = own.of_tractions(tractions, -projection) - own.of_linear(of_v)
     descent = -own.gradient(difference)
     direction, previous = np.zeros_like(tractions), 0.0
     for _ in range(steps):
@@ -191,8 +188,7 @@ def guaranteed_error(
         descent = descent - length * own.gradient(change)
     energies = own.energies(difference)
     softness = np.sqrt(np.linalg.eigvalsh(own.compliance)[:, -1])
-    rest = given.load_rest + _rest_of_projection(cells, given.load, divergence)
-    fluctuation = cells.poincare_factors * rest
+    fluctuation = cells.poincare_factors * given.load_rest
     fluctuation += (cells.trace_factors * given.traction_rest * ~held.all(axis=2)).sum(axis=1)
     fluctuation *= softness
     terms = np.sqrt(energies) + fluctuation
@@ -345,18 +341,3 @@ def _check_contact(V: Any, contacts: list[ContactFacets], v: fem.Function, held:
                     f"prescribed displacements penetrate at contact pair {contact.pair}, by "
                     f"{depth.max():.2e}: there is no exact solution."
                 )
-
-
-def _rest_of_projection(cells: Simplices, load: Array, divergence: Array) -> Array:
-    """Return the norms (n,) of the linear projection of f plus the divergence of the stress."""
-    corners = load.shape[1]
-    first = load.sum(axis=2) / cells.volumes[:, None, None]
-    linear = np.linalg.inv(mean_products(corners, 2)) @ first
-    # at the vertices of subcells
-    values = np.repeat(linear[:, None], corners, axis=1)
-    r = np.arange(corners)
-    values[:, r, r] = linear.mean(axis=1, keepdims=True)
-    values = values + divergence[:, :, None]
-    mass = mean_products(corners, 2) / corners
-    squares = np.einsum("nijd,jk,nikd->n", values, mass, values, optimize=True)
-    return np.sqrt(cells.volumes * np.maximum(squares, 0.0))

@@ -4,7 +4,9 @@ A simplex with d + 1 vertices is divided by its centroid c into d + 1 subcells; 
 vertices x_j, j != i, and c. Stresses are symmetric, linear in each subcell, and have continuous
 tractions between subcells. Such a stress is determined by its tractions on the facets of the
 simplex (linear on each facet) and by its divergence (constant in each subcell), which must be in
-equilibrium of forces and moments [Johnson, Mercier 1978; Gopalakrishnan, Guzman, Lee 2024].
+equilibrium of forces and moments [Johnson, Mercier 1978; Gopalakrishnan, Guzman, Lee 2024]. To it
+a stress without tractions is added, quadratic in each subcell, so that the divergence is linear in
+the simplex.
 
 All arrays here belong to the reference simplex, with the vertices 0, e_1, ..., e_d. For
 x = x_0 + B X the stress is B S B', with the reference stress S.
@@ -24,25 +26,110 @@ from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
 
 @dataclass(frozen=True)
 class StressElement:
-    """The reference element; nsym = d (d + 1) / 2.
+    """The reference element; nsym = d (d + 1) / 2, and q nodes of a quadratic function.
+
+    Nodes of a subcell are its d + 1 vertices and the midpoints of its edges; its vertex i is the
+    centroid of the simplex in subcell i.
 
     Attributes:
         basis: (nsym, d, d) orthonormal basis of the symmetric matrices.
-        values: (d + 1, d + 1, nsym, m) stresses at the vertices of subcells for unit data:
-            `values[i, j]` belongs to vertex j of subcell i, `values[i, i]` to its centroid. The m
-            data are first (facet i, vertex j != i, component) S grad lambda_i at the vertices of
-            facet i, where lambda_i is the barycentric coordinate; then (subcell, component) the
-            divergence. Data out of equilibrium are changed to their least-squares fit.
-        mass: (d + 1, d + 1) integrals over a subcell of products of two of its barycentric
-            coordinates, relative to the volume of the simplex.
+        values: (d + 1, q, nsym, m) stresses at the nodes of subcells for unit data. The m data are
+            first (facet i, vertex j != i, component) S grad lambda_i at the vertices of facet i,
+            where lambda_i is the barycentric coordinate; then (vertex, component) the divergence at
+            the vertices of the simplex. The data must be in equilibrium.
+        elevation: (q, d + 1) values at the nodes of a linear function with given values at vertices.
+        mass: (q, q) integrals over a subcell of products of nodal functions, relative to the volume
+            of the simplex.
         products: (nsym, nsym, m, m) integrals of the products of the components of two stresses,
             relative to the volume of the simplex.
     """
 
     basis: Array
     values: Array
+    elevation: Array
     mass: Array
     products: Array
+
+
+def _linear_element(d: int, basis: Array, gradients: Array) -> Array:
+    """Return values (d + 1, d + 1, nsym, m) at vertices for a divergence constant in subcells."""
+    n, facets = d + 1, (d + 1) * d * d
+    unknown = np.eye(n * n * len(basis)).reshape(n, n, len(basis), -1)
+    stress = np.einsum("ijaz,akl->ijklz", unknown, basis)
+    equations, data = [], []
+    for row, (i, j) in enumerate((i, j) for i in range(n) for j in range(n) if j != i):
+        equations.append(np.einsum("klz,l->kz", stress[i, j], gradients[i]))
+        data.append(np.eye(d, facets + n * d, row * d))
+    for i in range(n):
+        slopes = _subcell_gradients(gradients, i)
+        equations.append(np.einsum("jklz,jl->kz", stress[i], slopes))
+        data.append(np.eye(d, facets + n * d, facets + i * d))
+    for i, j in combinations(range(n), 2):
+        common = [(k, k) for k in range(n) if k not in (i, j)] + [(i, j)]
+        equations += [
+            np.einsum("klz,l->kz", stress[i, k] - stress[j, m], gradients[i] - gradients[j])
+            for k, m in common
+        ]
+    return _solution(equations, data).reshape(n, n, len(basis), -1)
+
+
+def _subcell_gradients(gradients: Array, i: int) -> Array:
+    """Return the gradients (d + 1, d) of the barycentric coordinates of subcell i."""
+    result = gradients - gradients[i]
+    result[i] = len(gradients) * gradients[i]  # of the centroid
+    return result
+
+
+def _solution(equations: list[Array], data: list[Array]) -> Array:
+    """Return the least solution of equations whose last right-hand sides are zero."""
+    matrix, right = np.vstack(equations), np.vstack(data)
+    rest = np.zeros((len(matrix) - len(right), right.shape[1]))
+    return np.asarray(np.linalg.pinv(matrix) @ np.vstack([right, rest]))
+
+
+def _quadratic_addition(d: int, basis: Array, gradients: Array, divergence: Array) -> Array:
+    """Return the least stresses (d + 1, q, nsym, k) without tractions, quadratic in subcells.
+
+    Args:
+        d: the dimension.
+        basis: see `StressElement`.
+        gradients: (d + 1, d) gradients of the barycentric coordinates.
+        divergence: (d + 1, d + 1, d, k) the divergences at the vertices of subcells.
+    """
+    n = d + 1
+    edges = list(combinations(range(n), 2))
+    size = n + len(edges)
+    unknown = np.eye(n * size * len(basis)).reshape(n, size, len(basis), -1)
+    stress = np.einsum("ijaz,akl->ijklz", unknown, basis)
+    equations, data = [], []
+    for i in range(n):
+        slopes = _subcell_gradients(gradients, i)
+        for vertex in range(n):
+            # derivatives at a vertex of the nodal functions of vertices and of edges
+            factors = 4.0 * np.eye(n)[vertex] - 1.0
+            at_vertex = np.einsum("j,jklz,jl->kz", factors, stress[i, :n], slopes)
+            for e, ends in enumerate(edges, n):
+                if vertex in ends:
+                    (other,) = set(ends) - {vertex}
+                    at_vertex = at_vertex + 4.0 * np.einsum("klz,l->kz", stress[i, e], slopes[other])
+            equations.append(at_vertex)
+            data.append(divergence[i, vertex])
+    for i in range(n):
+        nodes = [j for j in range(n) if j != i]
+        nodes += [e for e, ends in enumerate(edges, n) if i not in ends]
+        equations += [np.einsum("klz,l->kz", stress[i, node], gradients[i]) for node in nodes]
+    for i, j in combinations(range(n), 2):
+        # vertex i of subcell i is vertex j of subcell j: the centroid
+        common = [k for k in range(n) if k not in (i, j)]
+        pairs = [(k, k) for k in common] + [(i, j)]
+        numbers = {frozenset(ends): e for e, ends in enumerate(edges, n)}
+        pairs += [(numbers[frozenset(ends)],) * 2 for ends in combinations(common, 2)]
+        pairs += [(numbers[frozenset((i, k))], numbers[frozenset((j, k))]) for k in common]
+        equations += [
+            np.einsum("klz,l->kz", stress[i, a] - stress[j, b], gradients[i] - gradients[j])
+            for a, b in pairs
+        ]
+    return _solution(equations, data).reshape(n, size, len(basis), -1)
 
 
 @cache
@@ -54,33 +141,33 @@ def stress_element(d: int) -> StressElement:
         basis[k, k, k] = 1.0
     for k, (i, j) in enumerate(combinations(range(d), 2), d):
         basis[k, i, j] = basis[k, j, i] = np.sqrt(0.5)
-    gradients = np.vstack([-np.ones(d), np.eye(d)])  # of the barycentric coordinates
-    facets = d * n * d
-    unknown = np.eye(n * n * nsym).reshape(n, n, nsym, -1)
-    stress = np.einsum("ijaz,akl->ijklz", unknown, basis)
-    equations, data = [], []
-    for row, (i, j) in enumerate((i, j) for i in range(n) for j in range(n) if j != i):
-        equations.append(np.einsum("klz,l->kz", stress[i, j], gradients[i]))
-        data.append(np.eye(d, facets + n * d, row * d))
-    for i in range(n):
-        # lambda of the centroid in subcell i is n lambda_i; that of vertex j is lambda_j - lambda_i
-        own = gradients - gradients[i]
-        own[i] = n * gradients[i]
-        equations.append(np.einsum("jklz,jl->kz", stress[i], own))
-        data.append(np.eye(d, facets + n * d, facets + i * d))
-    for i, j in combinations(range(n), 2):
-        jump = gradients[i] - gradients[j]
-        for k in (k for k in range(n) if k not in (i, j)):
-            equations.append((stress[i, k] - stress[j, k]).transpose(2, 0, 1) @ jump)
-            equations[-1] = equations[-1].T
-        equations.append(((stress[i, i] - stress[j, j]).transpose(2, 0, 1) @ jump).T)
-    matrix = np.vstack(equations)
-    right = np.vstack(data)
-    right = np.vstack([right, np.zeros((len(matrix) - len(right), right.shape[1]))])
-    values = (np.linalg.pinv(matrix) @ right).reshape(n, n, nsym, -1)
-    mass = mean_products(n, 2) / n
+    gradients = np.vstack([-np.ones(d), np.eye(d)])
+    edges = np.array(list(combinations(range(n), 2)))
+    elevation = np.vstack([np.eye(n), 0.5 * (np.eye(n)[edges[:, 0]] + np.eye(n)[edges[:, 1]])])
+    values = np.tensordot(elevation, _linear_element(d, basis, gradients), axes=([1], [1]))
+    values = np.swapaxes(values, 0, 1)
+    # constants in subcells with the moments of a linear divergence, and what they lack of it
+    hats = (1.0 - np.eye(n) + 1.0 / n) / n**2  # integrals over subcells
+    constants = np.kron(np.linalg.inv(hats) @ mean_products(n, 2), np.eye(d))
+    whole = np.repeat(np.eye(n)[None], n, axis=0)
+    whole[range(n), range(n)] = 1.0 / n
+    whole = np.einsum("ivj,ab->ivajb", whole, np.eye(d)).reshape(n, n, d, -1)
+    missing = whole - constants.reshape(n, 1, d, -1)
+    data = values.shape[-1] - n * d
+    divergent = values[..., data:] @ constants
+    divergent += _quadratic_addition(d, basis, gradients, missing)
+    values = np.concatenate([values[..., :data], divergent], axis=-1)
+    # lambda_a (2 lambda_a - 1) and 4 lambda_a lambda_b as sums of products
+    nodal = np.zeros((len(elevation), n, n))
+    for k in range(n):
+        nodal[k, k] -= 0.5
+        nodal[k, :, k] -= 0.5
+        nodal[k, k, k] += 2.0
+    for k, (a, b) in enumerate(edges, n):
+        nodal[k, a, b] = nodal[k, b, a] = 2.0
+    mass = np.einsum("pab,qcd,abcd->pq", nodal, nodal, mean_products(n, 4), optimize=True) / n
     products = np.einsum("ijax,jk,ikby->abxy", values, mass, values, optimize=True)
-    return StressElement(basis, values, mass, products)
+    return StressElement(basis, values, elevation, mass, products)
 
 
 @dataclass(frozen=True)
@@ -88,7 +175,7 @@ class CellStresses:
     """Stresses of the element in cells, and their energies.
 
     Tractions on cells are arrays (n, d + 1, d + 1, d): `tractions[:, j, k]` acts on facet j of a
-    cell at its vertex k, and is zero for j = k. Stresses are arrays (n, d + 1, d + 1, nsym) as in
+    cell at its vertex k, and is zero for j = k. Stresses are arrays (n, d + 1, q, nsym) as in
     `StressElement.values`, in reference coordinates.
 
     Attributes:
@@ -118,7 +205,7 @@ class CellStresses:
         return -self.cells.inverses[:, None] / self.cells.heights[:, :, None, None]
 
     def of_tractions(self, tractions: Array, divergence: Array | None = None) -> Array:
-        """Return the stresses with given tractions and divergence (n, d + 1, d), or without any."""
+        """Return the stresses with given tractions, and divergence (n, d + 1, d) at the vertices."""
         n, corners, _, d = tractions.shape
         scaled = np.einsum("njab,njkb->njka", self.reference_tractions, tractions)
         scaled = scaled[:, ~np.eye(corners, dtype=np.bool_)].reshape(n, -1)
@@ -136,13 +223,11 @@ class CellStresses:
         corners = at_vertices.shape[1]
         result = np.repeat(at_vertices[:, None], corners, axis=1)
         result[:, range(corners), range(corners)] = at_vertices.mean(axis=1, keepdims=True)
-        return result
+        return np.asarray(self.element.elevation @ result)
 
     def energies(self, stresses: Array) -> Array:
         """Return the squared norms (n,) of stresses, of twice the complementary energy."""
-        return self.cells.volumes * np.einsum(
-            "nija,nija->n", stresses, self._weighted(stresses), optimize=True
-        )
+        return self.cells.volumes * (stresses * self._weighted(stresses)).sum(axis=(1, 2, 3))
 
     def gradient(self, stresses: Array) -> Array:
         """Return half the derivative of the sum of `energies` by the tractions on the cells."""
@@ -157,13 +242,9 @@ class CellStresses:
         return np.einsum("njab,njka->njkb", self.reference_tractions, result)
 
     def _weighted(self, stresses: Array) -> Array:
-        return np.einsum(
-            "nija,jk,nab->nikb",
-            stresses,
-            self.element.mass,
-            self.reference_compliance,
-            optimize=True,
-        )
+        n, corners, size, nsym = stresses.shape
+        strains = stresses.reshape(n, -1, nsym) @ self.reference_compliance
+        return np.asarray(self.element.mass @ strains.reshape(stresses.shape))
 
     def stiffness(self, cell: Indices, facets: Indices) -> Array:
         """Return the quadratic form of the tractions on some facets of cells.
