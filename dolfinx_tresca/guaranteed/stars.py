@@ -121,7 +121,7 @@ class Stars:
     def equilibrated(self) -> Array:
         """Return tractions on the cells that balance the data; factors all stars."""
         tractions = self._means()
-        force, moment, size = self._missing(tractions)
+        force, moment, self.size = self._missing(tractions)
         self.batches: list[_Batch] = []
         self.imbalance = 0.0
         shapes = np.stack([self.count, self.facet_count], axis=1)
@@ -129,7 +129,7 @@ class Stars:
             stars = np.flatnonzero((shapes == shape).all(axis=1))
             step = max(1, ENTRIES_AT_ONCE // int(shape[1] * self.d**2) ** 2)
             for begin in range(0, len(stars), step):
-                self._factor(stars[begin : begin + step], *shape, (force, moment, size), tractions)
+                self._factor(stars[begin : begin + step], *shape, (force, moment), tractions)
         return self._on_cells(tractions)
 
     def preconditioned(self, gradient: Array) -> Array:
@@ -194,8 +194,8 @@ class Stars:
         points = self.cells.points[self.cell]
         return np.asarray(points - points[np.arange(len(points)), self.corner][:, None])
 
-    def _missing(self, tractions: Array) -> tuple[Array, Array, Array]:
-        """Return forces (m, d) and moments (m, .) that tractions lack, and sizes (m,) of forces."""
+    def _missing(self, tractions: Array) -> tuple[Array, Array, float]:
+        """Return forces (m, d) and moments (m, .) that tractions lack, and the size of forces."""
         d, c, arms = self.d, self.cell, self.arms
         load = self.data.load[c, self.corner]
         flux = np.einsum(
@@ -204,7 +204,7 @@ class Stars:
         force = flux.mean(axis=1) - load.sum(axis=1)
         mass = mean_products(d + 1, 2)
         moment = moments(arms, mass @ flux - load).sum(axis=1)
-        size = np.abs(flux).mean(axis=(1, 2)) + np.abs(load).sum(axis=(1, 2))
+        size = np.abs(flux).max(initial=0.0) + np.abs(load).max(initial=0.0)
         values = tractions[self.entry[:, :, None], self.places]
         areas = self.side_signs * self.cells.areas[c[:, None], self.sides]
         values = areas[:, :, None, None] * values
@@ -213,7 +213,7 @@ class Stars:
         moment -= moments(lever, values).sum(axis=(1, 2))
         if not self._linear_stress:
             moment += self._edge_moments()
-        return force, moment, size
+        return force, moment, float(size)
 
     @cached_property
     def _facet_arms(self) -> Array:
@@ -257,7 +257,7 @@ class Stars:
         stars: Indices,
         cells: int,
         facets: int,
-        missing: tuple[Array, Array, Array],
+        missing: tuple[Array, Array],
         tractions: Array,
     ) -> None:
         """Balance stars of equal shape: add to their tractions, and keep their operators."""
@@ -318,12 +318,11 @@ class Stars:
         scale[scale == 0.0] = 1.0  # all tractions are given
         loose = (motions @ vectors) * (values < FREE_EIGENVALUE * scale[:, None])[:, None]
         gram += scale[:, None, None] * loose @ np.swapaxes(loose, 1, 2)
-        force, moment, sizes = missing
+        force, moment = missing
         right = np.concatenate([force[own], moment[own] / lengths[:, None, None]], axis=2)
         right = right.reshape(count, -1, 1)
-        unbalanced = np.abs(np.swapaxes(loose, 1, 2) @ right).max(axis=(1, 2))
-        relative = unbalanced / np.maximum(sizes[own].sum(axis=1), LEAST_DIVISOR)
-        self.imbalance = max(self.imbalance, float(relative.max()))
+        unbalanced = np.abs(np.swapaxes(loose, 1, 2) @ right).max(initial=0.0)
+        self.imbalance = max(self.imbalance, float(unbalanced))
         supports = reactions @ np.linalg.inv(gram)
         step = (supports @ right)[:, :, 0] * free
         tractions[entries] += step.reshape(count, facets, d, d)
