@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
@@ -148,18 +147,17 @@ def guaranteed_error(
         slopes = displacement_gradients(values, cells, edges)
         basis = stress_element(dim).basis
         strains = np.tensordot(slopes, basis, axes=([2, 3], [1, 2]))
-        return np.einsum("nab,nkb,aij->nkij", stiffness, strains, basis, optimize=True)
+        values = np.einsum("nab,nkb,aij->nkij", stiffness, strains, basis, optimize=True)
+        return np.asarray(values)
 
     of_u, of_v = stresses(u), stresses(v)
     copies = CellCopies(mesh)
-    own = CellStresses(cells, np.linalg.inv(stiffness))
+    own = CellStresses(cells, np.asarray(np.linalg.inv(stiffness)))
     stars = Stars(
         CellStresses(Simplices(copies.spread(cells.points)), copies.spread(own.compliance)),
         copies.vertices,
         copies.owned,
-        CellData(
-            *map(copies.spread, (stresses(balanced), given.load, given.traction, held))
-        ),
+        CellData(*map(copies.spread, (stresses(balanced), given.load, given.traction, held))),
         degree > 1,
     )
     with errors_on_all_ranks(comm):
@@ -318,7 +316,7 @@ def _in_equilibrium(
     np.add.at(right.x.array.reshape(-1, forces.shape[2]), nodes, forces)
     right.x.scatter_reverse(dolfinx.la.InsertMode.add)
     change = zero_like(u, "change")
-    residual = linear.residual(right.x.petsc_vec, u.x.petsc_vec)
+    residual = linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
     dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
     residual.destroy()
     change.x.scatter_forward()

@@ -43,11 +43,11 @@ class CellCopies:
         self._size = cells
 
     def spread(self, values: Any) -> Any:
-        """Return the values of owned cells (n, ...) on all cells and copies (m, ...). Collective."""
+        """Return values of owned cells (n, ...) on cells and copies (m, ...). Collective."""
         return exchange(self._comm, np.ascontiguousarray(values[self._cells]), self._ranks)[0]
 
     def summed(self, values: Array) -> Array:
-        """Return the sums (n, ...) over the copies of owned cells of values (m, ...). Collective."""
+        """Return sums (n, ...) over the copies of cells of values (m, ...). Collective."""
         returned, _ = exchange(self._comm, values, self._sources)
         result = np.zeros((self._size, *values.shape[1:]))
         np.add.at(result, self._cells, returned)

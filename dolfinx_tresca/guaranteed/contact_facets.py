@@ -162,8 +162,9 @@ class ContactFacets:
                     f"a guaranteed bound needs contact normals that do not turn, and those of "
                     f"{name} do. Replace curved surfaces by planes."
                 )
-            others = (np.zeros(0, np.intp),) * 2 + (
-                np.zeros((0, dim), np.intp),
+            nothing = np.zeros(0, np.intp)
+            others: tuple[Indices, Indices, Indices, Array] = (
+                *(nothing, nothing, nothing.reshape(0, dim)),
                 np.zeros((0, dim, dim)),
             )
             if at_primary is not None:
@@ -288,8 +289,8 @@ def _completed(
     dim = V.mesh.geometry.dim
     gap, bound, flag = 3 * dim, 3 * dim + 1, 3 * dim + 2
     present = values[:, :, flag] > 0.0
-    keep = present.any(axis=1)
-    missing = keep[:, None] & ~present
+    keep: Mask = np.asarray(present.any(axis=1))
+    missing: Mask = np.asarray(keep[:, None] & ~present)
     fixed = prescribed[nodes].all(axis=2) & isinstance(pair.primary, RigidPlane)
     beyond = (missing & ~fixed).any(axis=1)
     if (values[beyond, :, dim : 2 * dim] != 0.0).any():
@@ -364,9 +365,7 @@ def lifted(
         vectors = owned[:, :dim] / np.maximum(owned[:, dim:], 1.0)
         if not on.bonded:
             length = np.linalg.norm(vectors, axis=1)
-            vectors = _along(
-                length, vectors / np.maximum(length, LEAST_DIVISOR)[:, None], free
-            )
+            vectors = _along(length, vectors / np.maximum(length, LEAST_DIVISOR)[:, None], free)
         values[: len(free)] -= vectors * free
         v.x.scatter_forward()
     return v
@@ -384,7 +383,7 @@ def jumps_at_nodes(V: Any, contact: ContactFacets, v: fem.Function) -> Array:
     """Return the jumps (nodes, d) of a displacement at the nodes with multipliers. Collective."""
     dim, on = V.mesh.geometry.dim, contact.rows.operators
     values = v.x.array.reshape(-1, dim)
-    result = values[on.nodes]
+    result: Array = values[on.nodes]
     if isinstance(contact.pair.primary, RigidPlane):
         return result
     matrix = as_petsc(V.dofmap.index_map, 1, [on.primary], V.mesh.comm)
@@ -413,8 +412,8 @@ def jumps_on_facets(V: Any, contact: ContactFacets, v: fem.Function) -> Array:
         at_nodes = spread.array.reshape(-1, dim)
         at_nodes[contact.rows.operators.nodes] = jumps_at_nodes(V, contact, v)
         spread.scatter_forward()
-        return at_nodes[nodes]
-    corners = values[nodes]
+        return np.asarray(at_nodes[nodes])
+    corners: Array = values[nodes]
     first, second = np.triu_indices(dim, 1)
     if contact.edges.shape[1] == 0:
         return corners

@@ -66,7 +66,7 @@ def elasticity(a: ufl.Form, cells: Simplices, mesh: Any, maps: EntityMaps | None
 
     def energies(tensor: Array) -> Array:
         gradient.value = tensor
-        return scale * np.asarray(fem.assemble_vector(form).array)[dofs]
+        return np.asarray(scale * np.asarray(fem.assemble_vector(form).array)[dofs])
 
     basis = stress_element(dim).basis
     diagonal = [energies(tensor) for tensor in basis]
@@ -76,7 +76,7 @@ def elasticity(a: ufl.Form, cells: Simplices, mesh: Any, maps: EntityMaps | None
     for i, j in combinations(range(len(basis)), 2):
         both = 0.5 * (energies(basis[i] + basis[j]) - diagonal[i] - diagonal[j])
         at_vertices[:, :, i, j] = at_vertices[:, :, j, i] = both
-    result = at_vertices.mean(axis=1)
+    result: Array = at_vertices.mean(axis=1)
     size = np.trace(result, axis1=1, axis2=2)
     turned = np.zeros(len(dofs))
     for i, j in combinations(range(dim), 2):
@@ -143,7 +143,7 @@ def loads(L: ufl.Form | None, cells: Simplices, mesh: Any, maps: EntityMaps | No
 
     def by_cell(form: fem.Form, degree: int, width: int) -> Array:
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, width)
-        return values[spaces[degree].dofmap.list[:n]]
+        return np.asarray(values[spaces[degree].dofmap.list[:n]])
 
     def set_values(function: fem.Function, values: Array) -> None:
         dofs = function.function_space.dofmap.list[:n]
@@ -192,9 +192,7 @@ def loads(L: ufl.Form | None, cells: Simplices, mesh: Any, maps: EntityMaps | No
                 projected = np.zeros((n, corners, dim))
                 inverse = np.linalg.inv(mean_products(dim, 2))
                 projected[:, on_facet] = (
-                    inverse
-                    @ products.sum(axis=2)[:, on_facet]
-                    / cells.areas[:, j, None, None]
+                    inverse @ products.sum(axis=2)[:, on_facet] / cells.areas[:, j, None, None]
                 )
                 result.traction[:, j] += products
             set_values(linear, projected)
@@ -226,7 +224,7 @@ def displacement_gradients(values: Array, cells: Simplices, edges: Array) -> Arr
         return np.repeat(constant[:, None], corners, axis=1)
     # of lambda_k (2 lambda_k - 1) and 4 lambda_i lambda_j
     own = 4.0 * np.eye(corners) - 1.0
-    result = np.einsum("vk,nka,nkb->nvab", own, values[:, :corners], slopes, optimize=True)
+    result: Array = np.einsum("vk,nka,nkb->nvab", own, values[:, :corners], slopes, optimize=True)
     for (i, j), middle in zip(edges, np.swapaxes(values[:, corners:], 0, 1), strict=True):
         result[:, i] += 4.0 * np.einsum("na,nb->nab", middle, slopes[:, j])
         result[:, j] += 4.0 * np.einsum("na,nb->nab", middle, slopes[:, i])

@@ -37,7 +37,7 @@ class StressElement:
             first (facet i, vertex j != i, component) S grad lambda_i at the vertices of facet i,
             where lambda_i is the barycentric coordinate; then (vertex, component) the divergence at
             the vertices of the simplex. The data must be in equilibrium.
-        elevation: (q, d + 1) values at the nodes of a linear function with given values at vertices.
+        elevation: (q, d + 1) values at the nodes of the barycentric coordinates of a subcell.
         mass: (q, q) integrals over a subcell of products of nodal functions, relative to the volume
             of the simplex.
         products: (nsym, nsym, m, m) integrals of the products of the components of two stresses,
@@ -75,7 +75,7 @@ def _linear_element(d: int, basis: Array, gradients: Array) -> Array:
 
 def _subcell_gradients(gradients: Array, i: int) -> Array:
     """Return the gradients (d + 1, d) of the barycentric coordinates of subcell i."""
-    result = gradients - gradients[i]
+    result: Array = gradients - gradients[i]
     result[i] = len(gradients) * gradients[i]  # of the centroid
     return result
 
@@ -111,7 +111,9 @@ def _quadratic_addition(d: int, basis: Array, gradients: Array, divergence: Arra
             for e, ends in enumerate(edges, n):
                 if vertex in ends:
                     (other,) = set(ends) - {vertex}
-                    at_vertex = at_vertex + 4.0 * np.einsum("klz,l->kz", stress[i, e], slopes[other])
+                    at_vertex = at_vertex + 4.0 * np.einsum(
+                        "klz,l->kz", stress[i, e], slopes[other]
+                    )
             equations.append(at_vertex)
             data.append(divergence[i, vertex])
     for i in range(n):
@@ -205,8 +207,8 @@ class CellStresses:
         return -self.cells.inverses[:, None] / self.cells.heights[:, :, None, None]
 
     def of_tractions(self, tractions: Array, divergence: Array | None = None) -> Array:
-        """Return the stresses with given tractions, and divergence (n, d + 1, d) at the vertices."""
-        n, corners, _, d = tractions.shape
+        """Return the stresses with these tractions, and divergence (n, d + 1, d) at vertices."""
+        n, corners = tractions.shape[:2]
         scaled = np.einsum("njab,njkb->njka", self.reference_tractions, tractions)
         scaled = scaled[:, ~np.eye(corners, dtype=np.bool_)].reshape(n, -1)
         values = self.element.values
@@ -227,7 +229,8 @@ class CellStresses:
 
     def energies(self, stresses: Array) -> Array:
         """Return the squared norms (n,) of stresses, of twice the complementary energy."""
-        return self.cells.volumes * (stresses * self._weighted(stresses)).sum(axis=(1, 2, 3))
+        products = (stresses * self._weighted(stresses)).sum(axis=(1, 2, 3))
+        return np.asarray(self.cells.volumes * products)
 
     def gradient(self, stresses: Array) -> Array:
         """Return half the derivative of the sum of `energies` by the tractions on the cells."""
@@ -239,11 +242,11 @@ class CellStresses:
         )
         result = np.zeros((n, corners, corners, d))
         result[:, ~np.eye(corners, dtype=np.bool_)] = by_data.reshape(n, -1, d)
-        return np.einsum("njab,njka->njkb", self.reference_tractions, result)
+        return np.asarray(np.einsum("njab,njka->njkb", self.reference_tractions, result))
 
     def _weighted(self, stresses: Array) -> Array:
-        n, corners, size, nsym = stresses.shape
-        strains = stresses.reshape(n, -1, nsym) @ self.reference_compliance
+        flat = stresses.reshape(len(stresses), -1, stresses.shape[3])
+        strains = flat @ self.reference_compliance
         return np.asarray(self.element.mass @ strains.reshape(stresses.shape))
 
     def stiffness(self, cell: Indices, facets: Indices) -> Array:
@@ -260,12 +263,14 @@ class CellStresses:
         size = (d + 1) * d * d
         products = self.element.products[:, :, :size, :size]
         forms = np.tensordot(self.reference_compliance[cell], products, axes=([1, 2], [0, 1]))
-        forms = forms.reshape(-1, d + 1, d, d, d + 1, d, d) * self.cells.volumes[
-            cell, None, None, None, None, None, None
-        ]
+        forms = (
+            forms.reshape(-1, d + 1, d, d, d + 1, d, d)
+            * self.cells.volumes[cell, None, None, None, None, None, None]
+        )
         row = np.arange(len(cell))[:, None, None]
         forms = forms[row, facets[:, :, None], :, :, facets[:, None, :]]
         to_reference = self.reference_tractions[cell[:, None], facets]
-        return np.einsum(
+        forms = np.einsum(
             "nfgskta,nfkx,ngay->nfsxgty", forms, to_reference, to_reference, optimize=True
         )
+        return np.asarray(forms)

@@ -60,12 +60,12 @@ class Simplices:
     @cached_property
     def inverses(self) -> Array:
         """(n, d, d) the inverses of `frames`."""
-        return np.linalg.inv(self.frames)
+        return np.asarray(np.linalg.inv(self.frames))
 
     @cached_property
     def volumes(self) -> Array:
         """(n,) volumes, in 2D areas."""
-        return np.abs(np.linalg.det(self.frames)) / factorial(self.points.shape[2])
+        return np.asarray(np.abs(np.linalg.det(self.frames)) / factorial(self.points.shape[2]))
 
     @cached_property
     def gradients(self) -> Array:

@@ -83,9 +83,8 @@ class Stars:
             keys, axis=0, return_index=True, return_inverse=True, return_counts=True
         )
         self.facets = facets.reshape(n, corners)
-        self.signs = np.full(n * corners, -1.0)
-        self.signs[first_use] = 1.0
-        self.signs = self.signs.reshape(n, corners)
+        self.signs = np.full((n, corners), -1.0)
+        self.signs.flat[first_use] = 1.0
         # the position of vertex k among the sorted vertices of facet j; both cells agree on it
         self.slots = np.zeros((n, corners, corners), dtype=np.intp)
         np.put_along_axis(
@@ -129,7 +128,8 @@ class Stars:
             stars = np.flatnonzero((shapes == shape).all(axis=1))
             step = max(1, ENTRIES_AT_ONCE // int(shape[1] * self.d**2) ** 2)
             for begin in range(0, len(stars), step):
-                self._factor(stars[begin : begin + step], *shape, (force, moment), tractions)
+                own = stars[begin : begin + step]
+                self._factor(own, int(shape[0]), int(shape[1]), (force, moment), tractions)
         return self._on_cells(tractions)
 
     def preconditioned(self, gradient: Array) -> Array:
@@ -157,9 +157,7 @@ class Stars:
         result = np.zeros((*self.vertices.shape, self.d + 1, self.d))
         values = tractions[self.entry[:, :, None], self.places]
         values *= self.side_signs[:, :, None, None]
-        np.add.at(
-            result, (self.cell[:, None, None], self.sides[:, :, None], self.corners), values
-        )
+        np.add.at(result, (self.cell[:, None, None], self.sides[:, :, None], self.corners), values)
         return result
 
     def _means(self) -> Array:
@@ -179,9 +177,12 @@ class Stars:
         own = np.einsum("li,mjki,mjka->mjla", inverse, hats, own, optimize=True)
         fixed = self.fixed[self.facet[self.entry]]
         shares = np.where(self.single[self.facet[self.entry]], 1.0, 0.5)[:, :, None, None]
-        given = self.data.traction[
-            c[:, :, None], self.sides[:, :, None], self.corner[:, None, None], self.corners
-        ] / self.cells.areas[c, self.sides][:, :, None, None]
+        given = (
+            self.data.traction[
+                c[:, :, None], self.sides[:, :, None], self.corner[:, None, None], self.corners
+            ]
+            / self.cells.areas[c, self.sides][:, :, None, None]
+        )
         given = np.einsum("li,mjia->mjla", inverse, given)
         values = np.where(fixed[:, :, None, :], given, shares * own)
         values *= self.side_signs[:, :, None, None]
@@ -198,9 +199,10 @@ class Stars:
         """Return forces (m, d) and moments (m, .) that tractions lack, and the size of forces."""
         d, c, arms = self.d, self.cell, self.arms
         load = self.data.load[c, self.corner]
-        flux = np.einsum(
-            "mjab,mb->mja", self.data.stress[c], self.cells.gradients[c, self.corner]
-        ) * (self.cells.volumes[c, None, None])
+        flux = (
+            np.einsum("mjab,mb->mja", self.data.stress[c], self.cells.gradients[c, self.corner])
+            * (self.cells.volumes[c, None, None])
+        )
         force = flux.mean(axis=1) - load.sum(axis=1)
         mass = mean_products(d + 1, 2)
         moment = moments(arms, mass @ flux - load).sum(axis=1)
@@ -218,7 +220,7 @@ class Stars:
     @cached_property
     def _facet_arms(self) -> Array:
         """(m, d, d, d) `arms` at the vertices of each facet at the star's vertex."""
-        return self.arms[np.arange(len(self.cell))[:, None, None], self.corners]
+        return np.asarray(self.arms[np.arange(len(self.cell))[:, None, None], self.corners])
 
     def _edge_moments(self) -> Array:
         """Return moments (m, .) that balance each star for displacements of degree 1.
@@ -266,8 +268,8 @@ class Stars:
         own = self.start[stars][:, None] + np.arange(cells)
         entries = self.facet_start[stars][:, None] + np.arange(facets)
         lengths = np.sqrt(np.square(self.arms[own]).sum(axis=3).max(axis=(1, 2)))
-        form = np.zeros((count, facets, d, d, facets, d, d))
-        rows = np.zeros((count, cells, d + turns, facets, d, d))
+        form: Array = np.zeros((count, facets, d, d, facets, d, d))
+        rows: Array = np.zeros((count, cells, d + turns, facets, d, d))
         star = np.arange(count)[:, None]
         axes = np.eye(d)
         for p in range(cells):

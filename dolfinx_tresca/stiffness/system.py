@@ -261,7 +261,7 @@ class LinearSystem(PetscOwner):
         given.destroy()
         return forces
 
-    def residual(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
+    def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
 
         Args:
