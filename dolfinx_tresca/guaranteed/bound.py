@@ -22,15 +22,17 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.guaranteed.cell_copies import CellCopies
 from dolfinx_tresca.guaranteed.contact_facets import (
-    ContactFacets,
+    PENETRATION,
+    coefficients,
+    contact_facets,
     defects,
-    jumps_on_facets,
+    jumps,
     lifted,
 )
 from dolfinx_tresca.guaranteed.forms import displacement_gradients, elasticity, loads
-from dolfinx_tresca.guaranteed.johnson_mercier import CellStresses, stress_element
 from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
 from dolfinx_tresca.guaranteed.stars import CellData, Stars
+from dolfinx_tresca.guaranteed.stress_element import CellStresses, stress_element
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -98,7 +100,7 @@ def guaranteed_error(
         linear: the system K u = f.
         pairs: the contact pairs.
         dual: the dual problem that was solved.
-        multipliers: (size,) its multipliers.
+        multipliers: (size,) multipliers of the solution.
         u: the displacement of the solution.
         steps: number of steps that make the bound sharper.
 
@@ -121,26 +123,39 @@ def guaranteed_error(
     given = loads(L, cells, mesh, linear.entity_maps)
     prescribed = _on_nodes(V, linear.prescribed)
     held = _held(mesh, prescribed[nodes], edges, degree)
-    gradient = dual.response.gradient_of(u.x.petsc_vec)
+    at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
+    areas = np.concatenate([on.weights for on in dual.jump.pairs])
+    bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
     contacts = [
-        ContactFacets.of(V, dual, pair, rows, multipliers, gradient, prescribed)
+        contact_facets(V, dual, pair, rows, multipliers, bounds, prescribed)
         for pair, rows in zip(pairs, dual.jump.by_pair, strict=True)
     ]
-    mass = mean_products(dim, 3)
-    for contact in contacts:
-        for cell, facet, corners, traction in (
-            (contact.cell, contact.facet, contact.corners, contact.tractions),
-            contact.others,
-        ):
-            products = np.einsum("kla,mad->mkld", mass, traction)
-            products *= cells.areas[cell, facet][:, None, None, None]
-            target = given.traction
-            at = cell[:, None, None], facet[:, None, None], corners[:, :, None], corners[:, None]
-            np.add.at(target, at, products)
-
+    for side in (side for contact in contacts for side in contact.sides):
+        products = np.einsum("kla,mad->mkld", mean_products(dim, 3), side.tractions)
+        products *= cells.areas[side.cell, side.facet, None, None, None]
+        cell, facet = side.cell[:, None, None], side.facet[:, None, None]
+        corners = side.corners[:, :, None], side.corners[:, None]
+        np.add.at(given.traction, (cell, facet, *corners), products)
     balanced = _in_equilibrium(linear, dual, u, given.load, given.traction, nodes, edges)
     v = lifted(V, contacts, u, prescribed)
-    _check_contact(V, contacts, v, held)
+    lacks = []
+    for contact in contacts:
+        jump = coefficients(contact, jumps(V, contact, v), nodes)
+        side = contact.sides[0]
+        lacks.append(defects(contact, jump, cells.areas[side.cell, side.facet]))
+        size = np.abs(v.x.array).max(initial=0.0) + np.abs(jump).max(initial=0.0)
+        deepest = lacks[-1][2].max(initial=0.0)
+        with errors_on_all_ranks(comm):
+            if held[side.cell, side.facet].any():
+                raise InputError(
+                    "a guaranteed bound needs contact surfaces without prescribed displacements, "
+                    f"and some facets of contact pair {contact.pair} have them."
+                )
+            if deepest > PENETRATION * size:
+                raise InputError(
+                    f"prescribed displacements penetrate at contact pair {contact.pair}, by "
+                    f"{deepest:.2e}: there is no exact solution."
+                )
 
     def stresses(w: fem.Function) -> Array:
         values = w.x.array.reshape(-1, dim)[nodes]
@@ -195,12 +210,10 @@ def guaranteed_error(
     terms = np.sqrt(energies) + fluctuation
     squares = terms**2
     complementarity = friction = 0.0
-    for contact in contacts:
-        areas = cells.areas[contact.cell, contact.facet]
-        pressed, slipping, _ = defects(contact, jumps_on_facets(V, contact, v), areas)
+    for contact, (pressed, slipping, _) in zip(contacts, lacks, strict=True):
         complementarity += pressed.sum()
         friction += slipping.sum()
-        np.add.at(squares, contact.cell, 2.0 * np.maximum(pressed + slipping, 0.0))
+        np.add.at(squares, contact.sides[0].cell, 2.0 * np.maximum(pressed + slipping, 0.0))
     moved = own.energies(own.of_linear(of_u - of_v)).sum()
     whole = own.energies(own.of_linear(of_u)).sum()
     totals = reduce_array(
@@ -322,23 +335,3 @@ def _in_equilibrium(
     change.x.scatter_forward()
     result.x.array[:] += change.x.array
     return result
-
-
-def _check_contact(V: Any, contacts: list[ContactFacets], v: fem.Function, held: Any) -> None:
-    for contact in contacts:
-        jumps = jumps_on_facets(V, contact, v)
-        size = float(np.abs(v.x.array).max(initial=0.0)) + float(np.abs(jumps).max(initial=0.0))
-        _, _, depth = defects(contact, jumps, np.ones(len(jumps)))
-        with errors_on_all_ranks(V.mesh.comm):
-            if held[contact.cell, contact.facet].any():
-                raise InputError(
-                    f"a guaranteed bound needs contact surfaces without prescribed displacements, "
-                    f"and some facets of contact pair {contact.pair} have them."
-                )
-            if not np.isfinite(contact.bounds).all():
-                raise InputError("a guaranteed bound needs finite slip bounds.")
-            if (depth > 1e-10 * size).any():
-                raise InputError(
-                    f"prescribed displacements penetrate at contact pair {contact.pair}, by "
-                    f"{depth.max():.2e}: there is no exact solution."
-                )

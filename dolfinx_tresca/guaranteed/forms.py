@@ -19,8 +19,8 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps, interpolation_points
 from dolfinx_tresca.dual.bounds.estimate import with_gradient
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.guaranteed.johnson_mercier import stress_element
 from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
+from dolfinx_tresca.guaranteed.stress_element import stress_element
 
 #: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that
 #: count as rounding.

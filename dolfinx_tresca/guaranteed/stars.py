@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
-from dolfinx_tresca.guaranteed.johnson_mercier import CellStresses
 from dolfinx_tresca.guaranteed.simplices import mean_products, moments
+from dolfinx_tresca.guaranteed.stress_element import CellStresses
 
 #: Eigenvalue of a star's equations, relative to their mean diagonal entry, below which it belongs
 #: to a rigid motion that nothing holds. Those eigenvalues are zero up to rounding.
@@ -22,7 +22,7 @@ ENTRIES_AT_ONCE = 20_000_000
 
 @dataclass(frozen=True)
 class CellData:
-    """What the tractions on cells must balance.
+    """Stresses and loads that the tractions on cells must balance.
 
     Attributes:
         stress: (n, d + 1, d, d) stress at the vertices of a displacement in discrete equilibrium.
@@ -69,7 +69,7 @@ class Stars:
             stresses: the cells of all stars, with their compliances.
             vertices: (n, d + 1) global numbers of the vertices of cells.
             owned: (n, d + 1) whether this rank has the star of a vertex.
-            data: what the tractions must balance.
+            data: stresses and loads that the tractions must balance.
             linear_stress: whether the stress is linear in cells, from displacements of degree 2.
         """
         self.stresses, self.cells, self.data = stresses, stresses.cells, data

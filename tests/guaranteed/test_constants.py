@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from dolfinx_tresca.guaranteed.johnson_mercier import CellStresses, stress_element
 from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products, moments
+from dolfinx_tresca.guaranteed.stress_element import CellStresses, stress_element
 
 SHAPES = {
     "equilateral": [(0, 0), (1, 0), (0.5, 0.75**0.5)],

@@ -51,11 +51,11 @@ def test_curved_obstacles(scene):
 
 
 def test_meshes_that_do_not_match(comm):
-    assert "meshes that match" in refusal(blocks_scene(comm, "triangle", 1, (4, 6)))
+    assert "whose meshes match" in refusal(blocks_scene(comm, "triangle", 1, (4, 6)))
 
 
 def test_two_bodies_of_degree_2(comm):
-    assert "meshes that match" in refusal(blocks_scene(comm, "triangle", 2, (4, 4)))
+    assert "whose meshes match" in refusal(blocks_scene(comm, "triangle", 2, (4, 4)))
 
 
 def test_bodies_that_contact_holds(scene, comm):

@@ -51,123 +51,61 @@ class StressElement:
     products: Array
 
 
-def _linear_element(d: int, basis: Array, gradients: Array) -> Array:
-    """Return values (d + 1, d + 1, nsym, m) at vertices for a divergence constant in subcells."""
-    n, facets = d + 1, (d + 1) * d * d
-    unknown = np.eye(n * n * len(basis)).reshape(n, n, len(basis), -1)
-    stress = np.einsum("ijaz,akl->ijklz", unknown, basis)
-    equations, data = [], []
-    for row, (i, j) in enumerate((i, j) for i in range(n) for j in range(n) if j != i):
-        equations.append(np.einsum("klz,l->kz", stress[i, j], gradients[i]))
-        data.append(np.eye(d, facets + n * d, row * d))
-    for i in range(n):
-        slopes = _subcell_gradients(gradients, i)
-        equations.append(np.einsum("jklz,jl->kz", stress[i], slopes))
-        data.append(np.eye(d, facets + n * d, facets + i * d))
-    for i, j in combinations(range(n), 2):
-        common = [(k, k) for k in range(n) if k not in (i, j)] + [(i, j)]
-        equations += [
-            np.einsum("klz,l->kz", stress[i, k] - stress[j, m], gradients[i] - gradients[j])
-            for k, m in common
-        ]
-    return _solution(equations, data).reshape(n, n, len(basis), -1)
-
-
-def _subcell_gradients(gradients: Array, i: int) -> Array:
-    """Return the gradients (d + 1, d) of the barycentric coordinates of subcell i."""
-    result: Array = gradients - gradients[i]
-    result[i] = len(gradients) * gradients[i]  # of the centroid
-    return result
-
-
-def _solution(equations: list[Array], data: list[Array]) -> Array:
-    """Return the least solution of equations whose last right-hand sides are zero."""
-    matrix, right = np.vstack(equations), np.vstack(data)
-    rest = np.zeros((len(matrix) - len(right), right.shape[1]))
-    return np.asarray(np.linalg.pinv(matrix) @ np.vstack([right, rest]))
-
-
-def _quadratic_addition(d: int, basis: Array, gradients: Array, divergence: Array) -> Array:
-    """Return the least stresses (d + 1, q, nsym, k) without tractions, quadratic in subcells.
-
-    Args:
-        d: the dimension.
-        basis: see `StressElement`.
-        gradients: (d + 1, d) gradients of the barycentric coordinates.
-        divergence: (d + 1, d + 1, d, k) the divergences at the vertices of subcells.
-    """
-    n = d + 1
-    edges = list(combinations(range(n), 2))
-    size = n + len(edges)
-    unknown = np.eye(n * size * len(basis)).reshape(n, size, len(basis), -1)
-    stress = np.einsum("ijaz,akl->ijklz", unknown, basis)
-    equations, data = [], []
-    for i in range(n):
-        slopes = _subcell_gradients(gradients, i)
-        for vertex in range(n):
-            # derivatives at a vertex of the nodal functions of vertices and of edges
-            factors = 4.0 * np.eye(n)[vertex] - 1.0
-            at_vertex = np.einsum("j,jklz,jl->kz", factors, stress[i, :n], slopes)
-            for e, ends in enumerate(edges, n):
-                if vertex in ends:
-                    (other,) = set(ends) - {vertex}
-                    at_vertex = at_vertex + 4.0 * np.einsum(
-                        "klz,l->kz", stress[i, e], slopes[other]
-                    )
-            equations.append(at_vertex)
-            data.append(divergence[i, vertex])
-    for i in range(n):
-        nodes = [j for j in range(n) if j != i]
-        nodes += [e for e, ends in enumerate(edges, n) if i not in ends]
-        equations += [np.einsum("klz,l->kz", stress[i, node], gradients[i]) for node in nodes]
-    for i, j in combinations(range(n), 2):
-        # vertex i of subcell i is vertex j of subcell j: the centroid
-        common = [k for k in range(n) if k not in (i, j)]
-        pairs = [(k, k) for k in common] + [(i, j)]
-        numbers = {frozenset(ends): e for e, ends in enumerate(edges, n)}
-        pairs += [(numbers[frozenset(ends)],) * 2 for ends in combinations(common, 2)]
-        pairs += [(numbers[frozenset((i, k))], numbers[frozenset((j, k))]) for k in common]
-        equations += [
-            np.einsum("klz,l->kz", stress[i, a] - stress[j, b], gradients[i] - gradients[j])
-            for a, b in pairs
-        ]
-    return _solution(equations, data).reshape(n, size, len(basis), -1)
-
-
 @cache
 def stress_element(d: int) -> StressElement:
     """Return the reference element in dimension d."""
     n, nsym = d + 1, d * (d + 1) // 2
     basis = np.zeros((nsym, d, d))
-    for k in range(d):
-        basis[k, k, k] = 1.0
-    for k, (i, j) in enumerate(combinations(range(d), 2), d):
-        basis[k, i, j] = basis[k, j, i] = np.sqrt(0.5)
-    gradients = np.vstack([-np.ones(d), np.eye(d)])
-    edges = np.array(list(combinations(range(n), 2)))
-    elevation = np.vstack([np.eye(n), 0.5 * (np.eye(n)[edges[:, 0]] + np.eye(n)[edges[:, 1]])])
-    values = np.tensordot(elevation, _linear_element(d, basis, gradients), axes=([1], [1]))
-    values = np.swapaxes(values, 0, 1)
-    # constants in subcells with the moments of a linear divergence, and what they lack of it
-    hats = (1.0 - np.eye(n) + 1.0 / n) / n**2  # integrals over subcells
-    constants = np.kron(np.linalg.inv(hats) @ mean_products(n, 2), np.eye(d))
-    whole = np.repeat(np.eye(n)[None], n, axis=0)
-    whole[range(n), range(n)] = 1.0 / n
-    whole = np.einsum("ivj,ab->ivajb", whole, np.eye(d)).reshape(n, n, d, -1)
-    missing = whole - constants.reshape(n, 1, d, -1)
-    data = values.shape[-1] - n * d
-    divergent = values[..., data:] @ constants
-    divergent += _quadratic_addition(d, basis, gradients, missing)
-    values = np.concatenate([values[..., :data], divergent], axis=-1)
-    # lambda_a (2 lambda_a - 1) and 4 lambda_a lambda_b as sums of products
-    nodal = np.zeros((len(elevation), n, n))
-    for k in range(n):
-        nodal[k, k] -= 0.5
-        nodal[k, :, k] -= 0.5
-        nodal[k, k, k] += 2.0
-    for k, (a, b) in enumerate(edges, n):
-        nodal[k, a, b] = nodal[k, b, a] = 2.0
+    pairs = [(k, k) for k in range(d)] + list(combinations(range(d), 2))
+    for k, (i, j) in enumerate(pairs):
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    edges = list(combinations(range(n), 2))
+    size = n + len(edges)
+    ends = np.eye(n)[np.array(edges)]
+    elevation = np.vstack([np.eye(n), ends.mean(axis=1)])
+    # lambda_k (2 lambda_k - 1) and 4 lambda_a lambda_b as sums of products
+    nodal = np.zeros((size, n, n))
+    nodal[range(n), range(n), range(n)] = 2.0
+    nodal[:n] -= 0.5 * (np.eye(n)[:, :, None] + np.eye(n)[:, None])
+    nodal[n:] = 2.0 * (
+        ends[:, 0, :, None] * ends[:, 1, None] + ends[:, 1, :, None] * ends[:, 0, None]
+    )
     mass = np.einsum("pab,qcd,abcd->pq", nodal, nodal, mean_products(n, 4), optimize=True) / n
+
+    # unknown stresses, in units of which the norm is Euclidean
+    root = np.linalg.inv(np.linalg.cholesky(mass)).T
+    unknown = np.eye(n * size * nsym).reshape(n, size, nsym, -1)
+    scaled = np.einsum("pq,iqaz->ipaz", root, unknown)
+    stress = np.einsum("ipaz,akl->ipklz", scaled, basis)
+    gradients = np.vstack([-np.ones(d), np.eye(d)])
+    facets = n * d * d
+    data = np.eye(facets + n * d).reshape(n * d + n, d, -1)
+    tractions = np.zeros((n, n, d, data.shape[2]))
+    tractions[~np.eye(n, dtype=np.bool_)] = data[: n * d]
+    equations, right = [], []
+    for i in range(n):
+        opposite = [p for p in range(size) if elevation[p, i] == 0.0]
+        equations.append(np.einsum("pklz,l->pkz", stress[i, opposite], gradients[i]))
+        right.append(np.einsum("pj,jkz->pkz", elevation[opposite], tractions[i]))
+        slopes = gradients - gradients[i]
+        slopes[i] = n * gradients[i]  # of the centroid, vertex i of the subcell
+        derivatives = 2.0 * np.einsum("pab,bl->pal", nodal, slopes)  # at vertices a
+        equations.append(np.einsum("pklz,pal->akz", stress[i], derivatives))
+        vertices = np.eye(n)
+        vertices[i] = 1.0 / n
+        right.append(np.einsum("aj,jkz->akz", vertices, data[n * d :]))
+        for j in range(i):
+            # nodes on the common facet: vertex i of subcell i is vertex j of subcell j
+            exchanged = elevation.copy()
+            exchanged[:, [i, j]] = exchanged[:, [j, i]]
+            own = [p for p in range(size) if elevation[p, j] == 0.0]
+            its = [int(np.argmin(np.abs(exchanged - elevation[p]).sum(axis=1))) for p in own]
+            jump = stress[i, own] - stress[j, its]
+            equations.append(np.einsum("pklz,l->pkz", jump, gradients[i] - gradients[j]))
+            right.append(np.zeros((len(own), d, data.shape[2])))
+    matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
+    least = np.linalg.pinv(matrix) @ np.concatenate(right).reshape(len(matrix), -1)
+    values = np.einsum("pq,iqam->ipam", root, least.reshape(n, size, nsym, -1))
     products = np.einsum("ijax,jk,ikby->abxy", values, mass, values, optimize=True)
     return StressElement(basis, values, elevation, mass, products)
 
