@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.guaranteed.simplices import mean_products, moments
 from dolfinx_tresca.guaranteed.stress_element import CellStresses
 
@@ -304,9 +304,8 @@ class Stars:
         rows *= free[:, None]
         transposed = np.swapaxes(rows, 1, 2)
         # tractions out of equilibrium have no energy: add their squared resultants
-        weight = np.trace(form, axis1=1, axis2=2) / np.maximum(
-            np.square(rows).sum(axis=(1, 2)), LEAST_DIVISOR
-        )
+        squares = np.square(rows).sum(axis=(1, 2))
+        weight = np.trace(form, axis1=1, axis2=2) / np.where(squares > 0.0, squares, 1.0)
         form += weight[:, None, None] * transposed @ rows
         form *= free[:, :, None] * free[:, None, :]
         form[:, range(size), range(size)] += 1.0 - free

@@ -104,7 +104,7 @@ def stress_element(d: int) -> StressElement:
             equations.append(np.einsum("pklz,l->pkz", jump, gradients[i] - gradients[j]))
             right.append(np.zeros((len(own), d, data.shape[2])))
     matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
-    least = np.linalg.pinv(matrix) @ np.concatenate(right).reshape(len(matrix), -1)
+    least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
     values = np.einsum("pq,iqam->ipam", root, least.reshape(n, size, nsym, -1))
     products = np.einsum("ijax,jk,ikby->abxy", values, mass, values, optimize=True)
     return StressElement(basis, values, elevation, mass, products)
