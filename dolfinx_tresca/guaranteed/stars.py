@@ -16,8 +16,9 @@ from dolfinx_tresca.guaranteed.stress_element import CellStresses
 #: to a rigid motion that nothing holds. Those eigenvalues are zero up to rounding.
 FREE_EIGENVALUE = 1e-9
 
-#: Number of entries of the dense matrices of stars that are factored together.
-ENTRIES_AT_ONCE = 20_000_000
+#: Part of the squared resultants of tractions in the stiffness of a facet, relative to the rest.
+#: (With a tenth or ten times of it, the bound after some steps changes by 1 %.)
+RESULTANT_PART = 0.1
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,6 @@ class CellData:
     load: Array
     traction: Array
     held: Mask
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """Stars with equal numbers of cells and facets: their facets, and their solution operator."""
-
-    entries: Indices  # (stars, facets) entries of `Stars.entry`
-    operator: Array  # (stars, m, m) from a gradient to the tractions without resultants
 
 
 class Stars:
@@ -120,17 +113,9 @@ class Stars:
     def equilibrated(self) -> Array:
         """Return tractions on the cells that balance the data; factors all stars."""
         tractions = self._means()
-        force, moment, self.size = self._missing(tractions)
-        self.batches: list[_Batch] = []
-        self.imbalance = 0.0
-        shapes = np.stack([self.count, self.facet_count], axis=1)
-        for shape in np.unique(shapes, axis=0):
-            stars = np.flatnonzero((shapes == shape).all(axis=1))
-            step = max(1, ENTRIES_AT_ONCE // int(shape[1] * self.d**2) ** 2)
-            for begin in range(0, len(stars), step):
-                own = stars[begin : begin + step]
-                self._factor(own, int(shape[0]), int(shape[1]), (force, moment), tractions)
-        return self._on_cells(tractions)
+        missing, self.size = self._missing(tractions)
+        self._factor(missing)
+        return self._on_cells(tractions + self._corrections(missing, np.zeros_like(tractions)))
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return tractions on the cells without resultants that decrease a quadratic function.
@@ -145,12 +130,29 @@ class Stars:
             (self.facets[:, j], self.slots[:, j, k]),
             self.signs[:, j, None] * gradient[:, j, k],
         )
-        tractions = np.zeros((len(self.facet), self.d, self.d))
-        for batch in self.batches:
-            shape = batch.entries.shape
-            local = on_facets[self.facet[batch.entries]].reshape(shape[0], -1, 1)
-            tractions[batch.entries] = (batch.operator @ local).reshape(*shape, self.d, self.d)
-        return self._on_cells(tractions)
+        nothing = np.zeros(self.equations.shape[::2])
+        return self._on_cells(self._corrections(nothing, on_facets[self.facet]))
+
+    def _corrections(self, missing: Array, gradient: Array) -> Array:
+        """Return the best tractions (facets of stars, d, d) with given resultants.
+
+        Args:
+            missing: (m, r) the resultants on each cell of each star.
+            gradient: (facets of stars, d, d) minus the derivative by tractions; the second
+                derivative is replaced by the part that couples the tractions of one facet.
+        """
+        softness = self.softness[self.facet]
+        free = (softness @ gradient.reshape(len(gradient), -1, 1))[:, :, 0]
+        right = missing - np.einsum("mjrx,mjx->mr", self.equations, free[self.entry])
+        supports = np.zeros_like(right)
+        for members, inverse in self.batches:
+            local = right[members].reshape(len(members), -1, 1)
+            supports[members] = (inverse @ local).reshape(*members.shape, -1)
+        forces = np.einsum("mjrx,mr->mjx", self.equations, supports)
+        sums = np.zeros_like(free)
+        np.add.at(sums, self.entry, forces)
+        result = free + (softness @ sums[:, :, None])[:, :, 0]
+        return np.asarray(result.reshape(gradient.shape))
 
     def _on_cells(self, tractions: Array) -> Array:
         """Return the sums over all stars of tractions (facets of stars, d, d), on the cells."""
@@ -195,8 +197,14 @@ class Stars:
         points = self.cells.points[self.cell]
         return np.asarray(points - points[np.arange(len(points)), self.corner][:, None])
 
-    def _missing(self, tractions: Array) -> tuple[Array, Array, float]:
-        """Return forces (m, d) and moments (m, .) that tractions lack, and the size of forces."""
+    @cached_property
+    def lengths(self) -> Array:
+        """(m,) largest arm of the star of each cell [length], by which moments are divided."""
+        largest = np.linalg.norm(self.arms, axis=2).max(axis=1)
+        return np.repeat(np.maximum.reduceat(largest, self.start), self.count)
+
+    def _missing(self, tractions: Array) -> tuple[Array, float]:
+        """Return resultants (m, r) that tractions lack, and the size of forces."""
         d, c, arms = self.d, self.cell, self.arms
         load = self.data.load[c, self.corner]
         flux = (
@@ -215,7 +223,7 @@ class Stars:
         moment -= moments(lever, values).sum(axis=(1, 2))
         if not self._linear_stress:
             moment += self._edge_moments()
-        return force, moment, float(size)
+        return np.hstack([force, moment / self.lengths[:, None]]), float(size)
 
     @cached_property
     def _facet_arms(self) -> Array:
@@ -254,79 +262,97 @@ class Stars:
         behind = moments(self.arms[:, i], own) * (self.corner[:, None] == j)[:, :, None]
         return np.asarray((ahead + behind).sum(axis=1))
 
-    def _factor(
-        self,
-        stars: Indices,
-        cells: int,
-        facets: int,
-        missing: tuple[Array, Array],
-        tractions: Array,
-    ) -> None:
-        """Balance stars of equal shape: add to their tractions, and keep their operators."""
-        d, count = self.d, len(stars)
-        turns = d * (d - 1) // 2
-        own = self.start[stars][:, None] + np.arange(cells)
-        entries = self.facet_start[stars][:, None] + np.arange(facets)
-        lengths = np.sqrt(np.square(self.arms[own]).sum(axis=3).max(axis=(1, 2)))
-        form: Array = np.zeros((count, facets, d, d, facets, d, d))
-        rows: Array = np.zeros((count, cells, d + turns, facets, d, d))
-        star = np.arange(count)[:, None]
-        axes = np.eye(d)
-        for p in range(cells):
-            at = own[:, p]
-            c, signs = self.cell[at], self.side_signs[at]
-            position = np.repeat(self.entry[at] - entries[:, :1], d, axis=1)
-            place = self.places[at].reshape(count, -1)
-            local = self.stresses.stiffness(c, self.sides[at])
-            local *= signs[:, :, None, None, None, None, None]
-            local *= signs[:, None, None, None, :, None, None]
-            local = local.reshape(count, d * d, d, d * d, d).transpose(0, 1, 3, 2, 4)
-            form[
-                star[:, :, None],
-                position[:, :, None],
-                place[:, :, None],
-                :,
-                position[:, None],
-                place[:, None],
-            ] += local
-            areas = signs * self.cells.areas[c[:, None], self.sides[at]]
-            lever = mean_products(d, 2) @ self._facet_arms[at] / lengths[:, None, None, None]
-            equations = np.empty((count, d, d, d + turns, d))
-            equations[:, :, :, :d] = axes / d
-            for axis in range(d):
-                equations[:, :, :, d:, axis] = moments(lever, axes[axis])
-            equations *= areas[:, :, None, None, None]
-            rows[star, p, :, position, place] += equations.reshape(count, d * d, d + turns, d)
-        size = facets * d * d
-        form, rows = form.reshape(count, size, size), rows.reshape(count, -1, size)
-        free = np.broadcast_to(~self.fixed[self.facet[entries]][:, :, None], (count, facets, d, d))
-        free = free.reshape(count, size).astype(np.float64)
-        rows *= free[:, None]
-        transposed = np.swapaxes(rows, 1, 2)
-        # tractions out of equilibrium have no energy: add their squared resultants
-        squares = np.square(rows).sum(axis=(1, 2))
-        weight = np.trace(form, axis1=1, axis2=2) / np.where(squares > 0.0, squares, 1.0)
-        form += weight[:, None, None] * transposed @ rows
-        form *= free[:, :, None] * free[:, None, :]
-        form[:, range(size), range(size)] += 1.0 - free
-        inverse = np.linalg.inv(form)
-        reactions = inverse @ transposed
-        gram = rows @ reactions
-        # rigid motions that nothing holds
-        motions = np.tile(np.eye(d + turns), (cells, 1)) / np.sqrt(cells)
-        values, vectors = np.linalg.eigh(motions.T @ gram @ motions)
-        scale = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
-        scale[scale == 0.0] = 1.0  # all tractions are given
-        loose = (motions @ vectors) * (values < FREE_EIGENVALUE * scale[:, None])[:, None]
-        gram += scale[:, None, None] * loose @ np.swapaxes(loose, 1, 2)
-        force, moment = missing
-        right = np.concatenate([force[own], moment[own] / lengths[:, None, None]], axis=2)
-        right = right.reshape(count, -1, 1)
-        unbalanced = np.abs(np.swapaxes(loose, 1, 2) @ right).max(initial=0.0)
-        self.imbalance = max(self.imbalance, float(unbalanced))
-        supports = reactions @ np.linalg.inv(gram)
-        step = (supports @ right)[:, :, 0] * free
-        tractions[entries] += step.reshape(count, facets, d, d)
-        operator = inverse - supports @ np.swapaxes(reactions, 1, 2)
-        operator *= free[:, :, None] * free[:, None, :]
-        self.batches.append(_Batch(entries, operator))
+    def _factor(self, missing: Array) -> None:
+        """Set up the equations of all stars, the stiffnesses of facets, and their inverses."""
+        d, cells, count = self.d, self.cells, len(self.cell)
+        star = np.repeat(np.arange(len(self.start)), self.count)
+        lever = mean_products(d, 2) @ self._facet_arms / self.lengths[:, None, None, None]
+        local = _resultants(lever)
+        areas = self.side_signs * cells.areas[self.cell[:, None], self.sides]
+        local *= areas[:, :, None, None, None]
+        equations = np.empty((count, d, local.shape[-1], d, d))
+        row, side = np.arange(count)[:, None, None], np.arange(d)[:, None]
+        equations[row, side, :, self.places] = np.swapaxes(local, 3, 4)
+        self.equations = equations.reshape(count, d, -1, d * d)
+        self.softness = self._facet_softness()
+
+        softness = self.softness[self.facet[self.entry]]
+        softened = self.equations @ softness
+        # cells that share a facet of the star
+        order = np.argsort(self.entry, axis=None, kind="stable")
+        same = np.flatnonzero(np.diff(self.entry.flat[order]) == 0)
+        pairs = order[np.stack([same, same + 1])]
+        flat = self.equations.reshape(count * d, -1, d * d)
+        between = softened.reshape(flat.shape)[pairs[0]] @ np.swapaxes(flat[pairs[1]], 1, 2)
+        inside = (softened @ np.swapaxes(self.equations, 2, 3)).sum(axis=1)
+        one, two = pairs // d
+        place = np.arange(count) - self.start[star]
+        motions = inside.shape[1]
+        self.batches: list[tuple[Indices, Array]] = []
+        self.imbalance = 0.0
+        number = np.empty(len(self.start), dtype=np.intp)
+        for size in np.unique(self.count):
+            stars = np.flatnonzero(self.count == size)
+            number[stars] = np.arange(len(stars))
+            members = self.start[stars][:, None] + np.arange(size)
+            gram = np.zeros((len(stars), size, motions, size, motions))
+            cell = np.arange(size)
+            gram[:, cell, :, cell] = np.swapaxes(inside[members], 0, 1)
+            own = self.count[star[one]] == size
+            at, i, j = number[star[one[own]]], place[one[own]], place[two[own]]
+            gram[at, i, :, j] = between[own]
+            gram[at, j, :, i] = np.swapaxes(between[own], 1, 2)
+            gram = gram.reshape(len(stars), size * motions, -1)
+            # rigid motions that nothing holds
+            rigid = np.tile(np.eye(motions), (size, 1)) / np.sqrt(size)
+            values, vectors = np.linalg.eigh(rigid.T @ gram @ rigid)
+            scale = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
+            scale[scale == 0.0] = 1.0  # all tractions are given
+            loose = (rigid @ vectors) * (values < FREE_EIGENVALUE * scale[:, None])[:, None]
+            gram += scale[:, None, None] * loose @ np.swapaxes(loose, 1, 2)
+            right = missing[members].reshape(len(stars), -1, 1)
+            unbalanced = np.abs(np.swapaxes(loose, 1, 2) @ right).max(initial=0.0)
+            self.imbalance = max(self.imbalance, float(unbalanced))
+            self.batches.append((members, np.linalg.inv(gram)))
+
+    def _facet_softness(self) -> Array:
+        """Return the inverses (facets, d^2, d^2) of the stiffnesses of the tractions on each facet.
+
+        They are the quadratic forms of both cells for tractions on one facet. The squares of
+        resultants are added, since tractions out of equilibrium have no energy.
+        """
+        d = self.d
+        opposite = np.broadcast_to(self.opposite, (*self.facets.shape, d))
+        places = np.take_along_axis(self.slots, opposite, axis=2)
+        stiffness = self.stresses.facet_stiffness()
+        total, points = np.zeros((len(self.single), d, d, d, d)), np.empty((len(self.single), d, d))
+        for sign in (1.0, -1.0):
+            cell, j = np.nonzero(self.signs == sign)
+            facet, own = self.facets[cell, j][:, None], places[cell, j]
+            points[facet, own] = self.cells.points[cell[:, None], self.opposite[j]]
+            values = stiffness[cell, j].transpose(0, 1, 3, 2, 4)
+            total[facet[:, :, None], own[:, :, None], :, own[:, None]] += values
+        total = total.reshape(-1, d * d, d * d)
+        arms = points - points.mean(axis=1, keepdims=True)
+        arms /= np.linalg.norm(arms, axis=2).max(axis=1)[:, None, None]
+        rows = _resultants(mean_products(d, 2) @ arms).reshape(len(points), d * d, -1)
+        squares = rows @ np.swapaxes(rows, 1, 2)
+        weight = RESULTANT_PART * np.trace(total, axis1=1, axis2=2)
+        total += (weight / np.trace(squares, axis1=1, axis2=2))[:, None, None] * squares
+        free = np.repeat(~self.fixed[:, None], d, axis=1).reshape(-1, d * d)
+        both = free[:, :, None] & free[:, None]
+        total[~both] = 0.0
+        total[:, range(d * d), range(d * d)] += ~free
+        return np.asarray(np.linalg.inv(total) * both)
+
+
+def _resultants(arms: Array) -> Array:
+    """Return force and moment of tractions at vertices, (..., d, d, r): vertex, component, row.
+
+    Args:
+        arms: (..., d, d) mean values of arms times the hat functions of the vertices.
+    """
+    d = arms.shape[-1]
+    turns = np.stack([moments(arms, axis) for axis in np.eye(d)], axis=-2)
+    forces = np.broadcast_to(np.eye(d) / d, (*turns.shape[:-1], d))
+    return np.concatenate([forces, turns], axis=-1)

@@ -20,7 +20,7 @@ from itertools import combinations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
 
 
@@ -187,28 +187,22 @@ class CellStresses:
         strains = flat @ self.reference_compliance
         return np.asarray(self.element.mass @ strains.reshape(stresses.shape))
 
-    def stiffness(self, cell: Indices, facets: Indices) -> Array:
-        """Return the quadratic form of the tractions on some facets of cells.
+    def facet_stiffness(self) -> Array:
+        """Return the quadratic forms of the tractions on each facet alone.
 
-        Args:
-            cell: (m,) cells.
-            facets: (m, k) facets of each cell.
-
-        Returns:
-            (m, k, d, d, k, d, d): facets, their vertices in ascending order, components, twice.
+        (n, d + 1, d, d, d, d): facet, its vertices in ascending order, components, the same again.
         """
-        d = self.cells.points.shape[2]
-        size = (d + 1) * d * d
-        products = self.element.products[:, :, :size, :size]
-        forms = np.tensordot(self.reference_compliance[cell], products, axes=([1, 2], [0, 1]))
+        n, corners, d = self.cells.points.shape
+        size, nsym = d * d, self.compliance.shape[1]
+        products = self.element.products[:, :, : corners * size, : corners * size]
+        blocks = products.reshape(nsym * nsym, corners, size, corners, size)
+        blocks = np.stack([blocks[:, j, :, j] for j in range(corners)], axis=1)
+        forms = self.reference_compliance.reshape(n, -1) @ blocks.reshape(nsym * nsym, -1)
         forms = (
-            forms.reshape(-1, d + 1, d, d, d + 1, d, d)
-            * self.cells.volumes[cell, None, None, None, None, None, None]
+            forms.reshape(n, corners, d, d, d, d)
+            * self.cells.volumes[:, None, None, None, None, None]
         )
-        row = np.arange(len(cell))[:, None, None]
-        forms = forms[row, facets[:, :, None], :, :, facets[:, None, :]]
-        to_reference = self.reference_tractions[cell[:, None], facets]
-        forms = np.einsum(
-            "nfgskta,nfkx,ngay->nfsxgty", forms, to_reference, to_reference, optimize=True
-        )
-        return np.asarray(forms)
+        matrix = self.reference_tractions[:, :, None]
+        forms = np.swapaxes(matrix, -1, -2) @ forms.reshape(n, corners, d, d, size)
+        forms = forms.reshape(n, corners, size * d, d) @ self.reference_tractions
+        return np.asarray(forms.reshape(n, corners, d, d, d, d))
