@@ -325,7 +325,8 @@ class Stars:
         opposite = np.broadcast_to(self.opposite, (*self.facets.shape, d))
         places = np.take_along_axis(self.slots, opposite, axis=2)
         stiffness = self.stresses.facet_stiffness()
-        total, points = np.zeros((len(self.single), d, d, d, d)), np.empty((len(self.single), d, d))
+        total: Array = np.zeros((len(self.single), d, d, d, d))
+        points = np.empty((len(self.single), d, d))
         for sign in (1.0, -1.0):
             cell, j = np.nonzero(self.signs == sign)
             facet, own = self.facets[cell, j][:, None], places[cell, j]
