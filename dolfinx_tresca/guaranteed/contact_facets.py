@@ -6,20 +6,29 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array, vstack
+from scipy.spatial import cKDTree
 
 import basix
 import dolfinx.la
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.arrays import (
+    LEAST_DIVISOR,
+    Array,
+    GlobalNumbers,
+    Indices,
+    LocalNumbers,
+    Mask,
+)
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.simplices import mean_products
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
-from dolfinx_tresca.scene.friction import Frictionless
+from dolfinx_tresca.pairing.operators import as_petsc
+from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -54,7 +63,11 @@ class ContactFacets:
 
     Attributes:
         pair: the contact pair.
-        on: operators at the nodes of the pair.
+        nodes: (n,) owned nodes of the secondary side that touch.
+        opposite: (n, nodes of V) sparse matrix with a 1 for the node opposite to each; empty rows
+            for an obstacle.
+        node_normals: (n, d) contact normals.
+        node_gaps: (n,) gaps [length].
         sides: the facets of the secondary side, and those of the primary side if it is a body.
         normals: (m, d) contact normals of the secondary facets.
         gaps: (m, d) gaps at the facets' vertices [length].
@@ -65,13 +78,21 @@ class ContactFacets:
     """
 
     pair: ContactPair
-    on: PairOperators
+    nodes: LocalNumbers
+    opposite: Any
+    node_normals: Array
+    node_gaps: Array
     sides: list[LoadedFacets]
     normals: Array
     gaps: Array
     bounds: Array
     origins: Array
     edges: Indices
+
+    @property
+    def bonded(self) -> bool:
+        """Whether the surfaces are bonded."""
+        return isinstance(self.pair.friction, Bonded)
 
 
 def contact_facets(
@@ -124,61 +145,70 @@ def contact_facets(
     traction = -on.tangential_vectors(stress[rows.tangential])
     traction[on.normal_node] -= stress[rows.normal, None] * on.normals[on.normal_node]
     origin = (dual.response.offset - jump.gap) * jump.length_scale
-    pressed = np.zeros(len(on.nodes))
-    pressed[on.normal_node] = 1.0
-    rubbed = np.bincount(on.tangent_node, minlength=len(on.nodes)) == dim - 1
-    rubbed |= isinstance(pair.friction, Frictionless)
+    moves = np.zeros(len(on.nodes))
+    moves[on.normal_node] = 1.0
+    slides = np.bincount(on.tangent_node, minlength=len(on.nodes)) == dim - 1
+    slides |= isinstance(pair.friction, Frictionless)
     owned = V.dofmap.index_map.size_local
     points = V.tabulate_dof_coordinates()[:, :dim]
-    offset = _products(V, on.primary, points[:owned]) - points[on.nodes]
+    offset = np.zeros_like(traction)
+    if plane is None:
+        offset = _products(V, on.primary, points[:owned]) - points[on.nodes]
     columns = {
         "normal": on.normals,
         "traction": traction,
         "origin": on.tangential_vectors(origin[rows.tangential]),
-        "offset": np.zeros_like(traction) if plane else offset,
+        "offset": offset,
         "gap": on.gap[:, None],
         "bound": bounds[rows.nodes, None],
-        "pressed": pressed[:, None],
-        "rubbed": rubbed[:, None],
-        "present": np.ones((len(pressed), 1)),
+        "unpressed": 1.0 - moves[:, None],
+        "unrubbed": ~slides[:, None],
+        "present": np.ones((len(moves), 1)),
     }
-    ends = np.cumsum([values.shape[1] for values in columns.values()])
-    cell, facet, corners = _tagged(V, *pair.given_tags("secondary"))
-    nodes = V.dofmap.list[cell[:, None], corners]
-    table = np.zeros((owned, ends[-1]))
-    if plane is not None and pair.gap is not None:
-        # at nodes without multipliers, since they are prescribed
-        lacking = _spread(V, np.zeros((owned, 1)), nodes.ravel())[:owned, 0] > 0.0
-        lacking &= prescribed[:owned].all(axis=1)
-        numbers = np.flatnonzero(lacking).astype(np.int32)
-        table[numbers, ends[3]] = NodalValues(V).at(pair.gap, numbers, f"the gap of {name}")
+    widths = {key: values.shape[1] for key, values in columns.items()}
+    table = np.zeros((owned, sum(widths.values())))
     table[on.nodes] = np.hstack(list(columns.values()))
-    at = dict(zip(columns, np.split(_spread(V, table)[nodes], ends[:-1], axis=2), strict=True))
+    secondary, primary = pair.given_tags("secondary"), pair.given_tags("primary")
+    rim = _rim_nodes(V, secondary, prescribed, on.nodes)
+    table[rim] = _rim_data(V, secondary, _spread(V, table), widths)[rim]
+    at_rim = _split(table, widths)
+    if pair.gap is not None:
+        gaps = NodalValues(V).at(pair.gap, rim, f"the gap of {name}")
+        at_rim["gap"][rim, 0] = gaps
+    if plane is not None and len(rim):
+        distance, normals = plane.at(V.tabulate_dof_coordinates()[rim])
+        cosine = -np.einsum("nd,nd->n", at_rim["normal"][rim], normals[:, :dim])
+        at_rim["gap"][rim, 0] = distance / cosine + (0.0 if pair.gap is None else gaps)
+    nodes, opposite = np.concatenate([on.nodes, rim]), on.primary
+    near = FLATNESS * np.ptp(points, axis=0).max(initial=0.0)
+    if plane is None:
+        wanted = points[rim] + at_rim["offset"][rim]
+        partner, distance = _partners(V, primary, on.primary, wanted)
+        with errors_on_all_ranks(V.mesh.comm):
+            if (distance > near).any():
+                raise _no_match(name)
+        unit = csr_array(
+            (np.ones(len(rim)), partner, np.arange(len(rim) + 1)), (len(rim), opposite.shape[1])
+        )
+        opposite = vstack([opposite, unit], format="csr")
+    else:
+        opposite = csr_array((len(nodes), opposite.shape[1]))
+    loaded, at = _loaded(V, secondary, _spread(V, table), widths, name)
+    sides = [loaded]
     with errors_on_all_ranks(V.mesh.comm):
-        keep = _completed(plane, points[nodes], at, prescribed[nodes], name)
-        at = {key: values[keep] for key, values in at.items()}
-        _complete_tractions(at, prescribed[nodes[keep]])
         if (np.abs(at["normal"] - at["normal"][:, :1]) > FLATNESS).any():
             raise InputError(
                 f"a guaranteed bound needs contact normals that do not turn, and those of {name} "
                 "do. Replace curved surfaces by planes."
             )
-        size = np.ptp(points, axis=0).max(initial=0.0)
-        if (np.abs(at["offset"] - at["offset"][:, :1]) > FLATNESS * size).any():
+        if (np.abs(at["offset"] - at["offset"][:, :1]) > near).any():
             raise _no_match(name)
-    sides = [LoadedFacets(cell[keep], facet[keep], corners[keep], at["traction"])]
+    node_normals, node_gaps = at_rim["normal"][nodes], at_rim["gap"][nodes, 0]
     if plane is None:
-        opposite = np.hstack([-traction, np.ones((len(traction), 1))])
-        opposite = _spread(V, _products(V, on.primary, opposite, transposed=True))
-        cell, facet, corners = _tagged(V, *pair.given_tags("primary"))
-        values = opposite[V.dofmap.list[cell[:, None], corners]]
-        inside = (np.abs(values[:, :, -1] - 1.0) < FLATNESS).all(axis=1)
-        lost = bool(values[~inside, :, :-1].any())
-        sides.append(
-            LoadedFacets(cell[inside], facet[inside], corners[inside], values[inside, :, :-1])
-        )
-        excess = V.mesh.comm.allreduce(len(sides[1].cell) - len(sides[0].cell))
-        if V.mesh.comm.allreduce(lost) or excess:
+        at_rim["traction"] *= -1.0
+        there = _spread(V, _products(V, opposite, table[nodes], transposed=True))
+        sides.append(_loaded(V, primary, there, widths, name)[0])
+        if V.mesh.comm.allreduce(len(sides[1].cell) - len(sides[0].cell)):
             raise _no_match(name)
     edges = np.zeros((len(sides[0].cell), 0), dtype=np.intp)
     if V.element.basix_element.degree > 1:
@@ -190,7 +220,10 @@ def contact_facets(
         edges = V.dofmap.list[sides[0].cell[:, None], own]
     return ContactFacets(
         pair=pair,
-        on=on,
+        nodes=nodes,
+        opposite=opposite,
+        node_normals=node_normals,
+        node_gaps=node_gaps,
         sides=sides,
         normals=at["normal"][:, 0],
         gaps=at["gap"][:, :, 0],
@@ -207,20 +240,74 @@ def _no_match(name: str) -> InputError:
     )
 
 
-def _spread(V: Any, owned: Array, marked: Indices | None = None) -> Array:
-    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective.
-
-    If nodes are marked, 1 is added at their owners for each rank that marks them.
-    """
+def _spread(V: Any, owned: Array) -> Array:
+    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
     vector = dolfinx.la.vector(V.dofmap.index_map, owned.shape[1])
-    result: Array = vector.array.reshape(-1, owned.shape[1])
-    result[:] = 0.0
-    if marked is not None:
-        result[marked] = 1.0
-        vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    result[: len(owned)] += owned
+    vector.array[: owned.size] = owned.ravel()
     vector.scatter_forward()
-    return result.copy()
+    return np.array(vector.array).reshape(-1, owned.shape[1])
+
+
+def _split(table: Array, widths: dict[str, int]) -> dict[str, Array]:
+    """Return the columns of a table (..., k) by name, as views."""
+    ends = np.cumsum(list(widths.values()))[:-1]
+    return dict(zip(widths, np.split(table, ends, axis=-1), strict=True))
+
+
+def _summed(V: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (owned nodes, k) of values (..., k) at nodes (...) of any rank. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    owned = V.dofmap.index_map.size_local
+    return np.array(vector.array.reshape(-1, values.shape[-1])[:owned])
+
+
+def _rim_nodes(V: Any, tags: Any, prescribed: Mask, paired: LocalNumbers) -> LocalNumbers:
+    """Return the owned prescribed nodes of tagged facets that are not paired. Collective."""
+    cell, _, corners = _tagged(V, *tags)
+    used = _summed(V, V.dofmap.list[cell[:, None], corners], np.ones((*corners.shape, 1)))
+    used[paired] = 0.0
+    return np.flatnonzero((used[:, 0] > 0.0) & prescribed[: len(used)].all(axis=1)).astype(np.int32)
+
+
+def _rim_data(V: Any, tags: Any, table: Array, widths: dict[str, int]) -> Array:
+    """Return data (owned nodes, k) of nodes without multipliers, from their neighbours. Collective.
+
+    They are the means over the neighbours in common facets, without traction, which is marked to be
+    missing.
+    """
+    cell, _, corners = _tagged(V, *tags)
+    nodes = V.dofmap.list[cell[:, None], corners]
+    present = _split(table[nodes], widths)["present"]
+    means = (present * table[nodes]).sum(axis=1, keepdims=True)
+    result = _summed(V, nodes, np.repeat(means, corners.shape[1], axis=1))
+    data = _split(result, widths)
+    result /= np.maximum(data["present"], 1.0)
+    data["traction"][:] = data["origin"][:] = 0.0
+    data["unpressed"][:] = data["unrubbed"][:] = data["present"]
+    return result
+
+
+def _partners(V: Any, tags: Any, paired: Any, points: Array) -> tuple[GlobalNumbers, Array]:
+    """Return the numbers (n,) of the unpaired nodes of a side nearest to points, and distances.
+
+    Nodes at the rim of the side are few, and gathered on all ranks. Collective.
+    """
+    index_map = V.dofmap.index_map
+    cell, _, corners = _tagged(V, *tags)
+    used = _summed(V, V.dofmap.list[cell[:, None], corners], np.ones((*corners.shape, 1)))
+    taken = _products(V, paired, np.ones((paired.shape[0], 1)), transposed=True)
+    (unpaired,) = np.nonzero((used[:, 0] > 0.0) & (taken[:, 0] == 0.0))
+    dim = points.shape[1]
+    numbers = unpaired[:, None] + index_map.local_range[0]
+    here = V.tabulate_dof_coordinates()[unpaired, :dim]
+    rim = gather_rows(V.mesh.comm, np.hstack([here, numbers]))
+    if not len(rim):
+        return np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+    distance, nearest = cKDTree(rim[:, :dim]).query(points)
+    return rim[nearest, dim].astype(np.int64), distance
 
 
 def _products(V: Any, matrix: Any, values: Array, *, transposed: bool = False) -> Array:
@@ -260,59 +347,47 @@ def _tagged(V: Any, tags: Any, numbers: tuple[int, ...]) -> tuple[Indices, Indic
     return cell, facet, opposite[facet]
 
 
-def _completed(
-    plane: RigidPlane | None, points: Array, at: dict[str, Array], prescribed: Mask, name: str
-) -> Mask:
-    """Return which facets (m,) are in contact; complete their data at prescribed vertices.
+def _loaded(
+    V: Any, tags: Any, table: Array, widths: dict[str, int], name: str
+) -> tuple[LoadedFacets, dict[str, Array]]:
+    """Return the facets of a side that are in contact, and their data by column (m, d, .).
 
-    Where the displacement is prescribed and there are no multipliers, the facet's other vertices
-    tell the normal and the bound, and the gap to a plane is measured. Facets whose vertices lack
-    multipliers for other reasons are not in contact, and must not be pressed.
+    They are those all of whose vertices have data; others must not be pressed. Where tractions are
+    missing, since the displacement is prescribed, the means over the facet's other vertices are
+    taken, so that they stay admissible. Collective.
     """
-    present: Mask = np.asarray(at["present"][:, :, 0] > 0.0)
-    touching: Mask = np.asarray(present.any(axis=1))
-    missing = touching[:, None] & ~present
-    fixed = prescribed.all(axis=2) & (plane is not None)
-    beyond: Mask = np.asarray((missing & ~fixed).any(axis=1))
-    if at["traction"][beyond].any():
-        raise InputError(
-            f"a guaranteed bound needs multipliers at all nodes of pressed facets, and {name} has "
-            "pressed facets at a rim, or prescribed nodes between two bodies."
-        )
-    facet, k = np.nonzero(missing & ~beyond[:, None])
-    if plane is not None and len(facet):
-        donor = np.argmax(present[facet], axis=1)
-        at["normal"][facet, k] = at["normal"][facet, donor]
-        at["bound"][facet, k] = at["bound"][facet].max(axis=1)
-        there = np.zeros((len(facet), 3))
-        there[:, : points.shape[2]] = points[facet, k]
-        distance, normals = plane.at(there)
-        normals = normals[:, : points.shape[2]]
-        cosine = -np.einsum("md,md->m", at["normal"][facet, k], normals)
-        at["gap"][facet, k, 0] += distance / cosine
-    return touching & ~beyond
-
-
-def _complete_tractions(at: dict[str, Array], prescribed: Mask) -> None:
-    """Add the tractions that prescribed vertices lack: the means of those at other vertices."""
+    cell, facet, corners = _tagged(V, *tags)
+    at = _split(table[V.dofmap.list[cell[:, None], corners]], widths)
+    present = at["present"][:, :, 0] > 0.0
+    keep: Mask = np.asarray(present.all(axis=1))
+    with errors_on_all_ranks(V.mesh.comm):
+        if at["traction"][~keep].any():
+            raise InputError(
+                "a guaranteed bound needs multipliers at all nodes of pressed facets, and "
+                f"{name} has pressed facets at a rim."
+            )
+    at = {key: values[keep] for key, values in at.items()}
     tractions, normals = at["traction"], at["normal"]
     along = np.einsum("mkd,mkd->mk", tractions, normals)[:, :, None] * normals
-    for values, key in ((along, "pressed"), (tractions - along, "rubbed")):
-        has = at[key][:, :, 0] > 0.0
-        mean = np.einsum("mk,mkd->md", has, values) / np.maximum(has.sum(axis=1), 1)[:, None]
-        lacks = ~has & prescribed.any(axis=2)
-        added = np.where(lacks[:, :, None], mean[:, None] - values, 0.0)
-        if key == "rubbed":
+    for values, lacks in (
+        (along, at["unpressed"] > 0.0),
+        (tractions - along, at["unrubbed"] > 0.0),
+    ):
+        count = np.maximum((~lacks).sum(axis=1, keepdims=True), 1)
+        mean = (~lacks * values).sum(axis=1, keepdims=True) / count
+        added = lacks * (mean - values)
+        if values is not along:
             size = np.linalg.norm(added, axis=2, keepdims=True)
             added *= np.minimum(1.0, at["bound"] / np.maximum(size, LEAST_DIVISOR))
         tractions += added
+    return LoadedFacets(cell[keep], facet[keep], corners[keep], tractions), at
 
 
 def jumps(V: Any, contact: ContactFacets, v: fem.Function) -> Array:
     """Return the jumps (nodes of this rank, d) of a displacement at contact nodes. Collective."""
     values = v.x.array.reshape(-1, V.mesh.geometry.dim)
     owned = np.zeros_like(values[: V.dofmap.index_map.size_local])
-    owned[contact.on.nodes] = _products(V, contact.on.primary, values[: len(owned)])
+    owned[contact.nodes] = _products(V, contact.opposite, values[: len(owned)])
     return np.asarray(values - _spread(V, owned))
 
 
@@ -340,51 +415,57 @@ def lifted(
 ) -> fem.Function:
     """Return a displacement near u without penetration, and without jumps of bonded surfaces.
 
-    Nodes of the secondary side move as little as possible. Collective.
+    Nodes of the secondary side move as little as possible; where they are prescribed, the opposite
+    nodes move. Collective.
     """
     dim = V.mesh.geometry.dim
     v = u.copy()
     values = v.x.array.reshape(-1, dim)
     owned = V.dofmap.index_map.size_local
 
-    def move(nodes: Any, excess: Array, normals: Array, contact: ContactFacets) -> None:
-        """Take the excess (m, d) of jumps, or its part along the normals, from nodes (m,)."""
+    def allowed(nodes: Any, excess: Array, normals: Array, bonded: bool) -> Array:
+        """Return the moves (m, d) of nodes that take an excess of jumps, or what is free of it."""
         free = ~prescribed[nodes]
-        steps = np.where(free, excess, 0.0)
-        if not contact.on.bonded:
-            along = normals * free
-            squares = np.einsum("md,md->m", along, along)
-            lengths = np.einsum("md,md->m", excess, normals)
-            factors = np.divide(lengths, squares, out=np.zeros_like(lengths), where=squares > 0.1)
-            steps = factors[:, None] * along
-        # the owner of a node takes the mean of the steps from all facets
-        sums = dolfinx.la.vector(V.dofmap.index_map, dim + 1)
-        sums.array[:] = 0.0
-        steps = np.hstack([steps, np.ones((len(steps), 1))])
-        np.add.at(sums.array.reshape(-1, dim + 1), nodes, steps)
-        sums.scatter_reverse(dolfinx.la.InsertMode.add)
-        means = sums.array.reshape(-1, dim + 1)[:owned]
-        values[:owned] -= means[:, :dim] / np.maximum(means[:, dim:], 1.0)
-        v.x.scatter_forward()
+        if bonded:
+            return np.where(free, excess, 0.0)
+        along = normals * free
+        squares = np.einsum("md,md->m", along, along)
+        lengths = np.einsum("md,md->m", excess, normals)
+        factors = np.divide(lengths, squares, out=np.zeros_like(lengths), where=squares > 0.1)
+        return np.asarray(factors[:, None] * along)
 
     for contact in contacts:
-        on = contact.on
-        at_nodes = jumps(V, contact, v)[on.nodes]
-        if not on.bonded:
-            excess = np.maximum(np.einsum("nd,nd->n", at_nodes, on.normals) - on.gap, 0.0)
-            at_nodes = excess[:, None] * on.normals
-        move(on.nodes, at_nodes, on.normals, contact)
+        bonded, normals = contact.bonded, contact.node_normals
+        for primary in (False, True):
+            excess = jumps(V, contact, v)[contact.nodes]
+            if not bonded:
+                depth = np.einsum("nd,nd->n", excess, normals) - contact.node_gaps
+                excess = np.maximum(depth, 0.0)[:, None] * normals
+            if primary:  # what prescribed nodes leave
+                sources = np.hstack([excess, normals])
+                sources = _products(V, contact.opposite, sources, transposed=True)
+                moves = allowed(np.arange(owned), sources[:, :dim], sources[:, dim:], bonded)
+                values[:owned] += moves
+            else:
+                values[contact.nodes] -= allowed(contact.nodes, excess, normals, bonded)
+            v.x.scatter_forward()
         if V.element.basix_element.degree > 1:
-            # twice as far as the middle of an edge, its coefficient moves
             middles = coefficients(contact, jumps(V, contact, v), V.dofmap.list)[:, dim:]
-            normals = np.repeat(contact.normals[:, None], middles.shape[1], axis=1)
-            if not on.bonded:
+            on_edges = np.repeat(contact.normals[:, None], middles.shape[1], axis=1)
+            if not bonded:
                 i, j = np.triu_indices(dim, 1)
                 gaps = 0.5 * (contact.gaps[:, i] + contact.gaps[:, j])
-                excess = np.maximum(np.einsum("med,med->me", middles, normals) - gaps, 0.0)
-                middles = excess[:, :, None] * normals
-            flat = 0.5 * middles.reshape(-1, dim), normals.reshape(-1, dim)
-            move(contact.edges.ravel(), *flat, contact)
+                depth = np.einsum("med,med->me", middles, on_edges) - gaps
+                middles = np.maximum(depth, 0.0)[:, :, None] * on_edges
+            # a coefficient moves twice as far as the middle of its edge
+            nodes = contact.edges.ravel()
+            moves = allowed(
+                nodes, 0.5 * middles.reshape(-1, dim), on_edges.reshape(-1, dim), bonded
+            )
+            # the owner of a node takes the mean of the moves for all its facets
+            sums = _summed(V, nodes, np.hstack([moves, np.ones((len(moves), 1))]))
+            values[:owned] -= sums[:, :dim] / np.maximum(sums[:, dim:], 1.0)
+            v.x.scatter_forward()
     return v
 
 
@@ -401,7 +482,7 @@ def defects(contact: ContactFacets, jump: Array, areas: Array) -> tuple[Array, A
         and the largest penetration, or jump of bonded surfaces, (m,).
     """
     m, size, d = jump.shape
-    if contact.on.bonded:
+    if contact.bonded:
         return np.zeros(m), np.zeros(m), np.abs(jump).max(axis=(1, 2), initial=0.0)
     i, j = np.triu_indices(d, 1)
     mass, elevation = mean_products(d, 2), np.eye(d)
