@@ -7,6 +7,9 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.guaranteed.simplices import mean_products, moments
@@ -124,12 +127,11 @@ class Stars:
             gradient: (n, d + 1, d + 1, d) minus its derivative by the tractions on the cells.
         """
         on_facets = np.zeros((len(self.single), self.d, self.d))
-        j, k = np.nonzero(~np.eye(self.d + 1, dtype=np.bool_))
-        np.add.at(
-            on_facets,
-            (self.facets[:, j], self.slots[:, j, k]),
-            self.signs[:, j, None] * gradient[:, j, k],
-        )
+        for sign in (1.0, -1.0):
+            cell, j = np.nonzero(self.signs == sign)
+            k = self.opposite[j]
+            place = self.facets[cell, j][:, None], self.slots[cell[:, None], j[:, None], k]
+            on_facets[place] += sign * gradient[cell[:, None], j[:, None], k]
         nothing = np.zeros(self.equations.shape[::2])
         return self._on_cells(self._corrections(nothing, on_facets[self.facet]))
 
@@ -143,14 +145,16 @@ class Stars:
         """
         softness = self.softness[self.facet]
         free = (softness @ gradient.reshape(len(gradient), -1, 1))[:, :, 0]
-        right = missing - np.einsum("mjrx,mjx->mr", self.equations, free[self.entry])
-        supports = np.zeros_like(right)
-        for members, inverse in self.batches:
-            local = right[members].reshape(len(members), -1, 1)
-            supports[members] = (inverse @ local).reshape(*members.shape, -1)
-        forces = np.einsum("mjrx,mr->mjx", self.equations, supports)
+        right = missing - (self.equations @ free[self.entry][..., None])[..., 0].sum(axis=1)
+        supports = np.empty_like(right)
+        flat = right[self.order].ravel()
+        solved = cho_solve_banded((self.factor, True), flat, check_finite=False)
+        supports[self.order] = solved.reshape(right.shape)
+        forces = (supports[:, None, None] @ self.equations)[:, :, 0]
         sums = np.zeros_like(free)
-        np.add.at(sums, self.entry, forces)
+        for sign in (1.0, -1.0):  # no facet of a star has the same sign twice
+            side = self.side_signs == sign
+            sums[self.entry[side]] += forces[side]
         result = free + (softness @ sums[:, :, None])[:, :, 0]
         return np.asarray(result.reshape(gradient.shape))
 
@@ -159,7 +163,10 @@ class Stars:
         result = np.zeros((*self.vertices.shape, self.d + 1, self.d))
         values = tractions[self.entry[:, :, None], self.places]
         values *= self.side_signs[:, :, None, None]
-        np.add.at(result, (self.cell[:, None, None], self.sides[:, :, None], self.corners), values)
+        for corner in range(self.d + 1):  # no cell twice
+            own = self.corner == corner
+            place = self.cell[own, None, None], self.sides[own][:, :, None], self.corners[own]
+            result[place] += values[own]
         return result
 
     def _means(self) -> Array:
@@ -188,7 +195,9 @@ class Stars:
         given = np.einsum("li,mjia->mjla", inverse, given)
         values = np.where(fixed[:, :, None, :], given, shares * own)
         values *= self.side_signs[:, :, None, None]
-        np.add.at(result, (self.entry[:, :, None], self.places), values)
+        for sign in (1.0, -1.0):
+            side = self.side_signs == sign
+            result[self.entry[side][:, None], self.places[side]] += values[side]
         return result
 
     @cached_property
@@ -265,7 +274,6 @@ class Stars:
     def _factor(self, missing: Array) -> None:
         """Set up the equations of all stars, the stiffnesses of facets, and their inverses."""
         d, cells, count = self.d, self.cells, len(self.cell)
-        star = np.repeat(np.arange(len(self.start)), self.count)
         lever = mean_products(d, 2) @ self._facet_arms / self.lengths[:, None, None, None]
         local = _resultants(lever)
         areas = self.side_signs * cells.areas[self.cell[:, None], self.sides]
@@ -275,45 +283,40 @@ class Stars:
         equations[row, side, :, self.places] = np.swapaxes(local, 3, 4)
         self.equations = equations.reshape(count, d, -1, d * d)
         self.softness = self._facet_softness()
-
-        softness = self.softness[self.facet[self.entry]]
-        softened = self.equations @ softness
+        softened = self.equations @ self.softness[self.facet[self.entry]]
         # cells that share a facet of the star
         order = np.argsort(self.entry, axis=None, kind="stable")
         same = np.flatnonzero(np.diff(self.entry.flat[order]) == 0)
-        pairs = order[np.stack([same, same + 1])]
+        sides = order[np.stack([same, same + 1])]
         flat = self.equations.reshape(count * d, -1, d * d)
-        between = softened.reshape(flat.shape)[pairs[0]] @ np.swapaxes(flat[pairs[1]], 1, 2)
+        between = softened.reshape(flat.shape)[sides[0]] @ np.swapaxes(flat[sides[1]], 1, 2)
         inside = (softened @ np.swapaxes(self.equations, 2, 3)).sum(axis=1)
-        one, two = pairs // d
-        place = np.arange(count) - self.start[star]
-        motions = inside.shape[1]
-        self.batches: list[tuple[Indices, Array]] = []
-        self.imbalance = 0.0
-        number = np.empty(len(self.start), dtype=np.intp)
-        for size in np.unique(self.count):
-            stars = np.flatnonzero(self.count == size)
-            number[stars] = np.arange(len(stars))
-            members = self.start[stars][:, None] + np.arange(size)
-            gram = np.zeros((len(stars), size, motions, size, motions))
-            cell = np.arange(size)
-            gram[:, cell, :, cell] = np.swapaxes(inside[members], 0, 1)
-            own = self.count[star[one]] == size
-            at, i, j = number[star[one[own]]], place[one[own]], place[two[own]]
-            gram[at, i, :, j] = between[own]
-            gram[at, j, :, i] = np.swapaxes(between[own], 1, 2)
-            gram = gram.reshape(len(stars), size * motions, -1)
-            # rigid motions that nothing holds
-            rigid = np.tile(np.eye(motions), (size, 1)) / np.sqrt(size)
-            values, vectors = np.linalg.eigh(rigid.T @ gram @ rigid)
-            scale = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
-            scale[scale == 0.0] = 1.0  # all tractions are given
-            loose = (rigid @ vectors) * (values < FREE_EIGENVALUE * scale[:, None])[:, None]
-            gram += scale[:, None, None] * loose @ np.swapaxes(loose, 1, 2)
-            right = missing[members].reshape(len(stars), -1, 1)
-            unbalanced = np.abs(np.swapaxes(loose, 1, 2) @ right).max(initial=0.0)
-            self.imbalance = max(self.imbalance, float(unbalanced))
-            self.batches.append((members, np.linalg.inv(gram)))
+        upper, lower = sides // d
+        # rigid motions that nothing holds must be balanced; they are fixed in a cell of the star
+        size = inside.shape[1]
+        whole = inside.copy()
+        np.add.at(whole, upper, between + np.swapaxes(between, 1, 2))
+        values, vectors = np.linalg.eigh(np.add.reduceat(whole, self.start))
+        scale = np.add.reduceat(np.trace(inside, axis1=1, axis2=2), self.start) / size
+        scale[scale == 0.0] = 1.0  # all tractions are given
+        loose = vectors * (values < FREE_EIGENVALUE * scale[:, None])[:, None]
+        unbalanced = np.add.reduceat(missing, self.start)[:, None] @ loose
+        self.imbalance = float(np.abs(unbalanced).max(initial=0.0))
+        inside[self.start] += scale[:, None, None] * loose @ np.swapaxes(loose, 1, 2)
+        # the matrix of all stars has a small bandwidth
+        graph = csr_array((np.ones(len(upper)), (upper, lower)), (count, count))
+        self.order = reverse_cuthill_mckee(csr_array(graph + graph.T), symmetric_mode=True)
+        place = np.argsort(self.order)
+        ahead = place[upper] > place[lower]
+        i = np.where(ahead, place[upper], place[lower])
+        j = np.where(ahead, place[lower], place[upper])
+        between = np.where(ahead[:, None, None], between, np.swapaxes(between, 1, 2))
+        band = np.zeros(((int((i - j).max(initial=0)) + 1) * size, count * size))
+        for k, m in np.ndindex(size, size):
+            band[(i - j) * size + k - m, j * size + m] = between[:, k, m]
+            if k >= m:
+                band[k - m, place * size + m] = inside[:, k, m]
+        self.factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
 
     def _facet_softness(self) -> Array:
         """Return the inverses (facets, d^2, d^2) of the stiffnesses of the tractions on each facet.
