@@ -24,13 +24,13 @@ from scenes.two_bricks import two_bricks
 
 #: Scene, cell, degree, and cells along x.
 MESHES: dict[str, tuple[str, int, tuple[int, ...]]] = {
-    "block lifts off": ("triangle", 1, (8, 16, 32, 64)),
-    "block slips": ("triangle", 1, (8, 16, 32, 64)),
-    "block slips, degree 2": ("triangle", 2, (8, 16, 32)),
-    "two blocks": ("triangle", 1, (4, 8, 16)),
-    "two blocks, 3D": ("tetrahedron", 1, (3, 6)),
-    "bricks, free_end_1": ("tetrahedron", 1, (3, 6, 9)),
-    "bricks, free_end_2": ("tetrahedron", 1, (3, 6, 9)),
+    "lifts": ("triangle", 1, (8, 16, 32, 64)),
+    "slips": ("triangle", 1, (8, 16, 32, 64)),
+    "slips_degree_2": ("triangle", 2, (8, 16, 32)),
+    "two_blocks": ("triangle", 1, (4, 8, 16)),
+    "two_blocks_3d": ("tetrahedron", 1, (3, 6)),
+    "bricks_free_end_1": ("tetrahedron", 1, (3, 6, 9)),
+    "bricks_free_end_2": ("tetrahedron", 1, (3, 6, 9)),
 }
 
 #: Cells along the bricks whose energy of degree 2 is the reference.
@@ -54,7 +54,7 @@ def scene_of(comm: Comm, case: Row) -> Scene:
     name, cell, degree, n = (case[key] for key in ("scene", "cell", "degree", "n"))
     if name.startswith("block"):
         return block_on_plane(comm, cell, degree, n, "lifts" if "lifts" in name else "slips")
-    if name.startswith("two blocks"):
+    if name.startswith("two_blocks"):
         return blocks_scene(comm, cell, degree, (n, n))
     return two_bricks(comm, n, end=name.split(", ")[1])
 
@@ -90,7 +90,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         seconds = time.perf_counter() - start
         estimate = total(DiscretisationError(scene.a, scene.V).of(solution.u))
     if case["scene"].startswith("bricks"):
-        end = case["scene"].split(", ")[1]
+        end = case["scene"].removeprefix("bricks_")
         with two_bricks(comm, REFERENCE, end=end, degree=2).problem() as problem:
             energy = problem.solve(rtol=1e-7).primal_energy
         error = float(np.sqrt(2.0 * (solution.primal_energy - energy)))
