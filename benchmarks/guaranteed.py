@@ -12,9 +12,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
+from harness.figure import new_figure, save
 
 from dolfinx_tresca.dual.bounds.estimate import DiscretisationError, total
 from scenes.known_contact import block_on_plane
@@ -39,6 +42,30 @@ REFERENCE = 9
 RANDOM = "random"
 
 
+#: Titles of the panels of the picture.
+PANELS = {"slips": "triangles, a block slips", "bricks_free_end_2": "tetrahedra, two bricks"}
+
+
+def draw(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Save a picture of bound, estimate and error against unknowns. On one rank only."""
+    figure, panels = new_figure(3.4, 1, len(PANELS))
+    for panel, (scene, title) in zip(panels[0], PANELS.items(), strict=True):
+        own = [row for row in rows if row["scene"] == scene]
+        for figures, label, style in (
+            ([row["error"] * row["bound"] for row in own], "guaranteed bound", "^-"),
+            ([row["error"] * row["estimate"] for row in own], "estimate", "s--"),
+            ([row["error"] for row in own], "error", "o-"),
+        ):
+            panel.loglog(
+                [row["unknowns"] for row in own], figures, style, ms=4, lw=1.4, label=label
+            )
+        panel.set_title(title, fontsize=10)
+        panel.set_xlabel("unknowns")
+    panels[0][0].set_ylabel("relative error, energy norm")
+    panels[0][0].legend(frameon=False, fontsize=9)
+    save(figure, path)
+
+
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
     """Yield the meshes, and the random blocks."""
     for scene, (cell, degree, sizes) in MESHES.items():
@@ -52,11 +79,11 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 def scene_of(comm: Comm, case: Row) -> Scene:
     """Return the scene of a case. Collective."""
     name, cell, degree, n = (case[key] for key in ("scene", "cell", "degree", "n"))
-    if name.startswith("block"):
-        return block_on_plane(comm, cell, degree, n, "lifts" if "lifts" in name else "slips")
-    if name.startswith("two_blocks"):
+    if name.startswith("two"):
         return blocks_scene(comm, cell, degree, (n, n))
-    return two_bricks(comm, n, end=name.split(", ")[1])
+    if name.startswith("bricks"):
+        return two_bricks(comm, n, end=name.removeprefix("bricks_"))
+    return block_on_plane(comm, cell, degree, n, "lifts" if name == "lifts" else "slips")
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
@@ -147,6 +174,7 @@ BENCHMARK = Benchmark(
     measure=measure,
     options=options,
     shown=COLUMNS,
+    draw=draw,
     small={"n": 4},
     tables=[
         Table("guaranteed", COLUMNS, lambda row: row["scene"] != RANDOM),
