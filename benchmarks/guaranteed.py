@@ -3,8 +3,9 @@
     tools/fenicsx python3 benchmarks/guaranteed.py --json benchmarks/data/guaranteed.json
 
 The block on a plane and the two blocks have known solutions. "random" are 100 blocks on a plane
-with random loads, materials and meshes. The error of the two bricks is the root of twice the energy
-above that of a mesh of degree 2: an upper bound of the error of the displacement.
+with random loads, materials and meshes. Seconds are processor time. The error of the two bricks is
+the root of twice the energy above that of a mesh of degree 2: an upper bound of the error of the
+displacement.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ MESHES: dict[str, tuple[str, int, tuple[int, ...]]] = {
     "slips_degree_2": ("triangle", 2, (8, 16, 32)),
     "two_blocks": ("triangle", 1, (4, 8, 16)),
     "two_blocks_3d": ("tetrahedron", 1, (3, 6)),
-    "bricks_free_end_1": ("tetrahedron", 1, (3, 6, 9)),
-    "bricks_free_end_2": ("tetrahedron", 1, (3, 6, 9)),
+    "bricks_free_end_1": ("tetrahedron", 1, (3, 6, 8)),
+    "bricks_free_end_2": ("tetrahedron", 1, (3, 6, 8)),
 }
 
 #: Cells along the bricks whose energy of degree 2 is the reference.
-REFERENCE = 9
+REFERENCE = 8
 
 RANDOM = "random"
 
@@ -110,11 +111,21 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         return
     scene = scene_of(comm, case)
     with scene.problem() as problem:
+        seconds = {}
         solution = problem.solve(rtol=1e-7)
         problem.guaranteed_error()  # compiles
-        start = time.perf_counter()
-        bound = problem.guaranteed_error()
-        seconds = time.perf_counter() - start
+        for name, call in (
+            ("linear", problem.update_stiffness),
+            ("solve", lambda: problem.solve(rtol=1e-7)),
+            ("bound", problem.guaranteed_error),
+        ):
+            problem.forget()
+            if name == "bound":
+                problem.solve(rtol=1e-7)
+            start = time.process_time()
+            result = call()
+            seconds[f"{name}_seconds"] = time.process_time() - start
+        bound = result
         estimate = total(DiscretisationError(scene.a, scene.V).of(solution.u))
     if case["scene"].startswith("bricks"):
         end = case["scene"].removeprefix("bricks_")
@@ -125,7 +136,6 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         error = norm(comm, scene.data.energy(solution.u - scene.data.exact))
     else:
         error = scene.data.error(solution.u)
-    times = solution.timings
     yield {
         "unknowns": scene.unknowns,
         "error": error * bound.relative_error / bound.error,
@@ -134,9 +144,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         "stress": bound.stress / error,
         "oscillation": bound.oscillation / error,
         "lift": bound.lift / error,
-        "linear_seconds": times["stiffness"] + times["cholesky"],
-        "solve_seconds": sum(times.values()),
-        "bound_seconds": seconds,
+        **seconds,
     }
 
 
@@ -156,7 +164,7 @@ COLUMNS = [
     Column("stress", "{stress:.2f}"),
     Column("oscillation", "{oscillation:.2f}"),
     Column("lift", "{lift:.2f}"),
-    Column("seconds: K, factored", "{linear_seconds:.2f}"),
+    Column("processor seconds: K, factored", "{linear_seconds:.2f}"),
     Column("whole solve", "{solve_seconds:.2f}"),
     Column("bound", "{bound_seconds:.2f}"),
 ]
