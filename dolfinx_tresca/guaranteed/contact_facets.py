@@ -131,10 +131,15 @@ def contact_facets(
             )
         if plane is None and not matches:
             raise _no_match(name)
-        if (on.semi_axes != 1.0).any() or not np.isfinite(bounds[rows.nodes]).all():
+        if (on.semi_axes != 1.0).any() or not (on.bonded or np.isfinite(bounds[rows.nodes]).all()):
             raise InputError(
                 f"a guaranteed bound needs one finite slip bound for all directions, and {name} "
                 "has two, or an infinite one."
+            )
+        if any(member.friction != pair.friction for member in on.undeformed.group.pairs):
+            raise InputError(
+                f"a guaranteed bound needs the same law for all pairs of the surface of {name}. "
+                "Leave a gap between surfaces of different laws."
             )
         if len(np.unique(on.nodes)) < len(on.nodes):
             raise InputError(
@@ -160,7 +165,7 @@ def contact_facets(
         "origin": on.tangential_vectors(origin[rows.tangential]),
         "offset": offset,
         "gap": on.gap[:, None],
-        "bound": bounds[rows.nodes, None],
+        "bound": np.where(on.bonded, np.inf, bounds[rows.nodes, None]),
         "unpressed": 1.0 - moves[:, None],
         "unrubbed": ~slides[:, None],
         "present": np.ones((len(moves), 1)),
@@ -369,17 +374,14 @@ def _loaded(
     at = {key: values[keep] for key, values in at.items()}
     tractions, normals = at["traction"], at["normal"]
     along = np.einsum("mkd,mkd->mk", tractions, normals)[:, :, None] * normals
-    for values, lacks in (
-        (along, at["unpressed"] > 0.0),
-        (tractions - along, at["unrubbed"] > 0.0),
-    ):
+    across = tractions - along
+    for values, lacks in ((along, at["unpressed"] > 0.0), (across, at["unrubbed"] > 0.0)):
         count = np.maximum((~lacks).sum(axis=1, keepdims=True), 1)
         mean = (~lacks * values).sum(axis=1, keepdims=True) / count
-        added = lacks * (mean - values)
-        if values is not along:
-            size = np.linalg.norm(added, axis=2, keepdims=True)
-            added *= np.minimum(1.0, at["bound"] / np.maximum(size, LEAST_DIVISOR))
-        tractions += added
+        values += lacks * (mean - values)
+    sizes = np.linalg.norm(across, axis=2, keepdims=True)
+    across *= np.minimum(1.0, at["bound"] / np.maximum(sizes, LEAST_DIVISOR))
+    at["traction"] = tractions = along + across
     return LoadedFacets(cell[keep], facet[keep], corners[keep], tractions), at
 
 

@@ -7,13 +7,24 @@ import pytest
 
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import create_unit_cube, create_unit_square, locate_entities_boundary, meshtags
 
-from dolfinx_tresca import ContactProblem, Frictionless
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    RigidPlane,
+    Tresca,
+)
 from dolfinx_tresca.dual.bounds.estimate import total
 from dolfinx_tresca.guaranteed.bound import guaranteed_error
 from scenes.assembled import linear_solution
+from scenes.elasticity import elasticity, fixed
 from scenes.known_contact import block_on_plane
 from scenes.manufactured import blocks_scene, norm
+from scenes.two_bricks import two_bricks
 
 ROUNDING = 1e-9
 
@@ -99,12 +110,26 @@ def test_two_bodies_whose_meshes_match(comm):
 def test_tetrahedra(comm):
     """Loads oscillate: the constant of Korn's inequality in 3D makes their term large."""
     scene = blocks_scene(comm, "tetrahedron", 1, (3, 3))
-    with scene.problem() as problem:
+    with scene.problem(stiffness="multigrid") as problem:
         solution = problem.solve(accuracy=1e-6)
         bound = problem.guaranteed_error()
     error = norm(comm, scene.data.energy(solution.u - scene.data.exact))
     assert error <= bound.error
     assert bound.stress <= 1.15 * error
+
+
+@pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
+def test_bricks_held_at_opposite_ends(comm, end):
+    """Nodes where a prescribed node faces a free one, and tetrahedra with uniform loads."""
+    energies, bounds = [], []
+    for N in (3, 6):
+        with two_bricks(comm, N, end=end).problem() as problem:
+            energies.append(problem.solve(rtol=1e-8).primal_energy)
+            bounds.append(problem.guaranteed_error())
+    assert bounds[0].oscillation <= 1e-6 * bounds[0].error
+    squares = [total(bound.cell_errors) ** 2 for bound in bounds]
+    assert 0.1 * squares[0] <= 2.0 * (energies[0] - energies[1]) <= squares[0]
+    assert squares[1] < 0.7 * squares[0]
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -158,3 +183,48 @@ def test_oscillating_loads(comm, load):
     )
     assert 0.0 < error <= bound.error
     assert bound.oscillation > 0.1 * error
+
+
+@pytest.mark.parametrize("law", [Frictionless(), Tresca(0.005), Coulomb(0.2), Bonded()], ids=str)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_supports_along_axes(comm, law, dim):
+    """Nodes that are prescribed along some axes: tractions that lack there stay admissible.
+
+    The energy above that of a finer mesh is below half of the squared bound.
+    """
+    found = []
+    for n in (2, 4):
+        divisions = [n] * dim
+        mesh = (create_unit_square if dim == 2 else create_unit_cube)(comm, *divisions)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+        mesh.topology.create_connectivity(dim - 1, dim)
+        sides = [
+            locate_entities_boundary(mesh, dim - 1, lambda x, k=k, at=at: np.isclose(x[k], at))
+            for k, at in ((0, 0.0), (dim - 1, 1.0), (dim - 1, 0.0), (1, 0.0))
+        ]
+        bcs = [fixed(V, sides[0], 0.0, 0), fixed(V, sides[1], -0.02, dim - 1)]
+        bcs += [fixed(V, sides[3], 0.0, 1)] if dim == 3 else []
+        tags = meshtags(mesh, dim - 1, np.sort(sides[2]), np.full(len(sides[2]), 7, np.int32))
+        a = elasticity(V, 1.0)
+        x = ufl.SpatialCoordinate(mesh)
+        push = ufl.as_vector([0.05 * x[dim - 1]] + [0.0] * (dim - 1))
+        L = ufl.inner(push, ufl.TestFunction(V)) * ufl.dx
+        pair = ContactPair(tags, 7, RigidPlane((0, 0, 0), np.eye(3)[dim - 1]), law)
+        with ContactProblem(a, L, [pair], bcs=bcs) as problem:
+            solution = problem.solve(rtol=1e-8)
+            bound = problem.guaranteed_error()
+        assert bound.complementarity >= -ROUNDING * bound.error**2
+        assert bound.friction >= -ROUNDING * bound.error**2
+        assert bound.oscillation <= 1e-6 * bound.error
+        u = solution.u
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata={"quadrature_degree": 6})
+        energy = 0.5 * ufl.action(ufl.action(a, u), u) - ufl.action(L, u)
+        if isinstance(law, Tresca):
+            slip = sum(u[i] ** 2 for i in range(dim - 1))
+            energy += law.slip_bound * ufl.sqrt(slip + 1e-30) * ds(7)
+        value = comm.allreduce(fem.assemble_scalar(fem.form(energy)))
+        found.append((value, total(bound.cell_errors)))
+    (coarse, bound_of_coarse), (fine, bound_of_fine) = found
+    assert bound_of_fine < bound_of_coarse
+    if not isinstance(law, Coulomb):  # whose meshes have different bounds
+        assert 0.1 * bound_of_coarse**2 < 2.0 * (coarse - fine) <= bound_of_coarse**2
