@@ -1,15 +1,15 @@
-"""The symmetric stress element of Johnson and Mercier on a simplex.
+"""Symmetric stresses on simplices, by their tractions on facets and their divergence.
 
-A simplex with d + 1 vertices is divided by its centroid c into d + 1 subcells; subcell i has the
-vertices x_j, j != i, and c. Stresses are symmetric, linear in each subcell, and have continuous
-tractions between subcells. Such a stress is determined by its tractions on the facets of the
-simplex (linear on each facet) and by its divergence (constant in each subcell), which must be in
-equilibrium of forces and moments [Johnson, Mercier 1978; Gopalakrishnan, Guzman, Lee 2024]. To it
-a stress without tractions is added, quadratic in each subcell, so that the divergence is linear in
-the simplex.
+A simplex with d + 1 vertices is divided by its centroid into d + 1 subcells, as in the element of
+Johnson and Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the
+vertices of the simplex without vertex i, and the centroid. Here stresses are symmetric, quadratic
+in each subcell, and have continuous tractions between subcells. For all linear tractions on the
+facets and all linear divergences that balance each other in force and moment there is such a
+stress; of all, the one of the least norm on the reference simplex is taken. It depends linearly on
+these data, and reproduces linear stresses.
 
-All arrays here belong to the reference simplex, with the vertices 0, e_1, ..., e_d. For
-x = x_0 + B X the stress is B S B', with the reference stress S.
+The reference simplex has the vertices 0, e_1, ..., e_d. For x = x_0 + B X the stress is B S B',
+with the reference stress S.
 """
 
 from __future__ import annotations

@@ -52,6 +52,20 @@ def test_known_solutions_on_a_plane(comm, kind):
     assert oscillations[1] <= 0.3 * oscillations[0]
 
 
+@pytest.mark.parametrize("kind", ["lifts", "slips"])
+def test_load_steps(comm, kind):
+    """Slip counts from the last step: the same loads again, and the bound is that of no new slip."""
+    scene = block_on_plane(comm, "triangle", 1, 8, kind)
+    with scene.problem() as problem:
+        problem.solve(rtol=1e-9)
+        bound = problem.guaranteed_error()
+        problem.accept()
+        problem.solve(rtol=1e-9)
+        again = problem.guaranteed_error()
+    assert again.stress == pytest.approx(bound.stress, rel=1e-3)
+    assert abs(again.friction) <= abs(bound.friction) + ROUNDING * bound.error**2
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_never_below_the_error_on_random_scenes(seed, comm):
     rng = np.random.default_rng(seed)
@@ -118,6 +132,7 @@ def test_tetrahedra(comm):
     assert bound.stress <= 1.15 * error
 
 
+@pytest.mark.parallel(end=["free_end_2"])
 @pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
 def test_bricks_held_at_opposite_ends(comm, end):
     """Nodes where a prescribed node faces a free one, and tetrahedra with uniform loads."""
