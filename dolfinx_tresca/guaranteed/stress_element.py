@@ -147,7 +147,7 @@ class CellStresses:
     def of_tractions(self, tractions: Array, divergence: Array | None = None) -> Array:
         """Return the stresses with these tractions, and divergence (n, d + 1, d) at vertices."""
         n, corners = tractions.shape[:2]
-        scaled = np.einsum("njab,njkb->njka", self.reference_tractions, tractions)
+        scaled = tractions @ np.swapaxes(self.reference_tractions, 2, 3)
         scaled = scaled[:, ~np.eye(corners, dtype=np.bool_)].reshape(n, -1)
         values = self.element.values
         if divergence is None:
@@ -158,7 +158,7 @@ class CellStresses:
     def of_linear(self, stresses: Array) -> Array:
         """Return linear stresses in cells, from symmetric matrices (n, d + 1, d, d) at vertices."""
         inner = self.cells.inverses
-        pulled = np.einsum("nai,nkij,nbj->nkab", inner, stresses, inner, optimize=True)
+        pulled = inner[:, None] @ stresses @ np.swapaxes(inner, 1, 2)[:, None]
         at_vertices = np.tensordot(pulled, self.element.basis, axes=([2, 3], [1, 2]))
         corners = at_vertices.shape[1]
         result = np.repeat(at_vertices[:, None], corners, axis=1)
@@ -180,7 +180,7 @@ class CellStresses:
         )
         result = np.zeros((n, corners, corners, d))
         result[:, ~np.eye(corners, dtype=np.bool_)] = by_data.reshape(n, -1, d)
-        return np.asarray(np.einsum("njab,njka->njkb", self.reference_tractions, result))
+        return np.asarray(result @ self.reference_tractions)
 
     def _weighted(self, stresses: Array) -> Array:
         flat = stresses.reshape(len(stresses), -1, stresses.shape[3])
