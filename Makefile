@@ -24,7 +24,7 @@ PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(S
 
 # Whose pictures are in docs/: demos, and benchmarks.
 DEMOS = two_bricks hertz implant floating_block adaptive fretting arch
-DRAWN = convergence peers published tradeoff
+DRAWN = convergence guaranteed peers published tradeoff
 
 .PHONY: help demo docs look pictures test test-latest test-long test-cores test-paraview paraview-picture measure tables check \
 	clean distclean

@@ -16,6 +16,7 @@ from dolfinx_tresca.errors import (
     PairingError,
     StiffnessError,
 )
+from dolfinx_tresca.guaranteed.bound import GuaranteedError
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
@@ -67,6 +68,7 @@ __all__ = [
     "FrictionCurve",
     "Frictionless",
     "GoalError",
+    "GuaranteedError",
     "InputError",
     "Iteration",
     "Level",

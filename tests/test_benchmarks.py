@@ -49,7 +49,7 @@ RUNS = {
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "estimate": ("--scenes hertz bricks --dofs 2000 --coarse 1", "estimate"),
-    "equilibrated": ("--sizes 4", "bound"),
+    "guaranteed": ("--scenes slips --sizes 4", "bound"),
     "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
     "finite_sliding": (
         "--scenes ironing --ironing 20 --cells 2 --way 0.1 --cases",

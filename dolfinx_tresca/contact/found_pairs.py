@@ -23,12 +23,12 @@ from dolfinx_tresca._base.parallel import each_warning_once, gather_rows, log, r
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.output.table import Row, Tabulated
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.numbering import label_bodies
-from dolfinx_tresca.surface.self_contact import FINER
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca.pairing.search.self_contact import FINER
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import ufl
@@ -15,6 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -22,6 +24,7 @@ from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.guaranteed.bound import STEPS, GuaranteedError, guaranteed_error
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
@@ -342,6 +345,50 @@ class ContactProblem(ContactProcess):
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
         secondary = self._contact.surfaces.secondary
         return goal_error(goal, dual, secondary, solved.multipliers, fields, energy_error)
+
+    @collective(comm_of_self)
+    def guaranteed_error(self, *, steps: int = STEPS) -> GuaranteedError:
+        """Return a guaranteed bound of the whole error of the last solution. Collective.
+
+        The bound covers the iteration, the mesh and contact. It is for triangles and tetrahedra,
+        displacements of degree 1 or 2, stiffnesses that are constant in each cell, and contact with
+        rigid planes, or (degree 1) of bodies whose meshes match on flat surfaces. Each body needs
+        Dirichlet conditions that hold it. See `GuaranteedError` for what the exact solution is, and
+        docs/theory/guaranteed.md for the proof. It costs one solve with K, and a time proportional
+        to the number of cells.
+
+        Args:
+            steps: steps of conjugate gradients that make the bound sharper; each costs some percent
+                of the time.
+
+        Raises:
+            ContactError: nothing was solved since the problem changed, the last solve did not
+                converge, or the displacement is not in equilibrium.
+            InputError: the bound does not cover the problem.
+
+        Example:
+            With the cube in the example of `ContactProblem`, whose stress is uniform:
+
+            >>> solution = problem.solve(rtol=1e-10)
+            >>> problem.guaranteed_error().relative_error < 1e-6
+            True
+        """
+        contact = self._contact
+        solved = self._solved_for("a guaranteed bound")
+        contact.check_inputs("a guaranteed bound")
+        number = integer(steps)
+        if number is None or number < 0:
+            raise InputError(f"steps must be an integer of at least 0, found {shown(steps)}.")
+        state = contact.surfaces.state
+        moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
+        if contact.surfaces.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
+            raise InputError(
+                "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
+                " sliding='small', and do not call update_geometry()."
+            )
+        return guaranteed_error(
+            contact.linear, self.pairs, solved.dual, solved.multipliers, solved.fields.u, number
+        )
 
     @contextmanager
     def record(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -288,6 +288,16 @@ class NonlinearContactProblem(ContactProcess):
                 f"solution that {purpose} is for: call solve()."
             )
         return solved
+
+    def guaranteed_error(self) -> NoReturn:
+        """Refuse: the proof of `ContactProblem.guaranteed_error` needs a quadratic energy.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "a guaranteed bound is for linear bodies: compare the solutions on two meshes."
+        )
 
     def _forms_at(self, u: fem.Function) -> Forms:
         """Return F, as a function of its test function, and J, with their conditions.

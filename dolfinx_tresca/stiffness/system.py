@@ -271,6 +271,27 @@ class LinearSystem(PetscOwner):
         given.destroy()
         return forces
 
+    def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
+        """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
+
+        Args:
+            forces: forces without those that prescribed values cause.
+            u: displacement, with prescribed values.
+
+        Returns:
+            a new vector, owned by the caller.
+        """
+        inside, result = u.copy(), u.duplicate()
+        inside.array[self.prescribed] = 0.0
+        self.K.mult(inside, result)
+        held = self._forces_of(u.array[self.prescribed])
+        result.axpy(1.0, held)
+        result.aypx(-1.0, forces)
+        result.array[self.prescribed] = 0.0
+        for vector in (inside, held):
+            vector.destroy()
+        return result
+
     @property
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""

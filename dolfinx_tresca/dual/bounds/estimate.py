@@ -105,13 +105,13 @@ class DiscretisationError:
         difference = self._gradient - ufl.grad(self._u)
         simplices = entities_per_cell(V, 0) == mesh.topology.dim + 1
         self._factor = RECOVERY_FACTOR[degree, simplices]
-        self._square = fem.form(_with_gradient(a, difference, weight))
+        self._square = fem.form(with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
         self._cells, self._errors = cells, fem.Function(cells)
         generic = ufl.as_tensor(np.eye(dim) + 1.0)
         ring = ufl.SpatialCoordinate(mesh)[0] if axisymmetric else ufl.as_ufl(1.0)
         self._materials, self._count = self._classify_materials(
-            fem.form(_with_gradient(a, generic, weight)), fem.form(weight * ring * ufl.dx)
+            fem.form(with_gradient(a, generic, weight)), fem.form(weight * ring * ufl.dx)
         )
 
     def of(self, u: fem.Function) -> fem.Function:
@@ -258,7 +258,7 @@ class _Substitution(MultiFunction):  # type: ignore[misc]
         return Zero(o.ufl_shape)
 
 
-def _with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
+def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
     """Return the cell integrals of a(u, u), with grad u replaced by a tensor, times a weight.
 
     Args:
