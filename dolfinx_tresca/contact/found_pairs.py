@@ -18,17 +18,17 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import each_warning_once, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
+from dolfinx_tresca.pairing.search.self_contact import FINER
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca.pairing.search.self_contact import FINER
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,9 @@ from ufl.classes import Argument, Grad
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca._base.bodies import label_bodies
 
 #: A force of K against a rigid motion counts as rounding up to this multiple of the body's largest
 #: diagonal entry, for a displacement of length 1. Softer springs exert less than 1e-10 of the

@@ -284,7 +284,7 @@ class LinearSystem(PetscOwner):
         inside, result = u.copy(), u.duplicate()
         inside.array[self.prescribed] = 0.0
         self.K.mult(inside, result)
-        held = self._forces_of(u.array[self.prescribed])
+        held = self.forces_of(u.array[self.prescribed])
         result.axpy(1.0, held)
         result.aypx(-1.0, forces)
         result.array[self.prescribed] = 0.0
