@@ -24,7 +24,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, StiffnessError
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
@@ -442,7 +442,18 @@ class ContactSurfaces(PetscOwner):
         """Assemble and factor K again. Collective.
 
         Raises:
-            StiffnessError: K is not symmetric, or is indefinite.
+            StiffnessError: K is not symmetric, or is indefinite; or it resists rigid motions of a
+                body that has turned in its frame.
         """
         self.compliance.destroy()
         self.compliance = self._stiffness.compliance(self.jump, self.timings, again=True)
+        frames = self._frames_at_rest()
+        if self.jump.frames is not None and (
+            frames is None or (frames.has_frame != self.jump.frames.has_frame).any()
+        ):
+            raise StiffnessError(
+                "bodies have turned in their frames, and the new K resists the rigid motions of "
+                "one of them, as springs do that refer to a place in space. Have such springs in a "
+                "from the start: the body then has no frame."
+            )
+        self.frames_at_rest = frames

@@ -19,6 +19,7 @@ from dolfinx_tresca import (
     Frictionless,
     NonlinearContactProblem,
     RigidPlane,
+    StiffnessError,
 )
 
 MU, LAMBDA = 8e3, 1.2e4
@@ -148,6 +149,7 @@ def test_a_sector_that_turns_back_has_the_same_energy_and_forces() -> None:
             exact = nonlinear.solve()
             exact.raise_if_failed()
             nonlinear.accept()
+    assert solution.products < solution.counts.nodes  # all nodes were in contact before
     assert np.allclose(forces[-1], forces[0], atol=1e-9 * np.linalg.norm(forces[0]))
     assert abs(energies[-1] / energies[0] - 1.0) < 1e-9
     assert linear.comm.allreduce(strained, op=MPI.MAX) < 0.01
@@ -190,6 +192,23 @@ def test_bodies_without_a_frame_leave_linear_theory(held_by: str) -> None:
     with problem:
         turn(held, 0.1)
         assert problem.solve().status is ContactStatus.OUTSIDE_THEORY
+
+
+def test_a_spring_that_comes_later_is_refused() -> None:
+    spring: list[fem.Constant] = []
+
+    def form(V: Any) -> Any:
+        spring.append(fem.Constant(V.mesh, 0.0))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        return linear_form(V) + spring[0] * ufl.inner(u, v) * ufl.dx
+
+    problem, held = sector_problem(ContactProblem, form=form)
+    with problem:
+        turn(held, 0.1)
+        problem.solve().raise_if_failed()
+        spring[0].value = 1.0
+        with pytest.raises(StiffnessError, match="springs"):
+            problem.update_stiffness()
 
 
 @pytest.mark.parallel

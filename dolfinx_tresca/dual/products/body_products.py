@@ -80,16 +80,20 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     return WholeModel(jump.reductions, rows, first, jump.row_nodes, local_compliance, _solve)
 
 
-def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel:
+def dense_model(
+    operator: DualOperator, local_compliance: Array, rows: Array | None = None
+) -> WholeModel:
     """Return A as a dense matrix: one solve with K for each multiplier, in blocks. Collective.
 
     Args:
         operator: A. Each solve counts as a product.
         local_compliance: (size,) compliance of nodes whose neighbours are fixed.
+        rows: (size, size on all ranks) this rank's rows of A; None: they are computed.
     """
     jump = operator.jump
     first, end = jump.matrix.getOwnershipRange()
-    rows = _columns(operator, np.arange(first, end), jump.matrix.getSize()[0], jump.matrix)
+    if rows is None:
+        rows = _columns(operator, np.arange(first, end), jump.matrix.getSize()[0], jump.matrix)
     return WholeModel(jump.reductions, rows, first, jump.row_nodes, local_compliance, _solve)
 
 

@@ -18,6 +18,7 @@ from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.dual.products.body_products import dense_model, sparse_model
 from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import DualOperator
+from dolfinx_tresca.dual.products.surface_compliance import SurfaceCompliance
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.solvers.problem import KnownProducts
@@ -53,6 +54,7 @@ class ContactCompliance(PetscOwner):
         jump: JumpOperator,
         solver: StiffnessSolver,
         springs: FixingSprings | None,
+        surface: SurfaceCompliance | None = None,
     ) -> None:
         """Compute the data that every solve needs. Collective.
 
@@ -60,6 +62,8 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: solver for the system's K plus the springs.
             springs: springs that fix floating and softly held bodies; None if there are none.
+            surface: compliance of the surfaces, which pairings with the same K share; None: it is
+                not computed, as it does not pay for one pairing.
 
         Raises:
             StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
@@ -72,6 +76,7 @@ class ContactCompliance(PetscOwner):
                 _ = self.certificate  # now, since it raises errors of the scene
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
+        self._surface = surface
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
@@ -92,7 +97,9 @@ class ContactCompliance(PetscOwner):
         K need not be factored: surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
-        return ContactCompliance(jump, self.operator.solver, self.springs)
+        solver, shares = self.operator.solver, jump.system.component is None
+        surface = self._surface or (SurfaceCompliance() if solver.exact and shares else None)
+        return ContactCompliance(jump, solver, self.springs, surface)
 
     @cached_property
     def floating(self) -> FloatingBodies | None:
@@ -150,7 +157,9 @@ class ContactCompliance(PetscOwner):
         largest = LARGEST_DENSE if self.operator.exact else LARGEST_DENSE_ITERATIVE
         affordable = self.jump.matrix.getSize()[0] <= largest
         if affordable and not isinstance(self._store, WholeModel):
-            self._store = dense_model(self.operator, np.reciprocal(self.nodal_stiffness))
+            surface, local = self._surface, np.reciprocal(self.nodal_stiffness)
+            rows = None if surface is None else surface.product_rows(self.operator)
+            self._store = dense_model(self.operator, local, rows)
         return isinstance(self._store, WholeModel)
 
     @cached_property
