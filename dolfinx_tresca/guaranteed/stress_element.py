@@ -151,7 +151,8 @@ class CellStresses:
         scaled = scaled[:, ~np.eye(corners, dtype=np.bool_)].reshape(n, -1)
         values = self.element.values
         if divergence is None:
-            return np.tensordot(scaled, values[..., : scaled.shape[1]], axes=([1], [3]))
+            result = np.tensordot(scaled, values[..., : scaled.shape[1]], axes=([1], [3]))
+            return np.asarray(result, dtype=np.float64)
         pulled = np.einsum("nab,njb->nja", self.cells.inverses, divergence).reshape(n, -1)
         return np.tensordot(np.hstack([scaled, pulled]), values, axes=([1], [3]))
 
