@@ -36,7 +36,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, Frictionless, Tresca
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 
 #: Corners of the six tetrahedra into which a hexahedron is cut.
 TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 1, 7, 5], [0, 5, 7, 4],

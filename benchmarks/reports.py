@@ -2,6 +2,7 @@
 
     tools/fenicsx python3 benchmarks/reports.py --json reports.json
     tools/fenicsx python3 benchmarks/reports.py --full --scenes walls piles --json reports.json
+    tools/fenicsx python3 benchmarks/reports.py --scenes die hook --json reports.json
 
 Each row is a path of load steps, each of which is solved and accepted. Seconds are processor
 seconds of `solve()` and `accept()`; the problem is constructed before. The linear solve to which
@@ -11,6 +12,9 @@ are divided by them: beyond 1 the search takes longer than the linear algebra th
 
 Strips, shaft and cube are solved to the default accuracy, pellets to a relative residual of 1e-8,
 all other scenes to 1e-6. All use Cholesky factors.
+
+Processes of nonlinear bodies with finite sliding have a table of their own: Newton steps in place
+of iterations, and a value with the right one. Their steps have the default accuracy.
 """
 
 from __future__ import annotations
@@ -36,16 +40,21 @@ from dolfinx_tresca import (
     ContactSolution,
     ContactStatus,
     Coulomb,
+    Frictionless,
     MechanismError,
+    NonlinearContactProblem,
+    NonlinearContactSolution,
 )
 from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from scenes.arch import arch
+from scenes.bent_sheet import STROKE, plastic_sheet
 from scenes.blocks import ABOVE, block
 from scenes.pellets import HEATING, three_pellets
 from scenes.pile import random_pile
 from scenes.scene import Scene
 from scenes.shaft import greatest_moment, shaft_in_hub
+from scenes.snap_fit import WIDTH, snap_fit
 from scenes.strips import LOWER, UPPER, two_strips
 from scenes.two_bricks import ENDS, two_bricks
 from scenes.wall import HEIGHT, wall
@@ -72,12 +81,15 @@ class Meter:
         small: whether scenes have a few cells only.
         unknowns: number of displacement unknowns of the latest scene.
         steps: figures of the load steps.
+        newton: figures of the load steps of nonlinear bodies.
+        values: a value of such a process, and the right one.
     """
 
     def __init__(self, comm: Comm, small: bool) -> None:
         """Begin without load steps. Not collective."""
         self.comm, self.small = comm, small
         self.unknowns, self.steps = 0, list[Row]()
+        self.newton, self.values = list[Row](), Row()
         self._calls: list[tuple[str, float, int]] = []  # of this problem: kind, seconds, solves
 
     def timing(self) -> ExitStack:
@@ -139,8 +151,34 @@ class Meter:
         )
         return solution
 
+    def newton_step(self, problem: NonlinearContactProblem) -> NonlinearContactSolution:
+        """Solve and accept a load step of nonlinear bodies, and return its solution. Collective."""
+
+        def solve_and_accept() -> NonlinearContactSolution:
+            solution = problem.solve()
+            problem.accept()
+            return solution
+
+        seconds, solution = timed(self.comm, solve_and_accept)
+        steps = len(solution.newton.steps)
+        self.newton.append({"status": solution.status.name, "seconds": seconds, "steps": steps})
+        return solution
+
+    def newton_row(self) -> Row:
+        """Return the figures of all load steps of nonlinear bodies. Not collective."""
+        return {
+            "steps": len(self.newton),
+            "converged": len(self.newton),
+            "newton_steps": [step["steps"] for step in self.newton],
+            "seconds": sum(step["seconds"] for step in self.newton),
+            "status": ContactStatus.CONVERGED.name,
+            **self.values,
+        }
+
     def row(self) -> Row:
         """Return the figures of all load steps. Not collective."""
+        if self.newton:
+            return self.newton_row()
         steps, names = self.steps, ("seconds", "linear", "with_K", "estimate", "solves")
         seconds, linear, with_K, estimate, solves = (sum(s[name] for s in steps) for name in names)
         products = sum(step["in_products"] for step in steps)
@@ -254,6 +292,37 @@ def cube(meter: Meter, *, n: int) -> None:
                 meter.steps.clear()
 
 
+def die(meter: Meter) -> None:
+    """Bend a sheet of metal into a die, and release it: the value is the angle after springback."""
+    sheet = plastic_sheet(meter.comm, (30, 2) if meter.small else (120, 4))
+    strokes = STROKE / 100.0 * np.arange(1, 3 if meter.small else 101)
+    released = STROKE - 12.0 * (np.arange(1, 31) / 30.0) ** 2
+    with sheet.problem as problem:
+        for stroke in [*strokes, *released] if not meter.small else strokes:
+            sheet.punch.move_to((0.0, -stroke))
+            meter.newton_step(problem)
+    meter.values = {"value": sheet.angle(), "right": "43 to 55"}
+
+
+def hook(meter: Meter, *, friction: float, right: str) -> None:
+    """Push a block over a snap-fit hook; the value is the force across on the hook's flat end.
+
+    Args:
+        meter: keeps the figures.
+        friction: coefficient of friction.
+        right: the right value [N], as text.
+    """
+    scene = snap_fit(meter.comm, Coulomb(friction) if friction else Frictionless())
+    number = 24 if meter.small else 120
+    with scene.problem as problem:
+        for distance in 9.0 * np.arange(1, number + 1) / number:
+            scene.push(distance)
+            solution = meter.newton_step(problem)
+            if np.isclose(distance, 5.625):
+                force = -WIDTH * float(solution.pair_resultants[0].force[1])
+    meter.values = {"value": force, "right": right}
+
+
 #: Name of a path of the strips -> forces [N/mm]; beyond 0.4 some nodes slip.
 BENDING: dict[str, list[float]] = {
     "pressed": [0.0],
@@ -289,6 +358,11 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
     },
     "arch": {f"thickness {t:g} m": partial(arches, thickness=t) for t in (0.15, 0.11)},
     "piles": {f"{number} seeds": partial(piles, number=number) for number in (40, 300)},
+    "die": {"sheet of aluminium, with springback": die},
+    "hook": {
+        f"snap-fit, F = {F:g}": partial(hook, friction=F, right=right)
+        for F, right in ((0.0, "29.1"), (0.6, "32.8"))
+    },
     "cube": {f"{3 * (n + 1) ** 3:,} unknowns": partial(cube, n=n) for n in (4, 8, 16)},
 }
 
@@ -312,7 +386,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             SCENES[case["scene"]][case["case"]](meter)
         except ContactError as reason:
             error = {"status": type(reason).__name__}
-    yield (meter.row() if meter.steps else {}) | error
+    yield (meter.row() if meter.steps or meter.newton else {}) | error
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -344,6 +418,17 @@ COLUMNS = [
     Column("status", "{status}"),
 ]
 
+PROCESSES = [
+    Column("scene", "{scene}"),
+    Column("case", "{case}"),
+    Column("load steps", "{steps}"),
+    Column("Newton steps: most / all", most("newton_steps")),
+    Column("seconds", "{seconds:.1f}"),
+    Column("value", "{value:.4g}"),
+    Column("right", "{right}"),
+    Column("status", "{status}"),
+]
+
 BENCHMARK = Benchmark(
     script=__file__,
     about=__doc__,
@@ -353,7 +438,10 @@ BENCHMARK = Benchmark(
     options=options,
     small={"small": True},
     shown=COLUMNS,
-    tables=[Table("reports", COLUMNS, line=["scene", "case"])],
+    tables=[
+        Table("reports", COLUMNS, lambda row: "newton_steps" not in row, ["scene", "case"]),
+        Table("processes", PROCESSES, lambda row: "newton_steps" in row, ["scene", "case"]),
+    ],
 )
 
 if __name__ == "__main__":

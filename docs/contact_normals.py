@@ -19,7 +19,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, Frictionless, RigidSphere, read_gmsh
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 
 mpl.use("Agg")
 

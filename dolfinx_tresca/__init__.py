@@ -5,6 +5,7 @@ from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
+from dolfinx_tresca.contact.found_pairs import Contacts, contacts
 from dolfinx_tresca.errors import (
     ContactError,
     ConvergenceError,
@@ -60,6 +61,7 @@ __all__ = [
     "ContactState",
     "ContactStatus",
     "ContactTangent",
+    "Contacts",
     "ControlVector",
     "ConvergenceError",
     "Coulomb",
@@ -98,6 +100,7 @@ __all__ = [
     "TaggedMesh",
     "Tresca",
     "Units",
+    "contacts",
     "read_gmsh",
     "refine",
     "refinement_indicators",

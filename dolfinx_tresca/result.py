@@ -50,6 +50,10 @@ class ContactSolution(Evaluation, Tabulated):
         u: displacement [length] in the user's space; for a mixed space, on the component's space.
         w: all unknowns, in the space of the forms. In a mixed space, these are u and the pressure,
             `u, p = solution.w.split()`; in other spaces, w is u.
+        deformation: displacement [length] from which strains and stresses follow: for linear bodies
+            that turn with finite sliding the displacement v in the frame of each body, with
+            u = u_R + R v, the rigid motion u_R and the rotation R of the frame; in all other cases
+            u itself.
         contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
             bodies, in the space of u. At free degrees of freedom, their work with v is
             a(u, v) - L(v); at prescribed ones, a(u, v) - L(v) also contains the reactions of the

@@ -16,8 +16,8 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair
-from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from scenes.patches import block
 
 #: Functions of points (n, dim): `Where` selects some, (n,) bool; `Map` moves them, (n, dim).

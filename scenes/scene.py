@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca import ContactPair, ContactProblem, TaggedMesh
-from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.elasticity import fixed
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfinx_tresca.surface.facets import Facets, oriented
-from dolfinx_tresca.surface.halo import FACET_ARRAYS
-from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import Facets, oriented
+from dolfinx_tresca.pairing.search.halo import FACET_ARRAYS
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from scenes.patches import raised
 
 #: Points (n, 3) -> points (n, 3).

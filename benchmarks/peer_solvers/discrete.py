@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
-from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.solvers.paper import largest_eigenvalue
 from dolfinx_tresca.solvers.problem import Point
 from dolfinx_tresca.solvers.residual import NaturalResidual

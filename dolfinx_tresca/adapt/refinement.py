@@ -384,7 +384,7 @@ def _distributed(
     """
     tags = _meshtags(mesh, old.dim, entities, values)
     if isinstance(old, NamedTags):
-        tags = NamedTags(tags, old.names)
+        tags = NamedTags(tags, old.names, geometry=old.geometry)
     tags.name = old.name
     return tags
 

@@ -26,12 +26,15 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.summary import ProblemSummary
-from dolfinx_tresca.pairing.choice import pair_group
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_group
+from dolfinx_tresca.scene.friction import Bonded
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -55,6 +58,8 @@ class ContactSurfaces(PetscOwner):
         unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
             solves start and end, owned by the user; None for linear bodies.
         obstacles: the rigid obstacles and their positions.
+        frames_at_rest: frames of undeformed linear bodies, which move in configurations of finite
+            sliding; None: no body has a frame.
         summary: the sizes of the problem, for tables.
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
@@ -110,6 +115,27 @@ class ContactSurfaces(PetscOwner):
                 rounding = self.compliance.stress_rounding
                 for pair, on_nodes in zip(pairs, operators, strict=True):
                     self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
+        self.frames_at_rest = self._frames_at_rest()
+
+    def _frames_at_rest(self) -> BodyFrames | None:
+        """Return the frames of undeformed linear bodies with finite sliding. Collective."""
+        if not self.slides_far or self.linear.is_tangent:
+            return None
+        V, dim = self.linear.V, self.linear.V.mesh.topology.dim - 1
+        facets = [
+            pair.facet_tags.find(side)
+            for pair in self.pairs
+            for side in (pair.secondary, pair.primary)
+            if pair.sliding != "finite"
+            and not isinstance(side, RigidObstacle)
+            and not isinstance(pair.friction, Bonded)
+        ]
+        surfaces = [fem.locate_dofs_topological(V, dim, numbers) for numbers in facets]
+        return BodyFrames.at_rest(self.linear, surfaces)
+
+    def frames_at(self, u: fem.Function) -> BodyFrames | None:
+        """Return the frames that move with a displacement; None if all are at rest. Collective."""
+        return None if self.frames_at_rest is None else self.frames_at_rest.at(u)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -216,7 +242,7 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         self.note_obstacles()
-        jump = moved_jump(self.jump, self.pairs, u)
+        jump = moved_jump(self.jump, self.pairs, u, frames=self.frames_at(u))
         state = self._state.paired_at(jump, u, continues=continues)
         self._replace_jump(jump)
         self._state = replace(state, configuration=u.copy(), geometry=u.copy())
@@ -247,7 +273,7 @@ class ContactSurfaces(PetscOwner):
         self.state = state
         if state.jump is not self.jump:
             moved_to, self.obstacles.motions = self.obstacles.motions, state.motions
-            jump = JumpOperator(self.linear, state.jump.pairs)
+            jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
             self._state = replace(state, jump=jump)
             self._replace_jump(jump)
             self.obstacles.motions = moved_to
@@ -343,14 +369,16 @@ class ContactSurfaces(PetscOwner):
             numbers = list(pair.undeformed.group.numbers)
             anew[numbers] = anew[numbers].any()
         with timed("pairing", self.timings):
-            jump = moved_jump(self.jump, self.pairs, u, anew)
             since_accepted = self._finite_sliding & anew
+            frames = self.frames_at(u) if since_accepted.any() else self.jump.frames
+            jump = moved_jump(self.jump, self.pairs, u, anew, frames)
             self._state = self._state.paired_at(jump, u, since_accepted=since_accepted)
             self._replace_jump(jump)
 
     def _replace_jump(self, jump: JumpOperator) -> None:
         """Replace B after a new pairing, and drop what depends on the old B. Collective."""
         before, self.jump = self.jump, jump
+        self.linear.frames = jump.frames
         self.guess.forget()
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
@@ -384,6 +412,18 @@ class ContactSurfaces(PetscOwner):
         result = np.full((len(self.pairs), V.dofmap.index_map.size_local), np.nan)
         for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
             at_nodes[pair.nodes[pair.normal_node]] = gaps[n]
+        return result
+
+    def normal_forces_at_nodes(self) -> Array:
+        """Return the normal contact forces (pairs, owned nodes), 0 at open nodes. Not collective.
+
+        They are in the units of the multipliers times areas, which suits comparisons.
+        """
+        jump, V = self.jump, self.linear.V
+        result = np.zeros((len(self.pairs), V.dofmap.index_map.size_local))
+        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
+            forces = self._state.multipliers[n] * pair.weights[pair.normal_node]
+            at_nodes[pair.nodes[pair.normal_node]] = forces
         return result
 
     def contact_forces(self) -> Array:

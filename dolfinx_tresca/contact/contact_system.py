@@ -25,6 +25,7 @@ from dolfinx_tresca.contact.solve_to_bound import solve_to_bound
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
@@ -111,6 +112,11 @@ class ContactSystem(PetscOwner):
         solution = state.solution or state.accepted.solution
         valid = solution is not None and solution.dual.compliance is self.surfaces.compliance
         return solution if valid else None
+
+    @property
+    def bodies(self) -> Bodies:
+        """The bodies of the mesh."""
+        return self._stiffness.bodies
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
@@ -241,10 +247,10 @@ class ContactSystem(PetscOwner):
         """
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
         if solution.status is ContactStatus.CONVERGED:
-            surfaces, u = self.surfaces, solution.u
+            surfaces, u, v = self.surfaces, solution.u, solution.deformation
             paired, tractions = surfaces.state.geometry, solution.multipliers
             departures = [
-                *(motions_of_bodies(u, self._stiffness.bodies) if linear else ()),
+                *(motions_of_bodies(v, self._stiffness.bodies) if linear else ()),
                 *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -33,6 +34,14 @@ ANDERSON_DEPTH = 3
 #: benchmarks/finite_sliding.py takes 187 Newton steps with 1e-12, 160 with 1e-3 (32 cells, 11 load
 #: steps, `geometry_accuracy=1e-6`).
 DEPENDENT = 1e-3
+
+#: Two configurations are alike, and their difference tells how u changes with w, if at most this
+#: part of the contact force is at nodes that are open in one of them.
+ALIKE = 0.1
+
+#: Least and largest part of the last step between two configurations that are not alike, whose
+#: residuals point at each other, at which the next one lies: the solution is between them.
+LEAST_PART, LARGEST_PART = 0.1, 0.9
 
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
 #: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
@@ -77,6 +86,21 @@ MAX_CONFIGURATIONS = 40
 SMALL_STEP = 1e-2
 
 
+@dataclass(frozen=True)
+class Configuration:
+    """A configuration of the surfaces, and the solution of its contact problem.
+
+    Attributes:
+        w: displacement of the surfaces [length], with ghosts.
+        u: displacement of the solution [length], with ghosts.
+        loads: (pairs, owned nodes) normal force of the solution at each node; 0 at open nodes.
+    """
+
+    w: Array
+    u: Array
+    loads: Array
+
+
 class FiniteSliding:
     """The fixed-point iteration u(w) = w for the displacement w at which surfaces are paired.
 
@@ -86,11 +110,19 @@ class FiniteSliding:
     (type II; Walker and Ni 2011, SIAM J. Numer. Anal. 49), the iteration converges about as fast as
     Newton's method for nonlinear bodies, so one Newton step in each configuration is enough.
 
+    u(w) has kinks where the contact passes from node to node: only differences of configurations
+    that are `ALIKE` are used, and where a step crosses a kink and should not have, the next
+    configuration lies on the step. Where bodies snap, u(w) = w has an unstable solution, or none:
+    residuals u - w grow, and the accelerated step would go against them. Then the step w <- u(w) is
+    taken, which goes on until bodies reach another equilibrium, and earlier configurations are
+    forgotten.
+
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last
             two configurations.
         error: estimate of the relative error of contact forces and gaps.
         configurations: number of configurations so far.
+        snaps: whether a step has followed growing residuals, as where bodies snap.
     """
 
     def __init__(self, surfaces: ContactSurfaces) -> None:
@@ -99,11 +131,11 @@ class FiniteSliding:
         self._forces: Array | None = None
         self._gaps: Array | None = None
         self._residual = math.inf  # |u - w|^2
-        self._displaced: list[Array] = []  # the displacements w of all configurations
-        self._solved: list[Array] = []  # the solutions u(w) in these configurations
+        self._path: list[Configuration] = []
+        self._grows = False  # whether |u - w| is larger than in the configuration before
         self._start = 1.0  # relative residual that the last contact problem started with
         self.change = self.error = math.inf
-        self.configurations = 1
+        self.configurations, self.snaps = 1, False
 
     def loosened(self, options: SolverOptions) -> SolverOptions:
         """Return the options with an `rtol` for the present configuration; see `FORCING`."""
@@ -139,6 +171,7 @@ class FiniteSliding:
             [float(values @ values) for values in (changed, forces, residual, rounding)],
         )
         residual_before, self._residual = self._residual, distance
+        self._grows = distance > residual_before
         before, gaps = self.change, self._gaps
         self._gaps = self._surfaces.gaps_at_nodes(u)
         if last is None or gaps is None:
@@ -161,8 +194,8 @@ class FiniteSliding:
             change, ratio = max(change, least * before), change / before
         ratio = min(max(ratio, LEAST_RATIO), LARGEST_RATIO)
         self.error = change * ratio / (1.0 - ratio)
-        self._displaced.append(w)
-        self._solved.append(u.x.array.copy())
+        loads = self._surfaces.normal_forces_at_nodes()
+        self._path.append(Configuration(w, u.x.array.copy(), loads))
         log(
             self._surfaces.comm,
             "finite sliding: configuration %d, change of forces and gaps %.1e",
@@ -174,17 +207,33 @@ class FiniteSliding:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
         Its displacement is the displacement of the present configuration plus the response to the
-        change of the prescribed values, with the present K and unchanged contact forces.
+        change of the prescribed values, with the present K and unchanged contact forces. A body
+        that is held turns with the prescribed values, with the same deformation in its frame.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
         surfaces, origin = self._surfaces, self._surfaces.state.configuration
+        linear, frames = surfaces.linear, surfaces.jump.frames
         solver = surfaces.compliance.operator.solver
-        w = surfaces.linear.response_to_prescribed_values(solver, origin)
-        if surfaces.comm.allreduce(bool(w.x.array.any()), op=MPI.LOR):
+        if surfaces.frames_at_rest is None:
+            w = linear.response_to_prescribed_values(solver, origin)
+            moves = bool(w.x.array.any())
             w.x.array[:] += origin.x.array
+        else:
+            held, linear.frames = origin.copy(), None
+            held.x.array[: len(linear.prescribed)][linear.prescribed] = linear.prescribed_values()
+            held.x.scatter_forward()
+            changes = np.abs(held.x.array - origin.x.array)
+            moves = bool((changes > ROUNDING * np.abs(origin.x.array).max(initial=0.0)).any())
+            linear.frames = surfaces.frames_at(held)
+            v = origin if frames is None else frames.deformation(origin)
+            w = linear.response_to_prescribed_values(solver, v)
+            w.x.array[:] += v.x.array
+            w = w if linear.frames is None else linear.frames.displacement(w)
+            linear.frames = frames
+        if surfaces.comm.allreduce(moves, op=MPI.LOR):
             surfaces.pair_where_changed(w)
 
     def pair_next_configuration(self) -> None:
@@ -200,24 +249,46 @@ class FiniteSliding:
 
     def _next(self) -> Array:
         """Return the next displacement w by Anderson's acceleration, with ghosts. Collective."""
-        u, w = self._solved[-1], self._displaced[-1]
-        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first u(w) is no approximation
-        if depth < 1:
+        *earlier, last = self._path
+        u, w, residual = last.u, last.w, last.u - last.w
+        # the first u(w) is no approximation
+        alike = [configuration for configuration in earlier[1:] if self._alike(configuration)]
+        if len(earlier) > 1 and (not alike or alike[-1] is not earlier[-1]):
+            before = earlier[-1]
+            begin, end = self._products(w - before.w, [before.u - before.w, residual])
+            if begin > 0.0 > end:
+                part = min(max(begin / (begin - end), LEAST_PART), LARGEST_PART)
+                between: Array = (1.0 - part) * before.u + part * u
+                return between
+        if not alike:
             return u
-        owned = len(self._surfaces.linear.prescribed_displacements)
-        residuals = [a - b for a, b in zip(self._solved, self._displaced, strict=True)]
-        rows = [residuals[-1 - i] - residuals[-2 - i] for i in range(depth)]
-        moves = [self._solved[-1 - i] - self._solved[-2 - i] for i in range(depth)]
-        differences = np.array(rows)[:, :owned]
-        gram, right = differences @ differences.T, differences @ (u - w)[:owned]
-        summed = reduce_array(self._surfaces.comm, np.append(gram.ravel(), right))
-        matrix, vector = summed[: depth**2].reshape(depth, depth), summed[depth**2 :]
+        path = [*alike[-ANDERSON_DEPTH:], last]
+        rows = np.array([b.u - b.w - (a.u - a.w) for a, b in pairwise(path)])
+        moves = np.array([b.u - a.u for a, b in pairwise(path)])
+        products = np.array([self._products(row, [*rows, residual]) for row in rows])
+        matrix, vector = products[:, :-1], products[:, -1]
         lengths = np.sqrt(np.diag(matrix))
         lengths[lengths == 0.0] = 1.0
         scaled = matrix / np.outer(lengths, lengths)
         weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
-        result: Array = u - np.array(moves).T @ weights
-        return result
+        accelerated: Array = u - moves.T @ weights
+        if self._grows and self._products(residual, [accelerated - w])[0] < 0.0:
+            self.snaps, self._path = True, [last]
+            return u
+        return accelerated
+
+    def _alike(self, other: Configuration) -> bool:
+        """Return whether another configuration is like the last one; see `ALIKE`. Collective."""
+        loads = self._path[-1].loads + other.loads
+        changed = loads[(self._path[-1].loads > 0.0) != (other.loads > 0.0)]
+        sums = [float(changed.sum()), float(loads.sum())]
+        of_changed, whole = reduce_array(self._surfaces.comm, sums)
+        return bool(of_changed <= ALIKE * whole)
+
+    def _products(self, x: Array, others: list[Array]) -> Array:
+        """Return the inner products of x with other displacements, all with ghosts. Collective."""
+        owned = len(self._surfaces.linear.prescribed_displacements)
+        return reduce_array(self._surfaces.comm, [float(x[:owned] @ y[:owned]) for y in others])
 
 
 def solve_with_finite_sliding(
@@ -254,7 +325,9 @@ def solve_with_finite_sliding(
                 failure = f"{solution.sliding}. " * bool(solution.sliding)
                 failure += f"This happened in {number}. {ADVICE}"
             break
-        sliding.observe(solution.u, solution.residuals[0])
+        frames = contact.surfaces.jump.frames or contact.surfaces.frames_at_rest
+        u = solution.u if frames is None else frames.exactly_turned(solution.u)
+        sliding.observe(u, solution.residuals[0])
         if sliding.error <= options.geometry_accuracy:
             if loosened != options:
                 solutions.append(contact.solve(options, units, in_configuration))

@@ -19,8 +19,7 @@ from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.pairing.discs import FrictionDiscs
-from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
+from dolfinx_tresca.pairing.friction_axes import FrictionDiscs, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import (
     PairOperators,
     as_petsc,
@@ -30,6 +29,7 @@ from dolfinx_tresca.pairing.operators import (
 )
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import Curve, FrictionCones, NodalCurves
+from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -68,8 +68,10 @@ class JumpOperator(PetscOwner):
     Attributes:
         system: linear system of the displacements.
         pairs: rows, nodes and gaps of each pair.
+        frames: the frames of bodies that have turned; None: there are none.
         slices: the positions of each pair's normal and tangential multipliers.
-        matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
+        matrix: the `PETSc.Mat` B, with a column for each unknown of the system; with `frames`, B R,
+            since the unknowns are displacements in the frames.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
         length_scale: (size,) length per entry of a scaled jump: 1 / sqrt(area), divided by the
             stretch.
@@ -80,9 +82,14 @@ class JumpOperator(PetscOwner):
         reductions: sums over the ranks.
     """
 
-    def __init__(self, system: LinearSystem, pairs: Sequence[PairOperators]) -> None:
+    def __init__(
+        self,
+        system: LinearSystem,
+        pairs: Sequence[PairOperators],
+        frames: BodyFrames | None = None,
+    ) -> None:
         """Assemble B. Collective."""
-        self.system = system
+        self.system, self.frames = system, frames
         self.comm = self.system.comm
         self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
         self.reductions = RankReductions(system.comm)
@@ -98,6 +105,8 @@ class JumpOperator(PetscOwner):
         self._of_V.diagonalScale(L=self._multipliers)
         part = system.component
         self.matrix = self._of_V if part is None else part.columns(self._of_V)
+        if frames is not None:
+            self.matrix = frames.columns(self._of_V)
         self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.gap = self._gaps()
@@ -253,10 +262,20 @@ class JumpOperator(PetscOwner):
         ]
         same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))
         everywhere = self.comm.allreduce(same, op=MPI.LAND)
-        return self if everywhere else JumpOperator(self.system, pairs)
+        return self if everywhere else JumpOperator(self.system, pairs, self.frames)
+
+    @cached_property
+    def of_frames(self) -> Array:
+        """The jumps (size,) of the rigid motions of the frames; zero without frames. Collective."""
+        if self.frames is None:
+            return np.zeros(len(self.gap))
+        return self.of_displacement(self.frames.rigid)
 
     def of(self, u: PETSc.Vec) -> Array:
-        """Return B u as a new array, for all unknowns u of the system. Collective."""
+        """Return B u as a new array, for all unknowns u of the system. Collective.
+
+        With `frames` these are displacements v in the frames, and the result is B R v.
+        """
         self.matrix.mult(u, self._jump)
         return np.array(self._jump.array)
 

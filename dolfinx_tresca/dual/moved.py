@@ -15,11 +15,13 @@ from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.owner import destroyed_on_error
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
-from dolfinx_tresca.pairing.moved import straightened
+from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
+from dolfinx_tresca.pairing.search.tagged import any_known_surface
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
 def moved_jump(
@@ -27,6 +29,7 @@ def moved_jump(
     pairs: Sequence[ContactPair],
     u: fem.Function,
     anew: Sequence[bool] | Mask | None = None,
+    frames: BodyFrames | None = None,
 ) -> JumpOperator:
     """Return B of displaced surfaces, owned by the caller. Collective.
 
@@ -43,6 +46,7 @@ def moved_jump(
         u: displacement at which the surfaces are paired [length].
         anew: for each pair whether its surfaces are paired at u. Other pairs, and bonded pairs in
             any case, stay as in `before`. None: True for all pairs.
+        frames: the frames of bodies that have turned.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -65,7 +69,7 @@ def moved_jump(
                 stay[k] = before.pairs[k].bonded
                 operators[k] = before.pairs[k] if stay[k] else one
     moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
-    jump = JumpOperator(system, operators)
+    jump = JumpOperator(system, operators, frames)
     with destroyed_on_error(jump):
         closings = jump.closings(moves)
         for k, (one, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
@@ -86,8 +90,8 @@ def _bent_primary(
     """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
     N of the result enters the gap. On a surface that touches itself the primary nodes are those
-    opposite to secondary nodes. If the pair gives the true surfaces (`geometry`), primary edges
-    are straight, too: the height of these surfaces over the facets is kept.
+    opposite to secondary nodes. If the true surface of a side is known, primary edges are
+    straight, too: the height of these surfaces over the facets is kept.
 
     Args:
         V: the space of the displacement.
@@ -96,7 +100,8 @@ def _bent_primary(
         pair: the pair whose primary edges are bent.
         operators: N and T of the pair in the displaced configuration.
     """
-    if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
+    sides = operators.undeformed.sides.values()
+    if any_known_surface(*sides) or isinstance(pair.primary, RigidObstacle):
         return straight
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes
         numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))

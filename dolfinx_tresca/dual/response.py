@@ -40,7 +40,8 @@ class ElasticResponse(ABC):
 
     Attributes:
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
-            at which the slip of this solve is zero.
+            at which the slip of this solve is zero; less the jumps of the frames of bodies that
+            have turned.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
         b_error: norm sqrt(e'A^-1 e) of the error e of b.
     """
@@ -62,7 +63,7 @@ class ElasticResponse(ABC):
         self._operator, self._solver = compliance.operator, compliance.operator.solver
         self._jump = compliance.jump
         self._system = self._jump.system
-        self.offset = self._jump.gap + slip_origin
+        self.offset = self._jump.gap + slip_origin - self._jump.of_frames
         self._load_terms: tuple[float, Array] | None = None
 
     @classmethod

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.bodies import body_bounds, label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.scene.mesh import NamedTags
-from dolfinx_tresca.surface.numbering import body_bounds, label_bodies
 
 #: Number of bodies that a message names, at most, of those that move together with another body.
 #: With twice the number, messages about walls of bricks are twice as long.

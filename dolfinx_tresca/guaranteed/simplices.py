@@ -81,7 +81,7 @@ class Simplices:
     @cached_property
     def areas(self) -> Array:
         """(n, d + 1) areas of the facets, in 2D lengths."""
-        return self.points.shape[2] * self.volumes[:, None] / self.heights
+        return np.asarray(self.points.shape[2] * self.volumes[:, None] / self.heights)
 
     @cached_property
     def normals(self) -> Array:

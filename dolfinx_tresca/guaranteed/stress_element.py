@@ -151,10 +151,9 @@ class CellStresses:
         scaled = scaled[:, ~np.eye(corners, dtype=np.bool_)].reshape(n, -1)
         values = self.element.values
         if divergence is None:
-            result = np.tensordot(scaled, values[..., : scaled.shape[1]], axes=([1], [3]))
-            return np.asarray(result, dtype=np.float64)
+            return np.asarray(np.tensordot(scaled, values[..., : scaled.shape[1]], axes=([1], [3])))
         pulled = np.einsum("nab,njb->nja", self.cells.inverses, divergence).reshape(n, -1)
-        return np.tensordot(np.hstack([scaled, pulled]), values, axes=([1], [3]))
+        return np.asarray(np.tensordot(np.hstack([scaled, pulled]), values, axes=([1], [3])))
 
     def of_linear(self, stresses: Array) -> Array:
         """Return linear stresses in cells, from symmetric matrices (n, d + 1, d, d) at vertices."""

@@ -15,12 +15,12 @@ import basix
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.output.grid import is_constant_in_cells
 from dolfinx_tresca.solution.fields import IntegerFunction, SurfaceFields
 from dolfinx_tresca.solution.resultants import Resultant
-from dolfinx_tresca.surface.numbering import label_bodies
 
 #: Fields that users may add to the volume.
 Field: TypeAlias = "fem.Function | MeshTags"

@@ -1,1 +1,28 @@
-"""Pairing two surfaces: from geometry to the operators N and T."""
+"""Which points of two surfaces meet: their normals, gaps, and the jump operators N and T.
+
+Facets with tags become surfaces; each surface sees the other along its normals; mortar integrals
+over the overlap give the jump of the displacement at the secondary nodes, in the dual basis. A
+rigid obstacle has no facets: its signed distance takes the place of the other surface.
+
+Nouns:
+
+- `PairGroup`: pairs whose sides are parts of the same surfaces, so that a node has one multiplier.
+- `Undeformed`: the group with the facets of both sides, which are displaced for each later pairing.
+- `Facets`, `SurfaceNodes`: a surface on this rank, and its corners, which may carry multipliers; a
+  `Halo` adds the facets of other ranks that these depend on (all three in `search/`).
+- `SmoothSurface`: the surface that facets approximate; the contact normal follows from how both
+  sides turn (`contact_normal.py`, which derives the rule).
+- `MortarIntegrals`: integrals over the overlap of both surfaces, facet by facet.
+- `Coupling`: the jump at the nodes that carry multipliers, with gap and contact normal.
+- `PairOperators`: N, T, gaps and areas of one pair; `ContactOperators` shows them to users, and
+  transfers fields and loads between the sides.
+
+Symbols: the hat functions phi are `hats`, the dual basis psi is `dual`, the projection P from the
+primary side is `PairOperators.primary`, the covered areas w are `weights`. The jump is secondary
+minus primary, the gap is positive if open.
+
+All that is computed here follows from the positions of nodes: the only state is `Undeformed`, which
+`PairOperators` carries from one pairing to the next and which is never changed.
+
+Read first: `pair_surfaces._pair`, `mortar.couple`, `mortar_integrals.MortarIntegrals`.
+"""

@@ -19,9 +19,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca.surface.nodes import SurfaceNodes, free_normals
-from dolfinx_tresca.surface.smooth_surface import FLAT_ANGLE
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
+from dolfinx_tresca.pairing.search.nodes import (
+    NEIGHBOURS,
+    REFERENCE_CORNERS,
+    SurfaceNodes,
+    free_normals,
+)
+from dolfinx_tresca.pairing.search.tagged import normals_at, offsets_at
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
@@ -32,6 +37,33 @@ OPPOSED_ANGLE = 0.5
 
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
+
+#: Cosines between a facet's normal and the normals at its corners (37 and 26 degrees): below the
+#: lower one a corner is on an edge, and the facet counts as flat; above the upper one it is smooth.
+#: Between them it is a mean of both, since with a limit in place of a range the contact of soft
+#: bodies may have no solution: the ironing block's corner, where facets kink more with more force.
+EDGE_COSINE, SMOOTH_COSINE = 0.8, 0.9
+
+#: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
+#: the surface counts as curved over the side. The height falls to zero where the sum is equal to
+#: the difference: at a kink between flat facets. (With half of this, errors of nodal normals would
+#: change the heights on irregular meshes.)
+UNEVEN = 0.5
+
+#: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
+#: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
+#: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
+FLAT_ANGLE = 1e-3
+
+#: Sagitta, relative to the size of a facet, that counts as rounding, in addition to the rounding
+#: of coordinates.
+HEIGHT_ROUNDING = 1e-10
+
+#: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
+#: neighbour's height: the weights of the two slopes, of the mean curvature and of the two
+#: differences of curvatures. With few neighbours the fit stays close to a sphere with the mean
+#: normal.
+TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 
 def contact_normals(
@@ -71,3 +103,260 @@ def nodal_contact_normals(means: Array, nodes: SurfaceNodes) -> Array:
     """
     kept = np.linalg.norm(means, axis=1) <= CANCELLED
     return free_normals(np.where(kept[:, None], nodes.normals, means), nodes.free)
+
+
+class SmoothSurface:
+    """The smooth surface that facets approximate: exact where its geometry is given, else fitted.
+
+    The normals n_c of the fitted surface are known at the corners x_c (`fitted_normals`). Over each
+    point of a straight facet the mean of the heights of the tangent planes, weighted with the hat
+    functions h_c, is twice the height (sagitta) of a parabolic surface. So this height is the sum
+    over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
+    size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
+    is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
+    large as the difference, and the height is zero. At the ends of a curve in 2D, where the nodal
+    normal is a mean over one side, the normal is turned until the sum is zero.
+
+    Facets with curved edges (degree 2) have no height, and normals of their own.
+
+    Attributes:
+        nonzero: whether any facet of this rank has a fitted height above rounding.
+        turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
+            between the normal of the facet and the normals at its corners. On a circle this is the
+            angle that the facet spans.
+    """
+
+    def __init__(self, nodes: SurfaceNodes) -> None:
+        """Fit the surface. Not collective.
+
+        The result is valid for facets around which two rings of neighbours are on this rank.
+        """
+        facets, corner_nodes = nodes.facets, nodes.facet_nodes
+        self._facets = facets
+        self._corners = facets.points[:, : facets.corners]
+        self._first, self._second = np.triu_indices(facets.corners, 1)
+        self._facet_normals, rim = facets.mean_normals, _rim_nodes(nodes)
+        self._normals = fitted_normals(nodes)[corner_nodes]
+        smooth = self._smoothness(corner_nodes, rim)
+        if facets.dim == 1:
+            self._turn_end_normals(rim[corner_nodes], smooth)
+        cosines = np.einsum("nci,ni->nc", self._normals, self._facet_normals)
+        self.turns = turned_angles(cosines)
+        least = cosines.min(axis=1, initial=1.0)
+        curved = np.clip((least - EDGE_COSINE) / (SMOOTH_COSINE - EDGE_COSINE), 0.0, 1.0)
+        self._mean = (1.0 - curved)[:, None] * self._facet_normals
+        self._normals *= curved[:, None, None]
+        start, end = self._slopes()
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        cosines = np.where(curved[:, None] > 0.0, cosines, 1.0)
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        size = np.ptp(self._corners, axis=1).max(axis=1)
+        rounding = (HEIGHT_ROUNDING + facets.rounding) * size
+        above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
+        self.nonzero = not facets.bent and bool(above.any())
+        _, number, patches = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
+        sharp = (patches > 1)[number][corner_nodes].any(axis=1)
+        # in 3D flat slabs of one layer of cells have no facets but at the rim
+        uncertain = (self.turns > FLAT_ANGLE) | (facets.dim == 1)
+        self._ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
+        self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
+        if facets.offsets.shape[1]:
+            self._exact = ~np.isnan(facets.offsets[:, 0, 0])
+            facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
+            x = np.tile(REFERENCE_CORNERS[facets.cell], (len(facet) // facets.corners, 1))
+            normals = normals_at(facets, facet, x)
+            cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
+            self.turns[self._exact] = turned_angles(cosines.reshape(-1, facets.corners))
+            self._ends &= sharp | ~self._exact
+
+    def _slopes(self) -> tuple[Array, Array]:
+        """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
+        along = self._corners[:, self._second] - self._corners[:, self._first]
+        start, end = (
+            np.einsum("nci,nci->nc", self._normals[:, side], along)
+            for side in (self._first, self._second)
+        )
+        return start, end
+
+    def _smoothness(self, corner_nodes: Indices, rim: Mask) -> Array:
+        """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
+
+        Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
+        surround its other corners. If there are none, the facets of a curve count as kinked, and
+        those of a surface (3D) keep their own factor.
+
+        Args:
+            corner_nodes: (n, corners) nodes at the corners of each facet.
+            rim: (nodes,) whether a node is at the rim.
+        """
+        start, end = self._slopes()
+        turned = np.abs(end - start).max(axis=1, initial=0.0)
+        uneven = np.abs(end + start).max(axis=1, initial=0.0)
+        excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
+        result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
+        at_rim = rim[corner_nodes]
+        outer = at_rim.any(axis=1)
+        of_nodes = np.full(len(rim), np.inf)
+        np.minimum.at(of_nodes, corner_nodes[~outer], result[~outer, None])
+        around = np.where(at_rim, np.inf, of_nodes[corner_nodes]).min(axis=1, initial=np.inf)
+        alone = np.zeros_like(result) if self._facets.dim == 1 else result
+        around = np.where(np.isinf(around), alone, around)
+        return np.where(outer, around, result)
+
+    def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
+        """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
+
+        With the end c of a curve and the other corner d of its facet (n_c + n_d).(x_d - x_c)
+        becomes zero, as far as the curve is smooth at d. (In 3D a node at the rim has neighbours
+        enough for its fitted normal.)
+
+        Args:
+            at_rim: (n, 2) whether the corners of each facet are at an end.
+            smooth: (n,) factor of `_smoothness`.
+        """
+        for c, d in ((0, 1), (1, 0)):
+            ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
+            along = self._corners[ends, d] - self._corners[ends, c]
+            along /= np.linalg.norm(along, axis=1)[:, None]
+            both = self._normals[ends, c] + self._normals[ends, d]
+            lean = np.einsum("ni,ni->n", both, along) * smooth[ends]
+            self._normals[ends, c] -= lean[:, None] * along
+        self._normals /= np.linalg.norm(self._normals, axis=2)[:, :, None]
+
+    def points(self, facet: Indices, x: Array) -> Array:
+        """Return points (n, q, 3) of the fitted surface over facets (n,) [length].
+
+        Args:
+            facet: the facets.
+            x: (q, dim) reference coordinates, the same for all facets.
+        """
+        points = np.einsum("qk,nki->nqi", self._facets.basis(x), self._facets.points[facet])
+        hats = np.tile(self._facets.hats(x), (len(facet), 1))
+        offsets = self.fitted_offsets(np.repeat(facet, len(x)), hats)
+        return np.asarray(points + offsets.reshape(points.shape))
+
+    def heights(self, facet: Indices, hats: Array) -> Array:
+        """Return the fitted heights (n,) over facets, along the outward normal [length].
+
+        Args:
+            facet: (n,) the facet of each point.
+            hats: (n, corners) values of the facet's hat functions at each point.
+        """
+        if not self.nonzero:
+            return np.zeros(len(facet))
+        products = hats[:, self._first] * hats[:, self._second]
+        return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
+
+    def fitted_offsets(self, facet: Indices, hats: Array) -> Array:
+        """Return vectors (n, 3) to the fitted surface [length]; see `heights` for the arguments."""
+        return np.asarray(self.heights(facet, hats)[:, None] * self._facet_normals[facet])
+
+    @property
+    def turns_to_ends(self) -> Array:
+        """The `turns` (n,), at least a right angle where the smooth surface ends [rad].
+
+        It ends at sharp edges and at rims, in 3D only if it is curved there, so that normals at the
+        rim are less accurate.
+        """
+        return np.where(self._ends, np.maximum(self.turns, 0.5 * np.pi), self.turns)
+
+    @property
+    def turning(self) -> bool:
+        """Whether normals of this rank's facets turn, or facets have a height."""
+        return self.nonzero or bool((self.turns > FLAT_ANGLE).any())
+
+    @property
+    def corner_normals(self) -> Array:
+        """Outward unit normals (n, corners, 3) of the fitted surface at the corners of facets."""
+        return np.asarray(self._normals + self._mean[:, None])
+
+    def at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
+        """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
+
+        Args:
+            facet: (n,) the facet of each point.
+            x: (n, dim) reference coordinates of each point on its facet.
+        """
+        facets = self._facets
+        hats = facets.hats(x)
+        if facets.bent:
+            normals = facets.area_vectors_at(facet, x)
+        else:
+            normals = np.einsum("nc,nci->ni", hats, self._normals[facet]) + self._mean[facet]
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        offsets = self.fitted_offsets(facet, hats)
+        exact = self._exact[facet]
+        if exact.any():
+            offsets[exact] = offsets_at(facets, facet[exact], x[exact])
+            normals[exact] = normals_at(facets, facet[exact], x[exact])
+        return offsets, normals
+
+
+def turned_angles(cosines: Array) -> Array:
+    """Return the angles (n,) by which normals turn over facets [rad].
+
+    Args:
+        cosines: (n, corners) cosines between the normals at the corners and at the centre.
+    """
+    least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
+    return np.asarray(2.0 * np.arccos(least))
+
+
+def _rim_nodes(nodes: SurfaceNodes) -> Mask:
+    """Return whether each of the nodes (n,) is on a side that belongs to one facet only."""
+    facets, corner_nodes = nodes.facets, nodes.facet_nodes
+    if facets.dim == 1:
+        return np.asarray(np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1)
+    before = corner_nodes[:, list(NEIGHBOURS[facets.cell][0])]
+    sides = np.sort(np.stack([corner_nodes.ravel(), before.ravel()], axis=1), axis=1)
+    sides, count = np.unique(sides, axis=0, return_counts=True)
+    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    result[sides[count == 1]] = True
+    return result
+
+
+def fitted_normals(nodes: SurfaceNodes) -> Array:
+    """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
+
+    The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
+    with facets of different sizes and shapes, as after local refinement, the error of the mean is a
+    fixed part of the angle between facets. Then the relative error of the sagitta (the height of
+    the surface over a facet) does not vanish as the mesh is refined. A least-squares fit of a
+    quadratic height function does not have this error (Cazals and Pouget 2005, Estimating
+    differential quantities using polynomial fitting of osculating jets). With too few neighbours
+    the mean normal is kept. The result is valid at nodes whose adjacent facets are all on this
+    rank.
+
+    Not collective.
+
+    Args:
+        nodes: the corners of the facets of a surface.
+    """
+    count, corners = len(nodes.numbers), nodes.facets.corners
+    node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
+    neighbour = np.tile(nodes.facet_nodes, corners).ravel()
+    node, neighbour = node[node != neighbour], neighbour[node != neighbour]
+    across = np.eye(3)[np.abs(nodes.normals).argmin(axis=1)]
+    if nodes.facets.dim == 1:
+        across = np.broadcast_to([0.0, 0.0, 1.0], across.shape)
+    x_axis = cross(across, nodes.normals)
+    x_axis /= np.linalg.norm(x_axis, axis=1)[:, None]
+    y_axis = cross(nodes.normals, x_axis)
+    offset = nodes.points[neighbour] - nodes.points[node]
+    squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
+    size = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
+    offset = offset / size[node][:, None]
+    x, y, height = (
+        np.einsum("ni,ni->n", offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals)
+    )
+    # equal weights of the last two terms make the fit independent of the choice of axes
+    terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
+    matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))
+    np.add.at(matrix, node, terms[:, :, None] * terms[:, None, :])
+    np.add.at(load, node, terms * height[:, None])
+    matrix += np.diag(np.square([TILT_COST, TILT_COST, *CURVATURE_COSTS]))
+    slopes = np.linalg.solve(matrix, load[:, :, None])[:, :2, 0]
+    normals = nodes.normals - slopes[:, :1] * x_axis - slopes[:, 1:] * y_axis
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])

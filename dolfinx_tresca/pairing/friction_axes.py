@@ -1,15 +1,14 @@
-"""Orthotropic friction: tangents along the axes of the ellipses that bound the tractions."""
+"""Orthotropic friction: tangents along the axes of friction ellipses, and discs for ellipses."""
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, cross
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, cross
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -60,7 +59,11 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
     tangents = pair.tangents.copy()
     tangents[rows] = axes[node[second]]
     semi_axes = _semi_diameters(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
-    if _close(tangents, pair.tangents) and _close(semi_axes, pair.semi_axes):
+    change = max(
+        np.abs(tangents - pair.tangents).max(initial=0.0),
+        np.abs(semi_axes - pair.semi_axes).max(initial=0.0),
+    )
+    if change <= ROUNDING:  # the vectors and semi-axes are of order 1
         return pair
     blocks = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
     kept = np.setdiff1d(np.arange(len(node)), rows)
@@ -74,12 +77,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
         ),
         shape=(len(node), len(node)),
     )
-    return dataclasses.replace(pair, T=rotation @ pair.T, tangents=tangents, semi_axes=semi_axes)
-
-
-def _close(one: Array, other: Array) -> bool:
-    """Return whether two arrays of numbers of order 1 agree up to rounding."""
-    return bool((np.abs(one - other) <= ROUNDING).all())
+    return replace(pair, T=rotation @ pair.T, tangents=tangents, semi_axes=semi_axes)
 
 
 def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Array:
@@ -95,30 +93,19 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
     with errors_on_all_ranks(V.mesh.comm):
         bad = np.flatnonzero(has_tangents & ~circular & ~(length > LEAST_SINE * whole))
         if len(bad):
-            _raise_for_direction(V, pair, direction, bad)
+            worst, node = direction[bad[0]], pair.nodes[bad[0]]
+            fault = "is normal to the surface" if worst.any() else "is zero"
+            fault = fault if np.isfinite(worst).all() else "is not finite"
+            raise InputError(
+                f"the direction of the slip bound {fault}: found {_vector_text(worst)} at "
+                f"{_vector_text(V.tabulate_dof_coordinates()[node])}, with the normal "
+                f"{_vector_text(pair.normals[bad[0]])}, and so at {len(bad)} of the "
+                f"{len(pair.nodes)} contact nodes of rank {V.mesh.comm.rank}. Give a direction "
+                "that varies, or two equal bounds where it has no meaning."
+            )
     length[length == 0.0] = 1.0
     first /= length[:, None]
     return np.stack([first, cross(pair.normals, first)], axis=1)
-
-
-def _raise_for_direction(V: Any, pair: PairOperators, direction: Array, bad: Indices) -> None:
-    """Raise an error that names the first one of the nodes `bad` (m,) with a wrong direction.
-
-    Raises:
-        InputError: always.
-    """
-    found, first = direction[bad[0]], pair.nodes[bad[0]]
-    if not np.isfinite(found).all():
-        fault = "is not finite"
-    else:
-        fault = "is normal to the surface" if found.any() else "is zero"
-    raise InputError(
-        f"the direction of the slip bound {fault}: found {_vector_text(found)} at "
-        f"{_vector_text(V.tabulate_dof_coordinates()[first])}, with the normal "
-        f"{_vector_text(pair.normals[bad[0]])}, and so at {len(bad)} of the {len(pair.nodes)} "
-        f"contact nodes of rank {V.mesh.comm.rank}. Give a direction that varies, or two equal "
-        "bounds where it has no meaning."
-    )
 
 
 def _vector_text(vector: Array) -> str:
@@ -143,3 +130,39 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
     length[shape[:, 0] == shape[:, 1]] = 1.0
     result: Array = 1.0 / length
     return result
+
+
+@dataclass(frozen=True)
+class FrictionDiscs:
+    """Scaled tangential unknowns, in which each node's ellipse is a disc (docs/theory/coulomb.md).
+
+    The projection onto a disc is explicit, but the projection onto an ellipse is not.
+
+    For components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i
+    with stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius
+    sqrt(b_1 b_2). If one semi-axis is zero, the disc of the node is an interval, from minus to plus
+    the other semi-axis.
+
+    Attributes:
+        stretch: (n_tangential,) ratio of traction to unknown [1].
+        radius: (n,) radius of the disc, relative to the longer semi-axis [1].
+        frictionless: (n_tangential,) whether a row has a zero bound, while the other row of its
+            node has a positive bound.
+    """
+
+    stretch: Array
+    radius: Array
+    frictionless: Mask
+
+    @classmethod
+    def of(cls, pair: PairOperators) -> FrictionDiscs:
+        """Return the scaling for the semi-axes of a pair. Not collective."""
+        node, semi_axes, count = pair.tangent_node, pair.semi_axes, len(pair.nodes)
+        positive = semi_axes > 0.0
+        number = np.bincount(node[positive], minlength=count)
+        logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
+        radius = np.exp(logarithms / np.maximum(number, 1))
+        radius[node[number[node] == 0]] = 0.0
+        stretch = np.ones_like(semi_axes)
+        np.divide(semi_axes, radius[node], out=stretch, where=positive)
+        return cls(stretch, radius, ~positive & (number[node] > 0))

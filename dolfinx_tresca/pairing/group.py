@@ -1,4 +1,7 @@
-"""Contact pairs whose sides are parts of the same surfaces, and so are paired together."""
+"""Contact pairs whose sides are parts of the same surfaces, and so are paired together.
+
+`Undeformed` has the facets of both surfaces, which are displaced for each later pairing.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,19 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.compat import same_topology
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.compat import geometry_degree, same_topology
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.vertices import entities_per_cell
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets, joined, tabulate
+from dolfinx_tresca.pairing.search.self_contact import FINER, facet_origins
+from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets, with_offsets
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
-from dolfinx_tresca.surface.matching import RIM_PART
-from dolfinx_tresca.surface.numbering import label_bodies
 
 #: Arguments that pairs of a group must have in common.
 COMMON = ("sliding", "search_distance", "pairing", "geometry")
@@ -209,3 +215,99 @@ def _shared(
     ones, shape = np.ones(len(row)), (int(row.max(initial=-1)) + 1, len(pairs))
     incidence = coo_array((ones, (row.ravel(), unique[:, 1])), shape=shape).tocsr()
     return np.asarray(reduce_array(comm, (incidence.T @ incidence).toarray()) > 0.0)
+
+
+@dataclass(frozen=True)
+class Undeformed:
+    """The facets of a pair's undeformed surfaces that this rank owns.
+
+    Attributes:
+        group: the pairs, which are paired together.
+        sides: tag -> facets of a side, the secondary side first. There is only one side if the
+            primary side is a rigid obstacle, or if the surface touches itself.
+    """
+
+    group: PairGroup
+    sides: dict[int, Facets]
+
+    @classmethod
+    def of(
+        cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
+    ) -> Undeformed:
+        """Extract the surfaces from the mesh. Collective.
+
+        Args:
+            V: vector space of degree 1 or 2.
+            prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of
+                freedom.
+            group: the pairs.
+            axisymmetric: whether integrals are over rings about the axis x = 0.
+
+        Raises:
+            InputError: tags or geometry are wrong.
+            PairingError: facets are inside a body, or have no area.
+            MeshError: Gmsh cannot read the geometry file any more.
+        """
+        pair = group.surfaces
+        by_tag: dict[int, Facets] = {}
+        for name in SIDES:
+            facet_tags, tags = pair.given_tags(name)
+            for tag in tags:
+                if tag not in by_tag:
+                    facets = tagged_facets(V, prescribed, facet_tags, tag, name)
+                    by_tag[tag] = replace(facets, axisymmetric=axisymmetric)
+        by_tag = with_offsets(V, pair, by_tag)
+        sides = {
+            getattr(pair, name): joined([by_tag[tag] for tag in tags])
+            for name in SIDES
+            if (tags := pair.given_tags(name)[1])
+        }
+        if pair.touches_itself:
+            facets = sides[pair.secondary]
+            origins, bodies = facet_origins(V, facets)
+            sides = {pair.secondary: replace(facets, origins=origins)}
+            if bodies > 1:
+                log(
+                    V.mesh.comm,
+                    "pairing: %s, %d bodies: of two, the one with finer facets (by a factor of "
+                    "%.2f) is secondary, else the first one by its least x, y, z",
+                    *(pair, bodies, 1.0 / FINER),
+                )
+        return cls(group, sides)
+
+    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
+        """Return tag -> displaced facets of each side that this rank owns. Collective.
+
+        Args:
+            V: the space of the displacement.
+            u: (nodes, dim of space) displacement of this rank's nodes [length].
+
+        Raises:
+            PairingError: displaced facets have no area.
+        """
+        return {
+            tag: displaced(V, facets, u, self.group.surfaces.side(name), name)
+            for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False)
+        }
+
+
+def straightened(V: Any, u: Array) -> Array:
+    """Return u without the part that would bend edges beyond the degree of the mesh's geometry.
+
+    Not collective.
+
+    If V has a higher degree than the geometry, each node that is not at a vertex is moved by the
+    mean displacement of the vertices of its edge, face or cell; else the result is u.
+
+    Args:
+        V: the space of the displacement.
+        u: (nodes, dim of space) displacement of this rank's nodes [length].
+    """
+    element = V.element.basix_element
+    if element.degree <= geometry_degree(V.mesh):
+        return u
+    cells, corners = V.dofmap.list, entities_per_cell(V, 0)
+    hats = tabulate(element.cell_type.name, 1, 0, element.points)[0]
+    result = u.copy()
+    result[cells] = hats @ u[cells[:, :corners]]
+    return result

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -13,21 +12,22 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.pairing.contact_normal import nodal_contact_normals
-from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
-from dolfinx_tresca.pairing.dual_basis import (
+from dolfinx_tresca.pairing.coupling import (
+    Coupling,
     assemble_rows,
     drop_rounding,
     dual_coefficients,
-    force_moments,
+    nodes_with_multipliers,
+    owned_nodes,
     redistributed,
 )
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, node_sums
+from dolfinx_tresca.pairing.search.tagged import any_known_surface
 from dolfinx_tresca.scene.friction import DryFriction, Friction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
-from dolfinx_tresca.surface.offsets import any_known_surface
 
 #: Least covered part of a node's area with which the node carries a multiplier. (At the limit
 #: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,
@@ -38,11 +38,6 @@ LEAST_AREA_PART = 3e-4
 #: height of their curved surfaces over the facets). The error of the sagitta, 1 to 5 % of the
 #: sagitta, may then be more than a tenth of the penetration.
 CLOSE_FIT = 0.5
-
-#: Part of the least distance around a node of moved surfaces below which a mean distance is wrong
-#: (mortar.couple). With 1, gaps of curved surfaces that are apart change from one pairing to the
-#: next; means of tip lands of gear teeth are negative.
-FAR_BELOW = 0.5
 
 #: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
 #: may penetrate at a few nodes, by errors of the sagitta.
@@ -70,9 +65,8 @@ SIZE_ROUNDING = 1e-6
 def couple(
     V: Any,
     group: PairGroup,
-    facets: Facets,
     nodes: SurfaceNodes,
-    others: Facets,
+    other_nodes: SurfaceNodes,
     integrals: MortarIntegrals,
     shared: Mask,
     moved: bool,
@@ -85,9 +79,8 @@ def couple(
     Args:
         V: the space of the displacement.
         group: the contact pairs.
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
-        others: facets of the primary side.
+        nodes: nodes of the secondary side.
+        other_nodes: nodes of the primary side.
         integrals: the integrals over the overlap.
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
@@ -96,64 +89,43 @@ def couple(
     Raises:
         PairingError: no node can carry a multiplier.
     """
-    pair = group.surfaces
-    without = nodes_without_multiplier(V, facets, nodes, others, integrals, shared, pair.friction)
+    pair, facets, others = group.surfaces, nodes.facets, other_nodes.facets
+    without = nodes_without_multiplier(V, nodes, others, integrals, shared, pair.friction)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
-        found = mortar_rows(facets, nodes, others, integrals, columns, without)
-    unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
+        rows = mortar_rows(nodes, others, integrals, columns, without)
+    unpaired = rows.weights <= LEAST_AREA_PART * nodes.weights
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-    weights = found.weights[position]
-    shares = _shares(group, facets, nodes, others, integrals, without)[position]
+    weights = rows.weights[position]
+    facet, other = integrals.pairs.T
+    corner = nodes.facet_nodes[facet]
+    covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[corner])[:, :, 0]
+    member = group.pair_of_tags[facets.tag_index[facet], others.tag_index[other]]
+    areas = np.zeros((len(nodes.numbers), len(group.pairs)))
+    np.add.at(areas, (corner, member[:, None]), covered)
+    shares = areas[position]
     scale: Array = np.reciprocal(weights)
-    jump, primary = (scaled_rows(one[position], scale) for one in (found.jump, found.primary))
-    place = found.force_moments[position] / weights[:, None]
-    means = found.normals / np.where(found.weights > 0.0, found.weights, 1.0)[:, None]
-    # Functions of the dual basis are negative in part: a mean may be less than all distances around
-    # the node. (Where moved surfaces touch, the gap must change as N says, or the positions of
-    # finite sliding do not converge: only those that are far apart have this bound.)
-    least: Array = np.full(len(nodes.numbers), np.inf)
-    np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
-    gap, least = found.distance[position] / weights, least[position]
-    if moved:
-        least = np.where((least > 0.0) & (gap < FAR_BELOW * least), least, -np.inf)
-    gap = np.maximum(gap, least)
+    jump, primary = (scaled_rows(matrix[position], scale) for matrix in (rows.jump, rows.primary))
+    means = rows.means / np.where(rows.weights > 0.0, rows.weights, 1.0)[:, None]
+    normals = nodal_contact_normals(means[:, 3:6], nodes)[position]
+    means = means[position]
+    gap, secondary_sagitta, sagitta = means[:, :3].T
+    if not moved:
+        # Functions of the dual basis are negative in part: a mean may be less than all distances
+        # around the node. (The gap of moved surfaces must change as N says, or the positions of
+        # finite sliding do not converge.)
+        least: Array = np.full(len(nodes.numbers), np.inf)
+        np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
+        gap = np.maximum(gap, least[position])
     if not moved and not any_known_surface(facets, others):
-        _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
+        _warn_of_close_fit(V.mesh.comm, pair, gap, sagitta)
     # only displacements of degree 2 can bend facets and so make up for the sagitta
-    secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
+    secondary_sagitta = secondary_sagitta * (facets.degree > 1)
+    shares *= (weights / shares.sum(axis=1))[:, None]
+    place = means[:, 6:]
     return Coupling(
-        position,
-        weights,
-        shares * (weights / shares.sum(axis=1))[:, None],
-        nodal_contact_normals(means, nodes)[position],
-        jump,
-        primary,
-        gap,
-        place,
-        secondary_sagitta,
+        position, weights, shares, normals, jump, primary, gap, place, secondary_sagitta
     )
-
-
-def _shares(
-    group: PairGroup,
-    facets: Facets,
-    nodes: SurfaceNodes,
-    others: Facets,
-    integrals: MortarIntegrals,
-    without: Mask,
-) -> Array:
-    """Return the covered areas (n, pairs) of each node that belong to each pair of a group.
-
-    The arguments are those of `couple` and `nodes_without_multiplier`. Not collective.
-    """
-    facet, other = integrals.secondary, integrals.primary
-    pair = group.pair_of_tags[facets.tag_index[facet], others.tag_index[other]]
-    node = nodes.facet_nodes[facet]
-    covered = redistributed(integrals.other.sum(axis=2)[:, :, None], ~without[node])[:, :, 0]
-    result = np.zeros((len(nodes.numbers), len(group.pairs)))
-    np.add.at(result, (node, pair[:, None]), covered)
-    return result
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
@@ -174,33 +146,24 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
         )
 
 
-@dataclass(frozen=True)
-class MortarRows:
+class MortarRows(NamedTuple):
     """Weighted jumps at the nodes of the secondary side.
 
     Attributes:
         weights: (n,) covered area of each node [length^2, in 2D length].
         jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
         primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
-        sagitta: (n,) sum of the heights of both curved surfaces over their facets, times weight.
-        secondary_sagitta: (n,) height of the secondary surface over its facets, times weight.
-        distance: (n,) distance of the surfaces along the contact normal, times weight.
-        normals: (n, 3) contact normals, times weight.
-        force_moments: (n, 3) points of application of the nodal forces, times weight.
+        means: (n, 9) six quantities of `MortarIntegrals.means` and the three coordinates of the
+            point of application of the nodal forces, times weight.
     """
 
     weights: Array
     jump: Any
     primary: Any
-    sagitta: Array
-    secondary_sagitta: Array
-    distance: Array
-    normals: Array
-    force_moments: Array
+    means: Array
 
 
 def mortar_rows(
-    secondary: Facets,
     nodes: SurfaceNodes,
     primary: Facets,
     integrals: MortarIntegrals,
@@ -210,8 +173,7 @@ def mortar_rows(
     """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
 
     Args:
-        secondary: facets of the secondary side.
-        nodes: nodes of the secondary facets.
+        nodes: nodes of the secondary side.
         primary: facets of the primary side.
         integrals: the integrals over the overlap.
         columns: number of nodes of V on all ranks.
@@ -219,40 +181,25 @@ def mortar_rows(
             distributed over the other nodes of its facets (`nodes_without_multiplier`); None if all
             nodes have multipliers.
     """
-    carries = None if without is None else ~without[nodes.facet_nodes]
-    dual = dual_coefficients(integrals.own, integrals.full, carries)
-    weights = integrals.own.weights
+    corners, count = nodes.facet_nodes, len(nodes.numbers)
+    carries = None if without is None else ~without[corners]
+    dual = dual_coefficients(integrals.hats, integrals.full, carries)
+    weights = integrals.hats.sum(axis=2)
     if carries is not None:
         weights = redistributed(weights[:, :, None], carries)[:, :, 0]
-
-    def summed(values: Array) -> Array:
-        sums = np.bincount(nodes.facet_nodes.ravel(), values.ravel(), minlength=len(nodes.numbers))
-        return sums.astype(np.float64)
-
-    weights = summed(weights)
-    own = dual @ integrals.own.values
-    facet, other = integrals.secondary, integrals.primary
+    weights = node_sums(corners, weights, count)
+    own = dual @ integrals.values
+    facet, other = integrals.pairs.T
     block = dual[facet] @ integrals.other
-    across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    jump = assemble_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns) - across
-    heights, secondary_sagitta, distance = (
-        summed(np.einsum("nab,nb->na", dual, of_hats))
-        for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)
-    )
-    normals = np.stack(
-        [summed(np.einsum("nab,nb->na", dual, integrals.normals[:, :, i])) for i in range(3)],
-        axis=1,
-    )
-    acting = force_moments(nodes, nodes.facet_nodes, secondary.points, own)
-    jump, across = (
-        drop_rounding(matrix, secondary, nodes.facet_nodes, weights) for matrix in (jump, across)
-    )
-    return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, normals, acting)
+    across = assemble_rows(nodes, corners[facet], primary.nodes[other], block, columns)
+    jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns) - across
+    means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
+    jump, across = (drop_rounding(matrix, nodes, corners, weights) for matrix in (jump, across))
+    return MortarRows(weights, jump, across, node_sums(corners, means, count))
 
 
 def nodes_without_multiplier(
     V: Any,
-    facets: Facets,
     nodes: SurfaceNodes,
     others: Facets,
     integrals: MortarIntegrals,
@@ -273,8 +220,7 @@ def nodes_without_multiplier(
 
     Args:
         V: the space of the displacement.
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
+        nodes: nodes of the secondary side.
         others: facets of the primary side.
         integrals: the integrals over the overlap.
         shared: (n,) whether a node also belongs to the primary side.
@@ -283,11 +229,10 @@ def nodes_without_multiplier(
     Returns:
         (n,) whether the node has no multiplier; the same on all ranks that have the node.
     """
-    corners, weights = nodes.facet_nodes, integrals.own.weights
+    corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     count = len(nodes.numbers)
-    covered = np.bincount(corners.ravel(), weights.ravel(), minlength=count)
-    whole = np.broadcast_to(weights.mean(axis=1, keepdims=True), weights.shape)
-    whole = np.bincount(corners.ravel(), whole.ravel(), minlength=count)
+    covered = node_sums(corners, weights, count)
+    whole = node_sums(corners, weights.mean(axis=1, keepdims=True), count)
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
@@ -310,7 +255,7 @@ def nodes_without_multiplier(
     near = _corners_of(corners, part & (near & ~without)[corners].any(axis=1), count)
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
     if isinstance(friction, DryFriction):
-        without |= prescribed_before_coarser_facets(facets, nodes, others, integrals)
+        without |= prescribed_before_coarser_facets(nodes, others, integrals)
     without = owners_flags((covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
@@ -320,7 +265,7 @@ def nodes_without_multiplier(
 
 
 def prescribed_before_coarser_facets(
-    facets: Facets, nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
+    nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
 ) -> Mask:
     """Mark the nodes (n,) whose rows of T would be linearly dependent. Not collective.
 
@@ -331,25 +276,22 @@ def prescribed_before_coarser_facets(
     The result is valid for nodes whose adjacent facets are all on this rank.
 
     Args:
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
+        nodes: nodes of the secondary side.
         others: facets of the primary side.
         integrals: the integrals over the overlap.
     """
-    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    facets, result = nodes.facets, np.zeros(len(nodes.numbers), dtype=np.bool_)
     if facets.dim == 1:
         return result
     movable = np.linalg.norm(nodes.normals[:, : nodes.free.shape[1]] * nodes.free, axis=1)
     primary_free = np.ones_like(nodes.free)
-    corner, primary = nodes.facet_nodes[integrals.secondary], integrals.primary
+    facet, primary = integrals.pairs.T
+    corner = nodes.facet_nodes[facet]
     node = corner.ravel()
     free: Mask = np.asarray(others.free.all(axis=1))
     free = free[primary]
     np.logical_and.at(primary_free, node, np.repeat(free, corner.shape[1], axis=0))
-    finer = (
-        _diameters(facets)[integrals.secondary]
-        < (1.0 - SIZE_ROUNDING) * _diameters(others)[primary]
-    )
+    finer = _diameters(facets)[facet] < (1.0 - SIZE_ROUNDING) * _diameters(others)[primary]
     np.logical_or.at(result, node, np.repeat(finer, corner.shape[1]))
     acts_on_primary = (~nodes.free & primary_free).any(axis=1)
     return np.asarray(result & (movable > FREE_PART) & acts_on_primary)

@@ -13,23 +13,27 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca.pairing.contact_normal import contact_normals, nodal_contact_normals
-from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
-from dolfinx_tresca.pairing.dual_basis import (
+from dolfinx_tresca.pairing.contact_normal import (
+    SmoothSurface,
+    contact_normals,
+    nodal_contact_normals,
+    turned_angles,
+)
+from dolfinx_tresca.pairing.coupling import (
+    Coupling,
     assemble_rows,
     drop_rounding,
     dual_coefficients,
-    force_moments,
+    nodes_with_multipliers,
     redistributed,
     whole_facet_integrals,
 )
 from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
+from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes, node_sums
+from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, lagrange_points, quadrature
-from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
-from dolfinx_tresca.surface.smooth_surface import SmoothSurface, turned_angles
-from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 #: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the
 #: first one the mesh resolves the obstacle, and its exact normals at the nodes count; from the
@@ -50,7 +54,6 @@ def couple(
     V: Any,
     group: PairGroup,
     obstacle: RigidObstacle,
-    facets: Facets,
     nodes: SurfaceNodes,
     moved: bool,
 ) -> Coupling:
@@ -70,31 +73,28 @@ def couple(
         InputError: the signed distance does not return distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
-    pair = group.surfaces
+    pair, facets = group.surfaces, nodes.facets
     # the patches of a node share the normal of the obstacle: only one entry per node is kept
     node_entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     facet_nodes = node_entry[nodes.facet_nodes]
     with errors_on_all_ranks(V.mesh.comm):
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
         height = np.zeros_like(distance)
-        surface = SmoothSurface(facets, nodes)
+        surface = SmoothSurface(nodes)
         if facets.degree > 1:
-            height = distance - obstacle.at(surface.nodes_on_surface().reshape(-1, 3))[0]
+            x = lagrange_points(facets.cell, facets.degree)
+            smooth = surface.points(np.arange(len(facets.points)), x)
+            height = distance - obstacle.at(smooth.reshape(-1, 3))[0]
         _, obstacle_normals = obstacle.at(nodes.points[node_entry])
         at_corners = obstacle_normals[nodes.facet_nodes]
         faces, turns = _facing_corners(facets, obstacle, at_corners)
         turns = np.where(faces.any(axis=1), turns, 0.0)
         normals = _corner_contact_normals(surface, facet_nodes, at_corners, turns)
-    integrals = whole_facet_integrals(facets)
-    weighted = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
-    weighted = weighted @ integrals.values
+    hats, values = whole_facet_integrals(facets)
+    weighted = dual_coefficients(hats, np.ones(len(facets.points), dtype=np.bool_)) @ values
     corner_weights = redistributed(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
-    def summed(values: Array) -> Array:
-        sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(node_entry))
-        return sums.astype(np.float64)
-
-    weights = summed(corner_weights)
+    weights = node_sums(facet_nodes, corner_weights, len(node_entry))
     shares = np.zeros((len(weights), len(group.pairs)))
     pair_of_facet = group.pair_of_tags[facets.tag_index, 0]
     np.add.at(shares, (facet_nodes, pair_of_facet[:, None]), corner_weights)
@@ -102,14 +102,15 @@ def couple(
     columns = V.dofmap.index_map.size_global
     rows = redistributed(weighted, faces)
     jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
-    jump = scaled_rows(drop_rounding(jump, facets, facet_nodes, weights), scale)
+    jump = scaled_rows(drop_rounding(jump, nodes, facet_nodes, weights), scale)
 
     def nodal_means(at_nodes: Array) -> Array:
         """Return means (nodes,) of values at facets' nodes, by the dual basis on facing facets."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
-        return scale * summed(values / nodes.corner_weights * corner_weights)
+        values = values / nodes.corner_weights * corner_weights
+        return scale * node_sums(facet_nodes, values, len(weights))
 
-    means = np.stack([summed(corner_weights * normals[:, :, i]) for i in range(3)], axis=1)
+    means = node_sums(facet_nodes, corner_weights[:, :, None] * normals, len(weights))
     means = nodal_contact_normals(scale[:, None] * means, nodes)
     cosine = -np.einsum("ni,ni->n", means, obstacle_normals)
     along = np.maximum(cosine, FACING_COSINE)
@@ -121,7 +122,7 @@ def couple(
         _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, surface, facing, at_nodes)
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
-    place = scale[:, None] * force_moments(nodes, facet_nodes, facets.points, rows)
+    place = scale[:, None] * node_sums(facet_nodes, rows @ facets.points, len(weights))
     return Coupling(
         position,
         weights[position],
@@ -158,9 +159,7 @@ def _warn_of_entered_facets(
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     near = facing[np.abs(at_nodes[facing]).min(axis=1, initial=np.inf) <= size[facing]]
     x = lagrange_points(facets.cell, ENTERED_DEGREE)
-    points = np.einsum("qk,nki->nqi", facets.basis(x), facets.points[near])
-    hats = np.tile(facets.hats(x), (len(near), 1))
-    points += surface.fitted_offsets(np.repeat(near, len(x)), hats).reshape(points.shape)
+    points = surface.points(near, x)
     with errors_on_all_ranks(comm):
         inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
     depth = inside.max(axis=1, initial=0.0)

@@ -9,10 +9,9 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array, kron, vstack
 
 from dolfinx_tresca._base.arrays import (
-    ROUNDING,
     Array,
     GlobalNumbers,
     Indices,
@@ -22,13 +21,10 @@ from dolfinx_tresca._base.arrays import (
 )
 from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
-from dolfinx_tresca.pairing.undeformed import Undeformed
+from dolfinx_tresca.pairing.group import Undeformed
+from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets
+from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.matching import RIM_PART
-from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
-from dolfinx_tresca.surface.search import expanded_ranges
-from dolfinx_tresca.surface.whole import WholeSurface
 
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (
@@ -106,7 +102,7 @@ class PairOperators:
         V: Any,
         coupling: Coupling,
         nodes: SurfaceNodes,
-        whole: WholeSurface,
+        rounding: float,
         undeformed: Undeformed,
         primary: Facets | None = None,
         bodies: Indices | None = None,
@@ -122,7 +118,7 @@ class PairOperators:
             V: the space of the displacement.
             coupling: the jumps at the nodes.
             nodes: the nodes of the secondary side.
-            whole: global properties of the secondary side.
+            rounding: rounding of distances [length].
             undeformed: the undeformed surfaces, with the pairs and their laws: T has no rows for
                 `Frictionless`.
             primary: facets of the primary side; None for an obstacle.
@@ -147,14 +143,11 @@ class PairOperators:
         owner = owner if bodies is None else owner + bodies[coupling.position]
         tangential = _tangential_projections(owner, normals, friction_acts, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
-        frame = (
-            whole.reference_points[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
-        )
-        along, tangent_node = _free_tangents(normals, frame, tangential)
+        along, tangent_node = _free_tangents(normals, tangential)
         rubs = ~smooth[tangent_node]
         along, tangent_node = along[rubs], tangent_node[rubs]
         distance = coupling.gap.copy()
-        distance[np.abs(distance) <= ROUNDING * whole.largest_coordinate] = 0.0
+        distance[np.abs(distance) <= rounding] = 0.0
         first = V.dofmap.index_map.local_range[0]
         together = cls(
             bonded=False,
@@ -269,14 +262,13 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
         rows: (n,) the row of the scalar jump for each direction.
         directions: (n, d) unit vectors.
     """
-    dim = directions.shape[1]
-    counts = np.diff(jump.indptr)[rows]
-    owner, place = expanded_ranges(jump.indptr[rows], counts)
-    columns = jump.indices[place].astype(np.int64)[:, None] * dim + np.arange(dim)
-    values = jump.data[place, None] * directions[owner]
-    ends = np.append(0, np.cumsum(counts, dtype=np.int64) * dim)
-    shape = len(rows), jump.shape[1] * dim
-    result = csr_array((values.ravel(), columns.ravel(), ends), shape)
+    axes = np.eye(directions.shape[1])
+    of_rows = jump[rows]
+    along_axes = (
+        kron(scaled_rows(of_rows, component), axis[None], format="csr")
+        for component, axis in zip(directions.T, axes, strict=True)
+    )
+    result = csr_array(sum(along_axes))
     result.eliminate_zeros()  # no columns for directions normal to an axis
     return result
 
@@ -317,15 +309,14 @@ def _tangential_projections(
     return room
 
 
-def _free_tangents(normals: Array, frame: Array, room: Array) -> tuple[Array, LocalNumbers]:
+def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
     """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
 
     Args:
         normals: (n, d) unit normals.
-        frame: (n, 2, d) vectors from the node to two reference points, see `tangents`.
         room: (n, d, d) projections onto the available directions.
     """
-    along = tangents(normals, frame)
+    along = tangents(normals)
     some = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
     # if not all directions are available, rotate the tangents to eigenvectors of the projection

@@ -341,10 +341,10 @@ class ContactProblem(ContactProcess):
         """
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._solved_for("the error of a goal")
-        dual, u = solved.dual, solved.fields.u
-        energy_error = solved.fields.energy_error_bound * dual.norm_of(u)
+        dual, fields = solved.dual, solved.fields
+        energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
         secondary = self._contact.surfaces.secondary
-        return goal_error(goal, dual, secondary, solved.multipliers, u, energy_error)
+        return goal_error(goal, dual, secondary, solved.multipliers, fields, energy_error)
 
     @collective(comm_of_self)
     def guaranteed_error(self, *, steps: int = STEPS) -> GuaranteedError:

@@ -6,10 +6,14 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
+
+from dolfinx import fem
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, summed_timings
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.errors import PairingError, StiffnessError
@@ -50,8 +54,16 @@ MAX_ITERATIONS_FACTOR = 4
 #: entry has the stiffness of springs in the contact, relative to the stiffness of a single node,
 #: and the factor with which the undeformed bodies' stiffness is added. Blocks of rubber that are
 #: compressed by 40 % buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding
-#: that should slide.
-ADDED = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (10.0, 0.1), (10.0, 1.0))
+#: that should slide. The least factor that suffices leads away from an unstable equilibrium in the
+#: fewest steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404 steps in place of
+#: 57.
+ADDED = (
+    *((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0)),
+    *((10.0, factor) for factor in (0.01, 0.03, 0.1, 0.3, 1.0)),
+)
+
+#: Contact at a node begins and ends again and again if it does so in this number of Newton steps.
+OFTEN = 3
 
 #: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
 #: entries do not change the iterates as long as nodes stay in contact.
@@ -72,7 +84,12 @@ class Newton:
         level: index into `ADDED` of the last tangent.
         stopped: whether the observer stopped the solve.
         stuck: whether no step is possible from the present displacement, with any part of the load.
+        unbalanced: forces out of balance at the last failure (`NewtonRecord.unbalanced`).
+        flips: changes of contact before the last failure (`NewtonRecord.flips`).
     """
+
+    unbalanced: fem.Function | None = None
+    flips: fem.Function | None = None
 
     def __init__(
         self,
@@ -98,6 +115,7 @@ class Newton:
         self.stopped = False
         self.stuck = False
         self._sliding: FiniteSliding | None = None  # of the present part of the load
+        self._flips = np.zeros(problem.owned_nodes)  # of each node in this part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
         # change of u in the last step that was not the first step of a part of the load
         self._last_change: Array | None = None
@@ -128,6 +146,8 @@ class Newton:
                     self._observe(replace(self._iteration, newton=self._progress(ended=True)))
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
+            self.unbalanced = problem.unbalanced_forces()
+            self.flips = problem.function_at_nodes("flips", self._flips)
             problem.surfaces.return_to(state)
             part *= 0.5
             if self.stopped or self.stuck or part < 0.5**self.options.max_halvings:
@@ -141,12 +161,30 @@ class Newton:
         """
         if self.stopped or self._last_change is None:
             return ""
-        place = self.problem.place_of_largest(self._last_change)
+        problem = self.problem
+        place = problem.place_of_largest(self._last_change)
         shown = ", ".join(f"{x:.4g}" for x in place)
         found = f". Last the displacement changed most at ({shown}) of the undeformed bodies"
+        (nodes,) = reduce_array(problem.comm, [int((self._flips >= OFTEN).sum())])
+        if nodes:
+            found += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if self._unstable:
             found += ", and the tangent is indefinite even with fixed contact: they are unstable"
+        if any("proximal" in step.added for step in self.steps):
+            found += self._unstable_elements()
         return found
+
+    def _unstable_elements(self) -> str:
+        """Return a text on elements that are unstable since they keep their volume. Collective."""
+        names = self.problem.hardly_compressible()
+        if not names:
+            return ""
+        return (
+            ". Elements with displacements alone become unstable early in bodies that hardly "
+            f"change their volume: {names}. Take a pressure as a further unknown, in a mixed space "
+            "(see 'Nearly incompressible rubber' in the docs), or one point of integration for the "
+            "energy of the volume"
+        )
 
     def _equilibrium(self) -> str:
         """Take Newton steps to equilibrium for the present part of the load. Collective.
@@ -161,6 +199,7 @@ class Newton:
         number, slow = 0, False
         errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
+        self._flips, pressed = np.zeros(problem.owned_nodes), None
         if problem.surfaces.slides_far:
             self._sliding = FiniteSliding(problem.surfaces)
             self.level = 0  # springs would hold the partners of another configuration
@@ -183,6 +222,9 @@ class Newton:
             if number > 1:  # the first step moves the whole bodies
                 self._last_change = solution.w.x.array - before
             problem.u.x.array[:] = solution.w.x.array
+            pressed_before, pressed = pressed, problem.surfaces.normal_forces_at_nodes() > 0.0
+            if pressed_before is not None:
+                self._flips += (pressed != pressed_before).any(axis=0)
             reason = "forces are NaN or infinite, as cells turn inside out"
             try:
                 residual = problem.residual_norm()
@@ -196,7 +238,11 @@ class Newton:
             self.krylov_iterations += solution.krylov_iterations
             self.timings = summed_timings((self.timings, solution.timings))
             was_slow, slow = slow, self.level >= FIRST_SLOW
-            grows = number > 2 and residual * size >= GROWTH * last and not (slow or was_slow)
+            grows = (
+                number > 2
+                and residual * size >= GROWTH * last
+                and not (slow or was_slow or self.level > 0)
+            )
             stalls = number > 2 and residual * size >= STALLED * last
             reached = residual <= self.options.accuracy or (
                 stalls and problem.comm.bcast(residual * size <= problem.rounding_norm())
@@ -274,22 +320,25 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        After `max_iterations` steps, it may continue only if the error falls fast enough: at its
-        mean rate in the second half of the steps so far, it must reach the requested error by step
-        number `MAX_ITERATIONS_FACTOR` times `max_iterations`. Rates of single steps tell little,
-        since Anderson's acceleration makes errors of the configuration jump up and down.
+        After `max_iterations` steps, it may continue only if bodies snap, which takes up to
+        `MAX_ITERATIONS_FACTOR` times this number, or if the error falls fast enough: at its mean
+        rate in the second half of the steps so far, it must reach the requested error by this
+        larger number of steps. Rates are of the least errors so far, since Anderson's acceleration
+        makes errors of the configuration jump up and down.
 
         Args:
             errors: largest ratio of an error to the requested one, for each step.
         """
         most, number = self.options.max_iterations, len(errors)
-        if number < most:
+        snaps = self._unstable or (self._sliding is not None and self._sliding.snaps)
+        if number < most * (MAX_ITERATIONS_FACTOR if snaps else 1):
             return True
-        first = (number - 1) // 2
-        if first == number - 1 or not 0.0 < errors[-1] < errors[first] < math.inf:
+        middle = (number - 1) // 2
+        least, least_before = min(errors), min(errors[: middle + 1])
+        if middle == number - 1 or not 0.0 < least < least_before < math.inf:
             return False
-        rate = (errors[-1] / errors[first]) ** (1.0 / (number - 1 - first))
-        at_end: float = errors[-1] * rate ** (MAX_ITERATIONS_FACTOR * most - number)
+        rate = (least / least_before) ** (1.0 / (number - 1 - middle))
+        at_end: float = least * rate ** (MAX_ITERATIONS_FACTOR * most - number)
         return at_end <= 1.0
 
     def _step(self) -> ContactSolution:
@@ -322,7 +371,7 @@ class Newton:
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                "buckle or fold here, or cells are almost inside out"
+                f"buckle or fold here, or cells are almost inside out{self._unstable_elements()}"
             )
         raise failure
 

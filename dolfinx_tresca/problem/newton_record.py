@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from dolfinx import fem
+
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
@@ -102,11 +104,26 @@ class NewtonRecord:
         fraction: part of the change of load to which the solution belongs: 1, or less after a
             failure.
         message: the failure, and advice; empty after a success.
+        released: energy that is neither stored nor dissipated by friction between the displacement
+            from which the solve started and the solution [energy]: the work of loads, prescribed
+            values and obstacles, minus the change of the stored energy, minus `dissipation`. Where
+            bodies snap, it becomes motion and heat; in smooth steps it is small, of third order in
+            the size of the step. NaN if it cannot be computed, or after a failure.
+        snaps: whether most of the energy that the bodies exchange in this step is released: they
+            jump to another equilibrium, or the step is too large to follow them.
+        unbalanced: after a failure the forces R(u) + B'lambda [force] that are out of balance in
+            its last Newton step, zero where prescribed; else None.
+        flips: after a failure the number of Newton steps in which contact at each node began or
+            ended, for the last part of the load that was tried; else None.
     """
 
     steps: tuple[NewtonStep, ...]
     fraction: float
     message: str
+    released: float = math.nan
+    snaps: bool = False
+    unbalanced: fem.Function | None = None
+    flips: fem.Function | None = None
 
     @property
     def residual(self) -> float:

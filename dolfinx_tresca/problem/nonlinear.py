@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
+
+import numpy as np
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
@@ -356,6 +360,18 @@ class NonlinearContactProblem(ContactProcess):
         finally:
             self._linearised.end_load()
         self._contact.surfaces.end_solve()
+        released, snaps = np.nan, False
+        if run.found is not None and run.fraction == 1.0:
+            released, snaps = self._linearised.balance.released(run.found.dissipation)
+        if snaps:
+            log(
+                self._contact.comm,
+                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
+                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
+                "to this equilibrium",
+                *(self._solves, released),
+                level=logging.WARNING,
+            )
         self._linearised.note_forces()
         if run.found is None:
             raise StiffnessError(
@@ -378,12 +394,15 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
+        failed = (run.unbalanced, run.flips) if run.fraction < 1.0 else (None, None)
         values = vars(found) | {
             "status": status,
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),
             "krylov_iterations": run.krylov_iterations,
             "timings": run.timings,
-            "newton": NewtonRecord(tuple(run.steps), run.fraction, message),
+            "newton": NewtonRecord(
+                tuple(run.steps), run.fraction, message, released, snaps, *failed
+            ),
         }
         return self._contact.checked(NonlinearContactSolution(**values), linear=False)

@@ -40,4 +40,7 @@ class NonlinearContactSolution(ContactSolution):
         newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
         newton += f", load in {parts} parts" * (parts > 1)
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
-        return [rows[0], ("Newton", newton), *rows[1:]]
+        result = [rows[0], ("Newton", newton), *rows[1:]]
+        if self.newton.snaps:
+            result.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
+        return result

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy.typing as npt
+
 import ufl
 from dolfinx import fem
 
@@ -39,6 +41,8 @@ from dolfinx_tresca.solution.gradient import (
     check_control,
     checked_form_or_goal,
 )
+from dolfinx_tresca.solution.reaction import reaction_at
+from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.solution.solved_step import SolvedStep
 from dolfinx_tresca.solution.tangent import ContactTangent, checked_directions, tangent_of
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
@@ -484,6 +488,38 @@ class ContactProcess(PetscOwner, Tabulated):
         step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, bounds, at_edge)
         step.log_edge()
         return step, self._forms_at(step.u)
+
+    @collective(comm_of_self, ignored=("where",))
+    def reaction(self, where: Any, point: npt.ArrayLike | None = None) -> Resultant:
+        """Return the force and moment that a support exerts on the bodies in the last solution.
+
+        Collective. At prescribed degrees of freedom, the force balances internal forces, loads and
+        contact. Springs are terms of `a` (or F) over facets with the tag in which u occurs, such as
+        `k * inner(u, v) * ds(7)`.
+
+        Args:
+            where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`.
+            point: (d,) reference point of the moment [length]; None: the middle of the box of all
+                points at which these forces act.
+
+        Raises:
+            ContactError: there is no solution, or loads have changed since.
+            InputError: the tag or the condition is unknown, nothing holds the bodies there, or the
+                forms are on a mixed space.
+
+        Example:
+            The weight on a support with the tag 7:
+
+            >>> problem.reaction(7).force[2]  # doctest: +SKIP
+        """
+        self._contact.check_not_destroyed()
+        solved = self._contact.solved
+        if solved is None:
+            raise ContactError("there is no solution for reaction(): call solve() first.")
+        u = getattr(self, "u", solved.fields.u)
+        tags = self.pairs[0].given_tags("secondary")[0]
+        force = solved.fields.contact_force
+        return reaction_at(self._forms_at(u), u, force, self.prescribed, tags, where, point)
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.

@@ -15,12 +15,15 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
-from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
+from dolfinx_tresca.problem.compressibility import HARDLY_COMPRESSIBLE, poisson_ratios
+from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.mixed_norm import MixedNorm
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 
@@ -47,7 +50,10 @@ class TangentProblem:
         tangent: the linear system of a step.
         contact: the contact problem whose K is the tangent.
         surfaces: the contact surfaces of this problem.
+        balance: the balance of energy of the present solve.
     """
+
+    balance: EnergyBalance
 
     def __init__(
         self, tangent: TangentSystem, on_accept: Callable[[], None] | None, **arguments: Any
@@ -73,7 +79,8 @@ class TangentProblem:
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
-        with self._at(self._reference):
+        self._last_contact_forces: Array = np.zeros(len(tangent.prescribed))
+        with self.at(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
@@ -86,7 +93,7 @@ class TangentProblem:
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
     @contextmanager
-    def _at(self, values: Array) -> Iterator[None]:
+    def at(self, values: Array) -> Iterator[None]:
         """Set u to other values inside the block, and restore it at the end. Not collective."""
         present = self.u.x.array.copy()
         self.u.x.array[:] = values
@@ -114,7 +121,7 @@ class TangentProblem:
         if not self._has_history:
             return
         try:
-            with self._at(u.x.array):
+            with self.at(u.x.array):
                 self.tangent.forget_material()
                 forces = self.tangent.internal_forces()
                 if self._solved_forces is not None:
@@ -133,7 +140,7 @@ class TangentProblem:
         """
         solution = self.surfaces.state.solution
         if self._has_history and solution is not None:
-            with self._at(solution.fields.w.x.array):
+            with self.at(solution.fields.w.x.array):
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
@@ -213,7 +220,7 @@ class TangentProblem:
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.surfaces.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self._at(self._reference):
+            with self.at(self._reference):
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -253,7 +260,7 @@ class TangentProblem:
         Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
         other than displacements are zero, too: stiffness added to them would change constraints.
         """
-        with self._at(self._reference):
+        with self.at(self._reference):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free, moves = stiffness.createVecs()
@@ -280,6 +287,7 @@ class TangentProblem:
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
         before = self.surfaces.state.motions
+        self.balance = EnergyBalance(self)
         self.surfaces.begin_solve()
         accepted = self.surfaces.state.accepted
         u = accepted.displacement
@@ -293,6 +301,7 @@ class TangentProblem:
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.surfaces.align_tangents(self.surfaces.slip_bounds())
+        self.balance.note_start()
 
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
@@ -335,8 +344,15 @@ class TangentProblem:
         return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
     def force_norm(self) -> float:
-        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective."""
-        return self._norm_of_correction(self.surfaces.contact_forces())
+        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective.
+
+        If nothing is pressed any more, these are the contact forces of an earlier step: springs may
+        have taken over a force that is not zero.
+        """
+        forces = self.surfaces.contact_forces()
+        if self.comm.allreduce(bool(forces.any()), op=MPI.LOR):
+            self._last_contact_forces = forces
+        return self._norm_of_correction(self._last_contact_forces)
 
     def _norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
@@ -383,7 +399,7 @@ class TangentProblem:
         The position is relative to the middle of all nodes: terms of F may resist a translation. In
         a body of revolution a radial translation is a strain, and the radius is not changed.
         """
-        V, component = self.tangent.V, self.tangent.component
+        V = self.tangent.V
         dim, nodes = V.mesh.geometry.dim, V.dofmap.index_map
         position = fem.Function(V)
         position.interpolate(lambda x: x[:dim])
@@ -391,11 +407,53 @@ class TangentProblem:
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric
         x -= middle
-        if component is None:
-            return np.array(position.x.array)
-        w = fem.Function(self.tangent.space)
-        component.compose(w, position, component.other_parts(w))
-        return np.array(w.x.array)
+        return self.tangent.whole(position)
+
+    @property
+    def owned_nodes(self) -> int:
+        """The number of this rank's nodes of the displacement."""
+        return int(self.tangent.V.dofmap.index_map.size_local)
+
+    def hardly_compressible(self) -> str:
+        """Return a text that names bodies of displacements alone that hardly change their volume.
+
+        The text is empty if there is none, or if the form has other unknowns. Collective.
+        """
+        if self.tangent.component is not None:
+            return ""
+        self._tangent_is_plain = False
+        with self.at(self._reference):
+            self.tangent.assemble_stiffness()
+        ratios = poisson_ratios(self.tangent, self.contact.bodies)
+        names = [
+            f"{name} (Poisson's ratio about {ratio:.2f})"
+            for name, ratio in zip(self.contact.bodies.names, ratios, strict=True)
+            if self.comm.bcast(ratio >= HARDLY_COMPRESSIBLE)
+        ]
+        return ", ".join(names)
+
+    def unbalanced_forces(self) -> fem.Function:
+        """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
+        forces = fem.Function(self.tangent.space)
+        try:
+            residual = self.tangent.residual(self.surfaces.contact_forces())
+        except StiffnessError:  # the user's function has no stresses here
+            residual = np.full(len(self.tangent.prescribed), np.nan)
+        forces.x.array[: len(residual)] = residual
+        forces.x.scatter_forward()
+        return self.tangent.displacement(forces, "unbalanced")
+
+    def function_at_nodes(self, name: str, values: Array) -> fem.Function:
+        """Return a function with values (owned nodes,) at the nodes of the displacement.
+
+        Collective.
+        """
+        space, dofs = collapse(self.tangent.V.sub(0))
+        function = fem.Function(space, name=name)
+        owned = space.dofmap.index_map.size_local
+        function.x.array[:owned] = values[dofs[:owned] // self.tangent.V.dofmap.bs]
+        function.x.scatter_forward()
+        return function
 
     def place_of_largest(self, values: Array) -> Array:
         """Return the point (dim,) [length] where a change of displacement is largest. Collective.

@@ -195,10 +195,25 @@ class TangentSystem(LinearSystem):
 
     def internal_forces(self) -> Array:
         """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
+        return np.where(self.prescribed, 0.0, self.all_forces())
+
+    def all_forces(self) -> Array:
+        """Return R(u_k) [force] at all owned degrees of freedom. Collective."""
         self.update_material()
         forces = fem.Function(self.space)
         self._assemble_L(forces.x)
-        return np.where(self.prescribed, 0.0, forces.x.array[: len(self.prescribed)])
+        return np.array(forces.x.array[: len(self.prescribed)])
+
+    def whole(self, v: fem.Function) -> Array:
+        """Return the values of u, with ghosts, of a displacement v, other unknowns being zero.
+
+        Not collective.
+        """
+        if self.component is None:
+            return np.array(v.x.array)
+        w = fem.Function(self.space)
+        self.component.compose(w, v, self.component.other_parts(w))
+        return np.array(w.x.array)
 
     def prescribed_values(self) -> Array:
         """Return the prescribed values of the present `fraction`. Collective."""
@@ -231,7 +246,7 @@ class TangentSystem(LinearSystem):
         free = ~self.prescribed
         values = self.prescribed_values()
         u = np.array(self.u.x.array[: len(free)])
-        moved = self._forces_of(u[self.prescribed] - values)
+        moved = self.forces_of(u[self.prescribed] - values)
         inside, load = self.K.createVecs()
         inside.array = np.where(free, u, 0.0)
         self.K.mult(inside, load)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,8 +13,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial import cKDTree
 
+import dolfinx
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
@@ -33,6 +37,10 @@ EDGE_REACH = 3.0
 #: refinement the old nodes are on the surface, at least about a fourth of all nodes.
 LEAST_ON_SURFACE = 0.1
 
+#: Distance of nodes from the surface from which the mesh was made, relative to the size of a facet,
+#: up to which they are on it. CAD files are accurate to about 1e-7 of their unit of length.
+ON_SURFACE = 1e-5
+
 #: Rounding of projections, relative to the size of the surface.
 PROJECTION_ROUNDING = 1e-8
 
@@ -46,27 +54,34 @@ SEARCH_SAMPLES, SEARCH_STEPS = 32, 20
 
 @dataclass(frozen=True)
 class GmshGeometry:
-    """A `.geo` file and the list of its groups of curved surfaces (in 2D curves).
+    """A `.geo` or CAD file and the list of its groups of curved surfaces (in 2D curves).
 
     Attributes:
-        path: path of the file.
+        path: path of the file, or the name of the model.
         parameters: values of the names that the file declares with `DefineConstant`.
         curved: tag of a physical group of facets that has a curved part -> Gmsh's numbers of all
             surfaces in the group.
+        unit: unit of length of the mesh, for STEP and IGES files.
+        content: shapes of a model without file, as text of a `.brep` file.
     """
 
     path: Path
     parameters: Mapping[str, float]
     curved: Mapping[int, tuple[int, ...]]
+    unit: str = "mm"
+    content: bytes | None = field(default=None, repr=False)
 
     @classmethod
-    def of(cls, gmsh: Any, path: Path, parameters: Mapping[str, float]) -> GmshGeometry:
+    def of(
+        cls, gmsh: Any, path: Path, parameters: Mapping[str, float], unit: str = "mm"
+    ) -> GmshGeometry:
         """Find the groups of curved surfaces in the file that is open in Gmsh.
 
         Args:
             gmsh: the module.
             path: path of the open file.
             parameters: values of the names that the file declares with `DefineConstant`.
+            unit: unit of length of the mesh, for STEP and IGES files.
         """
         model = gmsh.model
         dim = model.getDimension() - 1
@@ -79,29 +94,115 @@ class GmshGeometry:
             for tag, entities in groups.items()
             if not all(_is_flat(model, dim, entity) for entity in entities)
         }
-        return cls(path.resolve(), dict(parameters), curved)
+        return cls(path.resolve(), dict(parameters), curved, unit)
 
-    @contextmanager
-    def projections(self, *, to_edges: bool = True) -> Iterator[dict[int, Projection]]:
-        """Open the file in Gmsh and yield tag -> projection onto the surfaces with this tag.
+    def matched(self, mesh: Any, facet_tags: Any) -> tuple[GmshGeometry, dict[int, float]]:
+        """Find the surfaces on which tagged facets of a mesh lie, for models without groups.
 
-        Not collective: each rank runs Gmsh on its own.
+        Collective.
 
         Args:
-            to_edges: whether nodes that belong to an edge of the surface are projected onto the
-                edge, so that a flat surface on the other side of the edge stays flat.
+            mesh: the mesh.
+            facet_tags: tags of its facets.
+
+        Returns:
+            the geometry of the tags that lie on surfaces, one of them curved; and for each tag with
+            facets that lie on no surface the distance of the worst one [length].
+
+        Raises:
+            InputError: the unit is unknown, or the file has a wrong suffix.
+            MeshError: the file does not exist, or Gmsh cannot read it.
+        """
+        comm, dim = mesh.comm, facet_tags.dim
+        mesh.topology.create_connectivity(dim, dim + 1)
+        on: dict[int, set[int]] = {}
+        off: dict[int, float] = {}
+        flat: dict[int, bool] = {}
+        with errors_on_all_ranks(comm), self._model() as model:
+            entities = [entity for _, entity in model.getEntities(dim)]
+            boxes = {one: np.reshape(model.getBoundingBox(dim, one), (2, 3)) for one in entities}
+            for tag in map(int, np.unique(facet_tags.values)):
+                nodes = dolfinx.mesh.entities_to_geometry(mesh, dim, facet_tags.find(tag))
+                points = mesh.geometry.x[nodes]
+                size = np.ptp(points, axis=1).max(axis=1)
+                nearest = np.full(len(points), np.inf)
+                for entity, box in boxes.items():
+                    inside = (points >= box[0] - size.max()) & (points <= box[1] + size.max())
+                    some = np.flatnonzero(inside.all(axis=(1, 2)))
+                    if not len(some):
+                        continue
+                    there = points[some].reshape(-1, 3)
+                    away = np.linalg.norm(_nearest(model, (dim, entity), there.T).T - there, axis=1)
+                    away = away.reshape(len(some), -1).max(axis=1)
+                    nearest[some] = np.minimum(nearest[some], away)
+                    if (away <= ON_SURFACE * size[some]).any():
+                        on.setdefault(tag, set()).add(entity)
+                        flat[entity] = _is_flat(model, dim, entity)
+                if (nearest > ON_SURFACE * size).any():
+                    worst = points[nearest.argmax(), :1].T
+                    to_all = [_nearest(model, (dim, one), worst) - worst for one in entities]
+                    off[tag] = float(np.linalg.norm(to_all, axis=1).min(initial=np.inf))
+        of_ranks = comm.allgather((on, off, flat))
+        for others, far, kinds in of_ranks:
+            flat |= kinds
+            for tag, some in others.items():
+                on[tag] = on.get(tag, set()) | some
+            for tag, distance in far.items():
+                off[tag] = max(off.get(tag, 0.0), distance)
+        curved = {
+            tag: tuple(sorted(some))
+            for tag, some in sorted(on.items())
+            if tag not in off and not all(flat[entity] for entity in some)
+        }
+        return replace(self, curved=curved), dict(sorted(off.items()))
+
+    @contextmanager
+    def projections(self) -> Iterator[dict[int, Projection]]:
+        """Open the file in Gmsh and yield tag -> projection of nodes onto the surfaces of this tag.
+
+        Nodes that belong to an edge of the surfaces are projected onto the edge, so that a flat
+        surface on the other side of the edge stays flat. Not collective: each rank runs Gmsh on its
+        own.
+
+        Raises:
+            InputError: the file does not use the value of a parameter any more; in the projections:
+                too few nodes are on the surface before they are moved.
+            MeshError: the file does not exist any more, or Gmsh cannot read it.
+        """
+        with self._model() as model:
+            dim = model.getDimension() - 1
+            yield {
+                tag: partial(_project_to_surfaces, model, dim, entities)
+                for tag, entities in self.curved.items()
+            }
+
+    @contextmanager
+    def pieces(self) -> Iterator[dict[int, list[Projection]]]:
+        """Open the file in Gmsh and yield tag -> projections onto each surface with this tag.
+
+        Not collective.
 
         Raises:
             InputError: the file does not use the value of a parameter any more.
             MeshError: the file does not exist any more, or Gmsh cannot read it.
         """
-        with gmsh_session() as gmsh:
-            open_file(gmsh, self.path, self.parameters, reopened=True)
-            dim = gmsh.model.getDimension() - 1
+        with self._model() as model:
+            dim = model.getDimension() - 1
             yield {
-                tag: partial(_project_to_surfaces, gmsh.model, dim, entities, to_edges)
+                tag: [partial(_nearest, model, (dim, entity)) for entity in entities]
                 for tag, entities in self.curved.items()
             }
+
+    @contextmanager
+    def _model(self) -> Iterator[Any]:
+        """Yield the file's model of Gmsh."""
+        with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
+            path = self.path
+            if self.content is not None:
+                path = Path(folder) / "model.brep"
+                path.write_bytes(self.content)
+            open_file(gmsh, path, self.parameters, unit=self.unit, reopened=True)
+            yield gmsh.model
 
 
 #: A geometry of Gmsh, or tag of facets -> projection onto the surface that the facets approximate.
@@ -127,13 +228,13 @@ def check_geometry(geometry: Geometry | None) -> None:
 
 
 @contextmanager
-def open_projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
-    """Yield tag -> projection onto the surface, without projection onto edges. Not collective."""
+def open_pieces(geometry: Geometry) -> Iterator[Mapping[int, Sequence[Projection]]]:
+    """Yield tag -> projections onto the pieces of its surface, see `GmshGeometry.pieces`."""
     if isinstance(geometry, GmshGeometry):
-        with geometry.projections(to_edges=False) as found:
-            yield found
+        with geometry.pieces() as pieces:
+            yield pieces
     else:
-        yield geometry
+        yield {tag: [projection] for tag, projection in geometry.items()}
 
 
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
@@ -185,17 +286,15 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
     return np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
 
 
-def _project_to_surfaces(
-    model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array
-) -> Array:
-    """Project points (3, n) onto surfaces; if `to_edges`, points at an edge onto the edge.
+def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
+    """Project points (3, n) onto surfaces, points at an edge onto the edge.
 
     Raises:
         InputError: too few points are on the surface before they are moved.
     """
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_points(model, surfaces, points)
-    if dim > 1 and to_edges:
+    if dim > 1:
         edges = model.getBoundary(surfaces, oriented=False)
         on_edge, away = _nearest_points(model, edges, points)
         place = np.where(away <= EDGE_REACH * distance, on_edge, place)
@@ -214,15 +313,19 @@ def _nearest_points(
 ) -> tuple[Array, Array]:
     """Return, for points (3, n), the nearest points (3, n) of entities and their distances (n,)."""
     place, distance = points.copy(), np.full(points.shape[1], np.inf)
-    for dim, entity in entities:
-        if model.getType(dim, entity) == BUILT_IN_SURFACE and not _is_flat(model, dim, entity):
-            there = _nearest_by_gauss_newton(model, entity, points)
-        else:
-            there = np.reshape(model.getClosestPoint(dim, entity, points.T.ravel())[0], (-1, 3)).T
+    for entity in entities:
+        there = _nearest(model, entity, points)
         away = np.linalg.norm(there - points, axis=0)
         nearer = away < distance
         place[:, nearer], distance[nearer] = there[:, nearer], away[nearer]
     return place, distance
+
+
+def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
+    """Return the nearest points (3, n) of a surface or a curve to points (3, n)."""
+    if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
+        return _nearest_by_gauss_newton(model, entity[1], points)
+    return np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
 
 
 def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:

@@ -13,10 +13,17 @@ from typing import Any
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
+#: Endings of the names of CAD files, and of all files that Gmsh reads here.
+CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs")
+SUFFIXES = (".geo", ".msh", *CAD_SUFFIXES)
+
+#: Units of length of coordinates from STEP and IGES files -> the kernel's name.
+UNITS = {"mm": "MM", "cm": "CM", "m": "M", "um": "UM", "km": "KM", "in": "INCH", "ft": "FT"}
+
 
 @contextmanager
 def gmsh_session() -> Iterator[Any]:
-    """Yield the initialised gmsh module; a session that the user has opened stays open.
+    """Yield the initialised gmsh module; a session that the user has opened keeps its models.
 
     Raises:
         MeshError: the Python package gmsh cannot be imported.
@@ -38,6 +45,7 @@ def gmsh_session() -> Iterator[Any]:
     ours = not gmsh.isInitialized()
     if ours:
         gmsh.initialize(interruptible=False)
+    current, models = gmsh.model.getCurrent(), len(gmsh.model.list())
     verbosity = gmsh.option.getNumber("General.Terminal")
     gmsh.option.setNumber("General.Terminal", 0)
     try:
@@ -46,33 +54,58 @@ def gmsh_session() -> Iterator[Any]:
         gmsh.option.setNumber("General.Terminal", verbosity)
         if ours:
             gmsh.finalize()
+        else:
+            while len(gmsh.model.list()) > models:  # the newest model is current
+                gmsh.model.remove()
+            gmsh.model.setCurrent(current)
+
+
+def shapes_of(gmsh: Any) -> bytes | None:
+    """Return the current model's shapes of OpenCASCADE, if any, as text of a `.brep` file."""
+    if not gmsh.model.occ.getEntities():
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "shapes.brep"
+        gmsh.write(str(path))
+        return path.read_bytes()
 
 
 def open_file(
-    gmsh: Any, path: Path, parameters: Mapping[str, float], *, reopened: bool = False
+    gmsh: Any,
+    path: Path,
+    parameters: Mapping[str, float],
+    *,
+    unit: str = "mm",
+    reopened: bool = False,
 ) -> None:
     """Open a file in Gmsh.
 
     Args:
         gmsh: the module, in a session.
-        path: path of the `.geo` or `.msh` file.
+        path: path of the file, with one of `SUFFIXES`.
         parameters: values of names that a `.geo` file declares with `DefineConstant`.
+        unit: unit of length of the coordinates, for STEP and IGES files.
         reopened: whether the file was opened with these parameters before; their names are not
             checked again.
 
     Raises:
-        InputError: the suffix is neither `.geo` nor `.msh`; a parameter is unknown, is not a finite
-            number, or is overwritten by the file; or a `.msh` file has parameters.
+        InputError: the suffix is none of `SUFFIXES`, or the unit none of `UNITS`; a parameter is
+            unknown, is not a finite number, or is overwritten by the file; or a file that is not
+            `.geo` has parameters.
         MeshError: the file does not exist, or Gmsh cannot read it.
     """
-    if path.suffix not in (".geo", ".msh"):
-        raise InputError(f"read_gmsh reads .geo and .msh files, found '{path}'.")
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"read_gmsh reads {', '.join(SUFFIXES)} files, found '{path}'.")
+    if unit not in UNITS:
+        raise InputError(f"unit must be one of {', '.join(UNITS)}, found {shown(unit)}.")
     if not path.is_file():
         raise MeshError(f"there is no file '{path}' (looked for from '{Path.cwd()}').")
-    if path.suffix == ".msh" and parameters:
+    if suffix != ".geo" and parameters:
+        what = "a finished mesh" if suffix == ".msh" else "a CAD file"
         raise InputError(
-            f"'{path}' is a finished mesh and takes no parameters, found "
-            f"{', '.join(parameters)}. Read the .geo file that it was made from instead."
+            f"'{path}' is {what} and takes no parameters, found {', '.join(parameters)}. Read the "
+            ".geo file that it was made from instead."
         )
     for name, value in parameters.items():
         number = real(value)
@@ -81,6 +114,10 @@ def open_file(
                 f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
             )
     try:
+        if suffix in CAD_SUFFIXES:
+            gmsh.option.setString("Geometry.OCCTargetUnit", UNITS[unit])
+            for option in ("OCCSewFaces", "OCCMakeSolids"):  # IGES files have faces without order
+                gmsh.option.setNumber(f"Geometry.{option}", suffix in (".iges", ".igs"))
         if not (reopened and parameters):
             _parse(gmsh, path)
             _check_names(gmsh, path, parameters)
@@ -105,6 +142,7 @@ def _parse(gmsh: Any, path: Path) -> None:
     gmsh.option.setNumber("General.AbortOnError", 0)
     gmsh.logger.start()
     try:
+        gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
         gmsh.open(str(path))
         errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
     finally:

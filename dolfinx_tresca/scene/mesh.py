@@ -1,7 +1,8 @@
-"""Reading of Gmsh files: mesh, tags, and the names of the tags."""
+"""Reading of meshes and CAD files with Gmsh: mesh, tags, and the names of the tags."""
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,14 +16,16 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+import dolfinx
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
+from dolfinx_tresca.scene.cad import CELLS_PER_TURN, name_groups, set_sizes
 from dolfinx_tresca.scene.geometry import GmshGeometry
-from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
+from dolfinx_tresca.scene.gmsh_files import CAD_SUFFIXES, gmsh_session, open_file, shapes_of
 
 #: Number of tags of a list that the name of merged tags has in full. A name of twice as many tags
 #: is wider than a table.
@@ -38,14 +41,19 @@ class NamedTags(MeshTags):  # type: ignore[misc]
         names: tag -> name in the mesh file, for all tags that have a name.
         cell_tags: for tags of facets, the tags of the cells, with the names of the bodies; else
             None.
+        geometry: for tags of facets, the geometry from which Gmsh made the mesh, if it is known.
     """
 
     def __init__(
-        self, tags: MeshTags, names: Mapping[int, str], cell_tags: NamedTags | None = None
+        self,
+        tags: MeshTags,
+        names: Mapping[int, str],
+        cell_tags: NamedTags | None = None,
+        geometry: GmshGeometry | None = None,
     ) -> None:
         super().__init__(tags._cpp_object)
         self.names = dict(names)
-        self.cell_tags = cell_tags
+        self.cell_tags, self.geometry = cell_tags, geometry
 
 
 class MergedTags(NamedTags):
@@ -62,11 +70,13 @@ class MergedTags(NamedTags):
         tags = given
         for first, merged in self.merged.items():
             words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
-            more = [f"{len(merged) - MOST_NAMES} more"] * (len(merged) > MOST_NAMES)
+            if len(merged) > MOST_NAMES:
+                words.append(f"{len(merged) - MOST_NAMES} more")
             if len(merged) > 1:
-                names[first] = ", ".join([*words, *more])
+                names[first] = ", ".join(words)
             tags = compat.with_one_tag(tags, np.isin(given.values, merged), first)
-        super().__init__(tags, names, getattr(given, "cell_tags", None))
+        of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
+        super().__init__(tags, names, *of_given)
 
 
 @dataclass(frozen=True)
@@ -89,6 +99,26 @@ class TaggedMesh:
     tags: dict[str, int]
     geometry: GmshGeometry | None = None
 
+    @property
+    def outside(self) -> list[int]:
+        """The tags of all outer facets, as a list for either side of a `ContactPair`. Collective.
+
+        Raises:
+            MeshError: outer facets have no tag.
+        """
+        topology, tags = self.mesh.topology, self.facet_tags
+        topology.create_connectivity(tags.dim, tags.dim + 1)
+        outer = dolfinx.mesh.exterior_facet_indices(topology)
+        with_tag = np.isin(tags.indices, outer)
+        untagged = self.mesh.comm.allreduce(int((~np.isin(outer, tags.indices)).sum()))
+        if untagged:
+            raise MeshError(
+                f"{untagged} facets on the outside have no tag: put all surfaces of the bodies "
+                "into physical groups."
+            )
+        of_ranks = self.mesh.comm.allgather(np.unique(tags.values[with_tag]).tolist())
+        return sorted(set().union(*of_ranks))
+
     def __repr__(self) -> str:
         topology = self.mesh.topology
         cells = f"{topology.index_map(topology.dim).size_global} cells ({topology.cell_name()})"
@@ -103,25 +133,45 @@ def _comm_argument(given: Mapping[str, Any]) -> MPI.Comm | None:
 
 
 @collective(_comm_argument, ignored=("path",))
-def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
-    """Read a Gmsh file: mesh a `.geo` file with the given parameters, or load a `.msh` file.
+def read_gmsh(
+    path: Any,
+    comm: MPI.Comm,
+    *,
+    size: Any = None,
+    unit: Any = "mm",
+    geometry: Any = None,
+    **parameters: float,
+) -> TaggedMesh:
+    """Mesh a CAD file or a `.geo` file, or load a mesh, with the names of bodies and faces.
 
     Collective. The first rank runs Gmsh, then the mesh is distributed.
 
     Args:
-        path: `.geo` or `.msh` file. All cells, and all facets with tags, are in physical groups.
+        path: a file `.step`, `.stp`, `.brep`, `.iges`, `.igs`, `.geo` or `.msh`; or `gmsh.model` of
+            the first rank's session; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo`
+            and `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
+            files, and of a `gmsh.model` without groups, each body and each face has a tag, and its
+            label in the file as name; without label `body 1`, and `body 1/2` for its second face.
         comm: communicator of the mesh.
+        size: size of cells [length] of CAD files, and of a `gmsh.model` without mesh, or name of a
+            body -> size of its cells; None: a sixth of the edge of a cube as large as the body
+            (of a `gmsh.model`: its own sizes). At faces near another body cells are half as large,
+            and curved faces have at least 24 cells round a turn. A `.geo` file has it as parameter.
+        unit: unit of length of the mesh of a STEP or IGES file, which names its own unit: "mm",
+            "m", "in" ...
+        geometry: CAD file from which a mesh without geometry was made. `.geo` and CAD files, and
+            the model of the present session of Gmsh, have it already.
         **parameters: values of names that a `.geo` file declares with `DefineConstant`.
 
     Returns:
         The mesh, its cell and facet tags, and the table name -> tag.
 
     Raises:
-        InputError: the suffix is neither `.geo` nor `.msh`; a parameter is unknown, is not a finite
-            number, or is overwritten by the file; a `.msh` file has parameters; or an argument has
-            a wrong type.
-        MeshError: the file does not exist or has an error, or it has no physical group of cells or
-            no physical group of facets.
+        InputError: the suffix or the unit is unknown; a parameter is unknown, is not a finite
+            number, or is overwritten by the file; a file that is not `.geo` has parameters; facets
+            do not lie on the faces of `geometry`; or an argument has a wrong type.
+        MeshError: the file does not exist or has an error; it has no body, or faces of no body; two
+            bodies share a face; or a file with groups has none of cells or none of facets.
 
     Example:
         >>> from mpi4py import MPI
@@ -135,56 +185,165 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
             f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
         )
     root = 0
+    is_model = hasattr(path, "getPhysicalGroups")
+    if isinstance(path, tuple) or (hasattr(path, "mesh") and not is_model):
+        return _of_mesh_data(path, comm, geometry, unit)
     tags: dict[str, int] = {}
     names: dict[int, str] = {}
     cell_names: dict[int, str] = {}
     in_file: dict[int, int] = {}
-    geometry: GmshGeometry | None = None
+    known: GmshGeometry | None = None
     model: Any = None
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
-            if not isinstance(path, str | PathLike):
-                raise InputError(f"path must be a string or a Path, found {shown(path)}.")
+            is_file = isinstance(path, str | PathLike)
+            if not is_file and not is_model and comm.rank == root:
+                raise InputError(
+                    "path must be the path of a file, gmsh.model, or the result of model_to_mesh, "
+                    f"found {shown(path)}."
+                )
             if comm.rank == root:
                 gmsh = session.enter_context(gmsh_session())
                 model = gmsh.model
-                _load_and_mesh(gmsh, Path(path), parameters)
-                tags, names, cell_names = _physical_groups(gmsh, Path(path))
-                _check_one_group_per_facet(gmsh, Path(path), names)
+                source = Path(path) if is_file else Path("gmsh.model")
+                if source.suffix in (".geo", ".msh"):  # the latter takes none, which is said
+                    parameters |= {} if size is None else {"size": size}
+                if is_file:
+                    open_file(gmsh, source, parameters, unit=unit)
+                if source.suffix.lower() in CAD_SUFFIXES:
+                    low, high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+                    box = " x ".join(f"{length:.4g}" for length in high - low)
+                    log(comm, "%s: the box of all bodies is %s %s", source.name, box, unit)
+                _mesh(gmsh, source, size)
+                tags, names, cell_names = _physical_groups(gmsh, source)
+                _check_one_group_per_facet(gmsh, source, names)
                 cell_nodes = _renumber_cell_nodes_first(gmsh)
                 in_file, not_of_cells = _facet_counts(gmsh, cell_nodes)
                 for tag, wrong in not_of_cells.items():
-                    _check_facets_of_cells(Path(path), names, tag, wrong, in_file[tag])
-                if Path(path).suffix == ".geo":
-                    geometry = GmshGeometry.of(gmsh, Path(path), parameters)
-        tags, names, cell_names, in_file, geometry = comm.bcast(
-            (tags, names, cell_names, in_file, geometry), root=root
+                    _check_facets_of_cells(source, names, tag, wrong, in_file[tag])
+                if source.suffix.lower() in (".geo", *CAD_SUFFIXES):
+                    known = GmshGeometry.of(gmsh, source, parameters, unit)
+                elif source.suffix == ".model" and (content := shapes_of(gmsh)):
+                    known = GmshGeometry(source, {}, {}, content=content)
+        tags, names, cell_names, in_file, known = comm.bcast(
+            (tags, names, cell_names, in_file, known), root=root
         )
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, count in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
         _check_facets_of_cells(path, names, tag, count - found, count)
+    known = _geometry_of(mesh, facet_tags, names, geometry, known, unit)
     cell_tags = NamedTags(cell_tags, cell_names)
-    return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names, cell_tags), tags, geometry)
+    facet_tags = NamedTags(facet_tags, names, cell_tags, known)
+    return TaggedMesh(mesh, cell_tags, facet_tags, tags, known)
 
 
-def _load_and_mesh(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
-    """Open a file in Gmsh; mesh it if it is a `.geo` file.
+def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: str) -> TaggedMesh:
+    """Return the result of `dolfinx.io.gmsh.model_to_mesh` with names and geometry. Collective.
 
     Raises:
-        InputError: see `open_file`.
-        MeshError: Gmsh cannot read or mesh the file, or the cells are of several types.
+        InputError: the data have no tags of cells or of facets, or see `_geometry_of`.
     """
-    open_file(gmsh, path, parameters)
+    mesh, cell_tags, facet_tags = (
+        data[:3] if isinstance(data, tuple) else (data.mesh, data.cell_tags, data.facet_tags)
+    )
+    if not isinstance(cell_tags, MeshTags) or not isinstance(facet_tags, MeshTags):
+        raise InputError(
+            "the result of model_to_mesh must have tags of cells and of facets: put the bodies and "
+            "their surfaces into physical groups."
+        )
+    names: dict[int, dict[int, str]] = {0: {}, 1: {}}
+    tags: dict[str, int] = {}
+    for name, group in (getattr(data, "physical_groups", None) or {}).items():
+        dim, tag = (int(group.dim), int(group.tag)) if hasattr(group, "dim") else map(int, group)
+        below = mesh.topology.dim - dim
+        if below in names:
+            names[below][tag], tags[name] = name, tag
+    known: GmshGeometry | None = None
+    with errors_on_all_ranks(comm):
+        gmsh = sys.modules.get("gmsh")
+        content = shapes_of(gmsh) if gmsh is not None and gmsh.isInitialized() else None
+    content = comm.bcast(content, root=0)
+    if content:
+        known = GmshGeometry(Path("gmsh.model"), {}, {}, content=content)
+    known = _geometry_of(mesh, facet_tags, names[1], geometry, known, unit)
+    cells = NamedTags(cell_tags, names[0])
+    return TaggedMesh(mesh, cells, NamedTags(facet_tags, names[1], cells, known), tags, known)
+
+
+def _geometry_of(
+    mesh: Any,
+    facet_tags: MeshTags,
+    names: Mapping[int, str],
+    file: str | Path | None,
+    known: GmshGeometry | None,
+    unit: str,
+) -> GmshGeometry | None:
+    """Return the geometry of the mesh: from the user's CAD file, or as far as known. Collective.
+
+    Raises:
+        InputError: facets do not lie on the faces of the user's file.
+        MeshError: there is no such file, or Gmsh cannot read it.
+    """
+    if file is not None:
+        known = GmshGeometry(Path(file).resolve(), {}, {}, unit)
+    if known is None:
+        log(mesh.comm, "the mesh has no geometry: for exact curved surfaces give geometry=")
+    if known is None or (file is None and known.content is None):
+        return known
+    known, off = known.matched(mesh, facet_tags)
+    if off and file is not None:
+        tag, distance = max(off.items(), key=lambda item: item[1])
+        raise InputError(
+            f"facets of {len(off)} surfaces do not lie on faces of '{file}'; those of "
+            f"{_group_name(names, tag)} are up to {distance:.3g} away from them. Give the CAD file "
+            f"from which the mesh was made, and its unit of length in the mesh (unit is {unit})."
+        )
+    return known
+
+
+def _mesh(gmsh: Any, path: Path, size: Any) -> None:
+    """Name the bodies and faces of a CAD model without groups; mesh a model without mesh.
+
+    Raises:
+        InputError: see `set_sizes`.
+        MeshError: Gmsh cannot mesh the model, or cells are of several types; see `name_groups`.
+    """
+    model, suffix = gmsh.model, path.suffix.lower()
+    is_cad = suffix in CAD_SUFFIXES
+    dim = model.getDimension()
+    if (is_cad or suffix == ".model") and not model.getPhysicalGroups():
+        name_groups(model, str(path))
+    options = {
+        "MeshSizeFromCurvature": CELLS_PER_TURN,
+        "MeshSizeFromPoints": 0,
+        "MeshSizeExtendFromBoundary": 0,
+    }
+    before = {name: gmsh.option.getNumber(f"Mesh.{name}") for name in options}
     try:
-        if path.suffix == ".geo":
-            gmsh.model.mesh.generate(gmsh.model.getDimension())
-        kinds = gmsh.model.mesh.getElementTypes(gmsh.model.getDimension())
+        if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
+            if is_cad or (suffix == ".model" and size is not None):
+                set_sizes(model, size, str(path))
+                for name, value in options.items():
+                    gmsh.option.setNumber(f"Mesh.{name}", value)
+            model.mesh.generate(dim)
+        kinds = model.mesh.getElementTypes(dim)
+    except (InputError, MeshError):
+        raise
     except Exception as error:  # gmsh raises nothing more specific
-        raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
+        hint = ""
+        if is_cad:
+            hint = (
+                ". Faces of a body that overlap or cross each other, and gaps between faces, "
+                "cannot be meshed: repair them in the CAD program."
+            )
+        raise MeshError(f"Gmsh cannot use '{path}': {error}{hint}") from error
+    finally:
+        for name, value in before.items():
+            gmsh.option.setNumber(f"Mesh.{name}", value)
     if len(kinds) > 1:
-        names = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds]
+        names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
 
 

@@ -61,10 +61,12 @@ class ContactPair:
             surfaces are paired; None: no limit.
         geometry: the curved surfaces that the facets approximate: `TaggedMesh.geometry` of
             `read_gmsh`, or tag -> function from points (3, n) to the nearest points (3, n) on the
-            surface [length]; flat surfaces need no function. The gap is measured between these
+            surface [length]; flat surfaces need no function. Gaps and normals are those of these
             surfaces, which corrects coarse facets of closely fitting bodies. `update_geometry`
-            keeps the heights of the surfaces over the facets. None: smooth surfaces through the
-            nodes, which follow from the nodal normals. Ignored for rigid obstacles.
+            keeps the heights of the surfaces over the facets. None: the geometry that `facet_tags`
+            of `read_gmsh` know; a warning says if it cannot be used, because the file is gone or
+            nodes were moved. Tags without known surface have smooth surfaces through their nodes,
+            which follow from the nodal normals; with {} all tags have. Ignored for rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.

@@ -72,6 +72,7 @@ class Evaluation:
 
     u: fem.Function
     w: fem.Function
+    deformation: fem.Function
     axisymmetric: bool
     surfaces: tuple[SurfaceFields, ...]
     contact_force: fem.Function
@@ -120,14 +121,17 @@ def evaluate(
     """
     B, response, lam = dual.jump, dual.response, dual.bounds(found.multipliers, found.gradient)
     comm = B.comm
-    w = zero_like(B.system.f, "w")
-    error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
+    in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
+    solved = in_frames.x.petsc_vec
+    error = response.end_at(found.multipliers, solved, found.accuracy)
     stress = found.multipliers * B.stress_scale
     c = found.c
-    r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
-    w.x.scatter_forward()
+    r, missing = dual.in_equilibrium(found.multipliers, solved, c)
+    in_frames.x.scatter_forward()
+    w = in_frames if B.frames is None else B.frames.displacement(in_frames)
     u = B.system.displacement(w, "displacement")
-    jump = B.of(w.x.petsc_vec)
+    deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
+    jump = B.of(solved)
     increment = jump - response.offset
     target = dual.decoupled_minimiser(found.multipliers, r)
     cones = dual.admissible.at(found.multipliers, r)
@@ -199,7 +203,10 @@ def evaluate(
     history = dual.history.after(B, slip, steps, dissipation)
     peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
-    primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
+    primal, dual_energy = dual.energies(found.multipliers, solved, error)
+    if B.frames is not None:
+        work = B.frames.work(B.system.assemble_forces())
+        primal, dual_energy = primal - work, dual_energy - work
     bound = dual.energy_bound(found.multipliers, r, error + missing)
     # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
     # rounding
@@ -211,12 +218,14 @@ def evaluate(
             "the displacement is zero to rounding: the contact carries all loads, and an accuracy "
             "in the energy norm has nothing to refer to",
         )
-    cells = dual.compliance.estimator.of(u) if estimate else None
+    cells = dual.compliance.estimator.of(deformation) if estimate else None
     force_on_nodes = _contact_force(B, found.multipliers)
-    on_bodies = _on_bodies(force_on_nodes, bodies)
+    displaced = u if B.frames is not None or B.system.is_tangent else None
+    on_bodies = _on_bodies(force_on_nodes, displaced, bodies)
     evaluation = Evaluation(
         u=u,
         w=w,
+        deformation=deformation,
         axisymmetric=B.system.axisymmetric,
         surfaces=tuple(fields),
         contact_force=force_on_nodes,
@@ -268,16 +277,27 @@ def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
     """Return the contact force -B'x [force] of multipliers x. Collective."""
     force = zero_like(B.system.f, "f")
     owned = B.whole_force(x).array
-    force.x.array[: len(owned)] = -owned
+    force.x.array[: len(owned)] = -owned if B.frames is None else -B.frames.into_space(owned)
     force.x.scatter_forward()
     return B.system.displacement(force, "contact_force")
 
 
-def _on_bodies(contact_force: fem.Function, bodies: Bodies) -> tuple[Resultant, ...]:
-    """Return the resultants of all contact forces on each body. Collective."""
+def _on_bodies(
+    contact_force: fem.Function, displaced: fem.Function | None, bodies: Bodies
+) -> tuple[Resultant, ...]:
+    """Return the resultants of all contact forces on each body. Collective.
+
+    Args:
+        contact_force: contact forces on the nodes [force].
+        displaced: displacement [length] of the nodes on which the forces act; None: the forces act
+            on the undeformed bodies, as in linear theory.
+        bodies: bodies of the mesh.
+    """
     V = contact_force.function_space
     dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
     forces = contact_force.x.array.reshape(-1, dim)[:owned]
     points = V.tabulate_dof_coordinates()[:owned, :dim]
+    if displaced is not None:
+        points = points + displaced.x.array.reshape(-1, dim)[:owned]
     centre = centre_of_forces(V.mesh.comm, points, forces)
     return resultants_on(V.mesh.comm, [(points, forces, bodies.label)], bodies.number, centre)

@@ -20,8 +20,8 @@ from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.vertices import nodes_of_vertices
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.transfer import SideTransfer
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -151,12 +151,12 @@ class SurfaceFields:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 
         The values at nodes of the secondary side are those of the field. At nodes of the primary
-        side they are means over the opposite part of the secondary side (`SideTransfer`), and at
-        other nodes zero. The sum of the values times `ContactOperators.areas` is equal on both
-        sides; for a pressure this sum is the force. An integral over either side, in a form, equals
-        this sum if the two sides face each other completely. If facets extend beyond the other
-        side, the integral includes their whole area: multiply the Function by
-        `ContactOperators.area_fraction` to leave out the part beyond.
+        side they are means over the opposite part of the secondary side, and at other nodes zero.
+        The sum of the values times `ContactOperators.areas` is equal on both sides; for a pressure
+        this sum is the force. An integral over either side, in a form, equals this sum if the two
+        sides face each other completely. If facets extend beyond the other side, the integral
+        includes their whole area: multiply the Function by `ContactOperators.area_fraction` to
+        leave out the part beyond.
 
         Args:
             name: name of the field, such as "pressure".
@@ -299,8 +299,8 @@ class Surface:
         )[:own]
         _to_owners(whole)
         density = whole.x.array.reshape(-1, dim)[operators.nodes]
-        transfer = SideTransfer(V, operators, self.pair)
-        return transfer.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
+        across = ContactOperators(V, operators, self.pair)
+        return across.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
 
     def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
         """Return the area (n,) of each node of the surface, zero at ghosts. Collective.

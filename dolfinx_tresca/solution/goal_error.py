@@ -28,6 +28,7 @@ from dolfinx_tresca.scene.goal import (
     NormalForce,
     PressureNorm,
 )
+from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
@@ -118,7 +119,7 @@ def goal_error(
     dual: DualProgram,
     surfaces: Sequence[Surface],
     x: Array,
-    u: fem.Function,
+    fields: Evaluation,
     energy_error: float,
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
@@ -128,7 +129,7 @@ def goal_error(
         dual: the dual problem.
         surfaces: surfaces of the pairs.
         x: (size,) multipliers of the solution.
-        u: displacement of the solution [length].
+        fields: displacements of the solution.
         energy_error: error of the iteration in the energy norm [energy^(1/2)].
 
     Raises:
@@ -136,11 +137,12 @@ def goal_error(
         ConvergenceError: the adjoint has no solution.
     """
     before = dual.operator.products
+    u = fields.deformation
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = weights_of(goal, dual.jump, x)
     state = LinearisedContact.of(dual, x, r)
     z, y = adjoint(dual, state, on_jump, on_x)
-    w = on_x - dual.jump.of_displacement(z) + state.curvature * y
+    w = on_x - dual.jump.of(z.x.petsc_vec) + state.curvature * y
     changes = state_changes(dual, surfaces, state, (x, r), (y, w))
     estimator = dual.compliance.estimator
     products = estimator.products(u, z)
@@ -151,7 +153,7 @@ def goal_error(
     degree = u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,
-        value=value_of(goal, dual, x, u),
+        value=value_of(goal, dual, x, fields.u),
         error=abs(float(signed)) + DOUBT[degree] * float(unsigned) + CHANGING * changes,
         signed_error=float(signed),
         iteration_error=energy_error * dual.norm_of(z),

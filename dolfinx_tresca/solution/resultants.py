@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.surface.numbering import labels_of
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.pairing.moved import straightened
+from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.search.halo import Halo
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.halo import Halo
 
 
 class Limit(NamedTuple):
@@ -74,7 +74,8 @@ TURNS = 2.0
 
 ADVICE_TO_BODIES = (
     "Look for a force that should be a prescribed displacement, for missing supports, and at the "
-    "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations"
+    "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations, "
+    'or ContactPair(..., sliding="finite"), with which linear bodies have frames that turn'
 )
 ADVICE_TO_PAIRS = (
     "Prescribe the displacement in place of a force that friction cannot carry, or take "

@@ -14,8 +14,8 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.pairing.search.balls import bounding_box, within_reach
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
-from dolfinx_tresca.surface.box import Box
 
 #: Maps the number of corners of a facet to the simplices into which the facet is divided.
 SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
@@ -102,11 +102,8 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     V = fields.pressure.function_space
     places = V.tabulate_dof_coordinates()
     reach = comm.allreduce(_longest_edge(places[V.dofmap.list]), op=MPI.MAX)
-    boxes = comm.allgather(Box.around(places).to_row())
-    near = [
-        np.flatnonzero(Box.from_row(row).within_reach(points, np.full(len(points), reach)))
-        for row in boxes
-    ]
+    boxes = comm.allgather(bounding_box(places))
+    near = [np.flatnonzero(within_reach(box, points, np.full(len(points), reach))) for box in boxes]
     asked = np.concatenate(near)
     ranks = np.repeat(np.arange(comm.size), [len(some) for some in near])
     questions, source = exchange(comm, points[asked], ranks)

@@ -37,6 +37,7 @@ from dolfinx_tresca.stiffness.forms import (
     copied,
     form_space,
 )
+from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
@@ -65,7 +66,11 @@ class LinearSystem(PetscOwner):
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         moves: (owned degrees of freedom,) whether each is a displacement and not prescribed.
         axisymmetric: whether the mesh is the meridian of bodies of revolution about the axis x = 0.
+        frames: the frames in which u and f are given, if bodies have turned; None: u is the
+            displacement, and f is in space.
     """
+
+    frames: BodyFrames | None = None
 
     #: Whether K is the tangent of a Newton step, whose energies are not needed.
     is_tangent = False
@@ -161,6 +166,11 @@ class LinearSystem(PetscOwner):
             )
         return a, L
 
+    @property
+    def loads(self) -> Any:
+        """The linear form L, as the user has given it."""
+        return self._forms["L"]
+
     def values_to_agree(self) -> dict[str, Any]:
         """Return the forms and conditions, which the ranks compare. Not collective."""
         return {**self._forms, "bcs": self.bcs}
@@ -249,7 +259,7 @@ class LinearSystem(PetscOwner):
         entries = np.bincount(rows[values != 0.0], minlength=len(self.prescribed))
         return bool(self.comm.allreduce(bool((entries > self.prescribed).any()), op=MPI.LOR))
 
-    def _forces_of(self, values: Array) -> PETSc.Vec:
+    def forces_of(self, values: Array) -> PETSc.Vec:
         """Return the forces K u [force] that prescribed values cause. Collective.
 
         Here u has the prescribed `values` (given for this rank) and is zero elsewhere, and K is the
@@ -274,7 +284,7 @@ class LinearSystem(PetscOwner):
         inside, result = u.copy(), u.duplicate()
         inside.array[self.prescribed] = 0.0
         self.K.mult(inside, result)
-        held = self._forces_of(u.array[self.prescribed])
+        held = self.forces_of(u.array[self.prescribed])
         result.axpy(1.0, held)
         result.aypx(-1.0, forces)
         result.array[self.prescribed] = 0.0
@@ -345,7 +355,7 @@ class LinearSystem(PetscOwner):
         inside.array[self.prescribed] = 0.0
         Ku = u.duplicate()
         self.K.mult(inside, Ku)
-        forces = self._forces_of(u.array[self.prescribed])
+        forces = self.forces_of(u.array[self.prescribed])
         mirrored = u.copy()  # only displacements have nonzero prescribed values
         mirrored.array = self.signs * u.array
         energy = inside.dot(forces) + mirrored.dot(forces)
@@ -369,12 +379,16 @@ class LinearSystem(PetscOwner):
         if self._L is not None:
             fem.assemble_vector(x.array, self._L)
         x.scatter_reverse(dolfinx.la.InsertMode.add)
+        if self.frames is not None:
+            x.array[:] = self.frames.into_frames(x.array)
 
     def prescribed_values(self) -> Array:
         """Return the present prescribed values, in the order of owned unknowns. Collective."""
         values = fem.Function(self.space)
         for bc in self.bcs:
             bc.set(values.x.array)
+        if self.frames is not None:
+            values = self.frames.deformation(values)
         return np.array(values.x.array[: len(self.prescribed)][self.prescribed])
 
     def response_to_prescribed_values(
@@ -405,7 +419,7 @@ class LinearSystem(PetscOwner):
         sizes = [float(np.abs(values).max(initial=0.0)) for values in (change, u.x.array)]
         changed, largest = reduce_array(self.comm, sizes, MPI.MAX)
         if changed > ROUNDING * largest:
-            forces = self._forces_of(change)
+            forces = self.forces_of(change)
             forces.array = np.where(self.prescribed, 0.0, -forces.array)
             forces.array[self.prescribed] = change
             solver.improve(forces, response.x.petsc_vec, rtol=ROUGH, accuracy=0.0)
@@ -421,11 +435,9 @@ class LinearSystem(PetscOwner):
                 that is not a displacement; or the given matrix lacks the columns of degrees of
                 freedom with nonzero prescribed values.
         """
-        array = self.f.x.array
         self._assemble_L(self.f.x)
-        for bc in self.bcs:
-            bc.set(array)
-        owned = array[: len(self.prescribed)]
+        owned = self.f.x.array[: len(self.prescribed)]
+        owned[self.prescribed] = self.prescribed_values()
         with errors_on_all_ranks(self.comm):
             if not self._coupled and owned[self.prescribed].any():
                 raise InputError(
@@ -433,7 +445,7 @@ class LinearSystem(PetscOwner):
                     "had been assembled with conditions: what values that are not zero cause "
                     "elsewhere is lost. Assemble it without bcs."
                 )
-        forces = self._forces_of(owned[self.prescribed])
+        forces = self.forces_of(owned[self.prescribed])
         owned[~self.prescribed] -= forces.array[~self.prescribed]
         forces.destroy()
         self.f.x.scatter_forward()

@@ -13,7 +13,7 @@ from dolfinx_tresca._base.forcing import FULL_ACCURACY
 from dolfinx_tresca.dual.bounds import lift
 from dolfinx_tresca.dual.bounds.lift import Lift
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.patches import patch
 from scenes.scene import Scene

@@ -15,8 +15,8 @@ from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, RigidSphere
 from dolfinx_tresca.dual.moved import Carry, moved_jump
-from dolfinx_tresca.pairing import undeformed
-from dolfinx_tresca.pairing.moved import straightened
+from dolfinx_tresca.pairing import group
+from dolfinx_tresca.pairing.group import straightened
 from scenes.blocks import BELOW, block
 from scenes.patches import patch
 
@@ -122,7 +122,7 @@ def test_surfaces_are_extracted_from_the_mesh_once(comm, monkeypatch):
     down = scene.V.tabulate_dof_coordinates()[:, 1] > 1.0 + 0.5 * GAP
     u.x.array.reshape(-1, 2)[down, 1] = -0.5 * GAP
     with scene.problem() as problem:
-        monkeypatch.delattr(undeformed, "tagged_facets")
+        monkeypatch.delattr(group, "tagged_facets")
         problem.update_geometry(u)
         (one,) = problem._contact.surfaces.jump.pairs
         assert one.distance == pytest.approx(GAP, rel=1e-9)  # that of the undeformed bodies

@@ -9,7 +9,7 @@ from dolfinx_tresca import Tresca
 from dolfinx_tresca.dual.bounds.saddle_lift import SaddleLift
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.cholesky import saddle_cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import LEFT, YOUNG, block

@@ -54,7 +54,7 @@ def test_known_solutions_on_a_plane(comm, kind):
 
 @pytest.mark.parametrize("kind", ["lifts", "slips"])
 def test_load_steps(comm, kind):
-    """Slip counts from the last step: the same loads again cause no new slip, and no friction."""
+    """Slip counts from the last step: the same loads again are bounded as no new slip."""
     scene = block_on_plane(comm, "triangle", 1, 8, kind)
     with scene.problem() as problem:
         problem.solve(rtol=1e-9)

@@ -17,7 +17,7 @@ from dolfinx_tresca import (
     RigidSphere,
     read_gmsh,
 )
-from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from scenes.elasticity import elasticity, fixed, no_load
 
 GAP = 0.03
@@ -93,6 +93,50 @@ def test_a_chamfered_block_moves_along_a_wall(comm, folder, angle, size, sliding
             solution = problem.solve()
             solution.raise_if_failed()
             assert solution.normal_force == 0.0
+
+
+#: The same in space, one cell or two deep, so that nearly all facets are at the rim of a surface.
+CHAMFERED_SLAB = """
+SetFactory("OpenCASCADE");
+DefineConstant[ angle = 45, h = 0.5 ];
+depth = 0.3 * Tan(angle * Pi / 180);
+Point(1) = {0, 0, 0, h}; Point(2) = {2 - depth, 0, 0, h}; Point(3) = {2, 0.3, 0, h};
+Point(4) = {2, 2.7, 0, h}; Point(5) = {2 - depth, 3, 0, h}; Point(6) = {0, 3, 0, h};
+Point(7) = {2.03, -1, 0, h}; Point(8) = {2.73, -1, 0, h}; Point(9) = {2.73, 4, 0, h};
+Point(10) = {2.03, 4, 0, h};
+For i In {1:5}
+  Line(i) = {i, i + 1};
+EndFor
+Line(6) = {6, 1}; Line(7) = {7, 8}; Line(8) = {8, 9}; Line(9) = {9, 10}; Line(10) = {10, 7};
+Curve Loop(1) = {1:6}; Curve Loop(2) = {7:10};
+Plane Surface(1) = {1}; Plane Surface(2) = {2};
+block() = Extrude {0, 0, 1} { Surface{1}; };
+wall() = Extrude {0, 0, 1} { Surface{2}; };
+Physical Volume("block") = {block(1)}; Physical Volume("wall") = {wall(1)};
+Physical Surface("side") = {block({3:5})}; Physical Surface("axis") = {block(7)};
+Physical Surface("inner") = {wall(5)}; Physical Surface("outer") = {wall(3)};
+"""
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("angle", [10, 45])
+@pytest.mark.parametrize("sides", [("side", "inner"), ("inner", "side")])
+def test_a_chamfered_slab_moves_along_a_wall(comm, folder, angle, sides):
+    """As in the plane: kinks at the rim of a surface are kinks."""
+    tagged = read(comm, folder, CHAMFERED_SLAB, angle=angle)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (3,)))
+    held = [
+        fixed(V, tagged.facet_tags.find(tagged.tags["axis"]), (0.0, 3.0 * GAP, 0.0)),
+        fixed(V, tagged.facet_tags.find(tagged.tags["outer"]), (0.0, 0.0, 0.0)),
+    ]
+    tags = (tagged.tags[name] for name in sides)
+    pair = ContactPair(tagged.facet_tags, *tags, Frictionless())
+    with ContactProblem(elasticity(V, 2e5), no_load(V), [pair], held) as problem:
+        gap = problem.operators[0].gap
+        assert comm.allreduce(gap.min(initial=1.0), MPI.MIN) == pytest.approx(GAP, rel=1e-9)
+        solution = problem.solve()
+        solution.raise_if_failed()
+        assert solution.normal_force == 0.0
 
 
 @pytest.mark.parallel

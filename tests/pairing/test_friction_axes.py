@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
-from dolfinx_tresca.pairing.choice import pair_surfaces
-from dolfinx_tresca.pairing.discs import FrictionDiscs
-from dolfinx_tresca.pairing.friction_axes import NodalEllipses, with_tangents_along_axes
+from dolfinx_tresca.pairing.friction_axes import (
+    FrictionDiscs,
+    NodalEllipses,
+    with_tangents_along_axes,
+)
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import ABOVE, FRONT, block
 from scenes.scene import EPS

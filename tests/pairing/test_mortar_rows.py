@@ -12,7 +12,7 @@ from sheets import CELLS, joined, nodes_of, part_of, sheet
 
 from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, _blocks_of_pairs
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.pairing.search.facets import Facets
 from scenes.scene import EPS
 
 #: Rounding of sums of some hundred products of numbers of size 1.
@@ -32,8 +32,8 @@ def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=
     if selected is None:
         selected = np.arange(len(secondary.points))
     nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
-    integrals = MortarIntegrals.of(secondary, nodes, primary, other_nodes, selected, limit)
-    return mortar_rows(secondary, nodes, primary, integrals, columns)
+    integrals = MortarIntegrals(nodes, other_nodes, selected, limit)
+    return mortar_rows(nodes, primary, integrals, columns)
 
 
 def values_at(function, *sides: Facets, size: int | None = None) -> np.ndarray:
@@ -59,7 +59,7 @@ def test_jump_of_linear_displacements_is_exact_on_flat_sides(cell, other, degree
     nodes = nodes_of(secondary)
     assert np.allclose(rows.weights, nodes.weights, atol=ROUNDING)
     assert np.abs(rows.jump.sum(axis=1)).max() <= ROUNDING
-    assert not rows.sagitta.any()
+    assert not rows.means[:, 2].any()
     size = rows.jump.shape[1]
     u = values_at(lambda x: 1.0 + 2.0 * x[..., 0] - 3.0 * x[..., 1], secondary, size=size)
     u += values_at(lambda x: -2.0 + x[..., 0] + 0.5 * x[..., 1], primary, size=size)
@@ -222,7 +222,7 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
             )
             / rows.weights[:, None]
         )
-        gap = np.einsum("ni,ni->n", offset, nodes.normals) - rows.sagitta / rows.weights
+        gap = np.einsum("ni,ni->n", offset, nodes.normals) - rows.means[:, 2] / rows.weights
         errors.append(np.abs(gap - 0.1)[inner].max())
     assert errors[0] < 1e-3
     assert np.log2(errors[0] / errors[1]) > 1.8
@@ -241,13 +241,13 @@ def test_gaps_of_curved_sides_do_not_depend_on_the_triangulation_of_overlaps(cel
     primary = sheet(cell, 4, move=bowl, first=1000)
     secondary = sheet(cell, 3, up=False, move=bowl)
     plain = pair_of(secondary, primary)
-    assert np.abs(plain.sagitta).max() > 0.0
+    assert np.abs(plain.means[:, 2]).max() > 0.0
     order = [1, 0] if cell == "interval" else [1, 2, 0]
     names = ("nodes", "points", "free", "file_numbers")
     turned = {name: getattr(secondary, name)[:, order] for name in names}
     sign = -1.0 if cell == "interval" else 1.0
     other = dataclasses.replace(secondary, **turned, outward=sign * secondary.outward)
-    difference = pair_of(other, primary).sagitta - plain.sagitta
+    difference = pair_of(other, primary).means[:, 2] - plain.means[:, 2]
     # heights are differences of coordinates of size 1, and much smaller than these
     assert np.abs(difference).max() <= ROUNDING * plain.weights.max()
 

@@ -117,30 +117,25 @@ def node_to_node(scene: Scene) -> ContactPair:
     return dataclasses.replace(scene.pair, pairing="nodes")
 
 
-MISMATCHES = pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5), (1.25, 0.25)])
+MISMATCHES = pytest.mark.parametrize("shift", [0.3, 0.5, 1.25])
 
 
 @pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
-def test_meshes_that_do_not_match_are_an_error(comm, shift, size):
-    """The message has the number of nodes, the largest distance, and its position."""
-    N = 5
-    h = 1 / (N - 1)
-    scene = two_bricks(comm, N, Shift=shift * h, hexahedra=True)
-    facing = N - int(np.ceil(shift)) + 1  # rows of nodes with facets that face the lower brick
-    message = refused(scene, rf'pairing="nodes".*: {(N + 1) * facing} nodes', node_to_node(scene))
+def test_meshes_that_do_not_match_are_an_error(comm, shift):
+    """The message has the number of nodes, and the position of the worst one."""
+    scene = two_bricks(comm, 5, Shift=shift / 4, hexahedra=True)
+    rows = 5 - int(np.ceil(shift))  # rows of five nodes that carry multipliers
+    message = refused(scene, rf'pairing="nodes".*: {5 * rows} nodes', node_to_node(scene))
     where = re.search(r"at \(([-\d.]+), ([-\d.]+), ([-\d.]+)\)", message)
     assert where is not None
     x, y, z = (float(value) for value in where.groups())
     assert 0 <= x <= 2 and 0 <= y <= 1 and z == 1.0
-    value = float(re.search(r"by up to ([\d.]+) at", message)[1])
-    # the last cells face, in part, lower cells at the edge alone
-    assert value / h == pytest.approx(size, rel=0.1)
 
 
 @pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
-def test_meshes_need_not_match(comm, shift, size):
+def test_meshes_need_not_match(comm, shift):
     scene = two_bricks(comm, 5, Shift=shift / 4, hexahedra=True)
     assert np.abs(scene.operators().gap).max(initial=0.0) <= 100 * EPS
     with scene.problem() as problem:

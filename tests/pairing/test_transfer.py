@@ -15,8 +15,7 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 
 from dolfinx_tresca import InputError, RigidPlane, Tresca
-from dolfinx_tresca.pairing.facet_means import facet_means
-from dolfinx_tresca.pairing.transfer import SideTransfer
+from dolfinx_tresca.pairing.contact_operators import ContactOperators, facet_means
 from scenes.nodal import nodal, node_function
 from scenes.patches import LOWER, UPPER, patch
 from scenes.scene import EPS
@@ -43,7 +42,7 @@ def test_transfer_to_the_secondary_side_is_exact_for_linear_fields(comm, kind, d
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     across = scene.mesh.geometry.dim - 1
     f = node_function(scene.mesh, lambda x: 2.0 + x[0] - 0.5 * x[1] + 100.0 * (x[across] > 1.001))
-    found = SideTransfer(scene.V, scene.operators(), scene.pair).values(f, to="secondary")
+    found = ContactOperators(scene.V, scene.operators(), scene.pair).transfer(f, to="secondary")
     secondary, _ = sides(scene)
     x = found.function_space.tabulate_dof_coordinates()[secondary]
     expected = 2.0 + x[:, 0] - 0.5 * x[:, 1]
@@ -56,23 +55,23 @@ def test_transfer_to_the_secondary_side_is_exact_for_linear_fields(comm, kind, d
 def test_transfer_of_loads_conserves_their_sum(comm, kind, degree):
     """It is the transpose of the transfer of values, for scalars and vectors."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
     secondary, primary = sides(scene)
     load = node_function(scene.mesh, lambda x: 1.0 + np.sin(7.0 * x[0]))
-    taken = transfer.loads(load)
+    taken = transfer.transfer_loads(load)
     total, arrived = comm.allreduce(
         np.array([nodal(load)[secondary].sum(), nodal(taken)[primary].sum()])
     )
     assert arrived == pytest.approx(total, rel=ROUNDING)
     f = node_function(scene.mesh, lambda x: np.cos(3.0 * x[0] + x[1]))
     work = comm.allreduce(nodal(taken) @ nodal(f))
-    values = nodal(transfer.values(f, to="secondary"))
+    values = nodal(transfer.transfer(f, to="secondary"))
     assert work == pytest.approx(comm.allreduce(nodal(load)[secondary] @ values[secondary]))
 
     dim = scene.mesh.geometry.dim
     vector = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1, (dim,))))
     vector.interpolate(lambda x: np.outer(np.arange(1, 1 + dim), 1.0 + x[0]))
-    taken = transfer.loads(vector)
+    taken = transfer.transfer_loads(vector)
     sums = [nodal(vector)[secondary].sum(axis=0), nodal(taken)[primary].sum(axis=0)]
     total, arrived = comm.allreduce(np.array(sums))
     np.testing.assert_allclose(arrived, total, rtol=ROUNDING)
@@ -126,7 +125,7 @@ def test_force_on_both_sides_of_a_partial_overlap(comm):
 def test_area_fraction_of_fully_covered_sides(comm, kind, degree):
     """It is 1 on both sides, and 0 elsewhere."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    part = SideTransfer(scene.V, scene.operators(), scene.pair).area_fraction()
+    part = ContactOperators(scene.V, scene.operators(), scene.pair).area_fraction()
     assert (part.name, part.ufl_shape) == ("area_fraction", ())
     touching = np.concatenate(sides(scene))
     assert np.abs(nodal(part)[touching] - 1.0).max(initial=0.0) <= ROUNDING
@@ -138,7 +137,7 @@ def test_area_fraction_of_a_pair_with_an_obstacle(comm):
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     floor = RigidPlane(point=(0.0, 1.0), normal=(0.0, 1.0))
     pair = dataclasses.replace(scene.pair, primary=floor)
-    part = SideTransfer(scene.V, scene.operators(pair), pair).area_fraction()
+    part = ContactOperators(scene.V, scene.operators(pair), pair).area_fraction()
     secondary, _ = sides(scene)
     assert np.abs(nodal(part)[secondary] - 1.0).max(initial=0.0) <= ROUNDING
     assert np.abs(np.delete(nodal(part), secondary)).max(initial=0.0) == 0.0
@@ -149,7 +148,7 @@ def test_transfer_of_discontinuous_fields(comm, kind, degree):
     """Nodal values come from the cells of facets only, not from other cells at the node."""
     scene = patch(comm, kind, degree, upper=(3, 2), lower=(2, 2))
     mesh, dim = scene.mesh, scene.mesh.topology.dim
-    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
     Q = fem.functionspace(mesh, ("DG", 0))
     cells_of = mesh.topology.connectivity(dim - 1, dim)
     values, expected = fem.Function(Q), {}
@@ -160,7 +159,7 @@ def test_transfer_of_discontinuous_fields(comm, kind, degree):
     values.x.scatter_forward()
     secondary, primary = sides(scene)
     for to, nodes in (("secondary", secondary), ("primary", primary)):
-        found = nodal(transfer.values(values, to=to))
+        found = nodal(transfer.transfer(values, to=to))
         assert np.abs(found[nodes] - expected[to]).max(initial=0.0) <= ROUNDING * expected[to]
 
     # a continuous field in a discontinuous space has the same transfer as in a continuous space
@@ -173,7 +172,7 @@ def test_transfer_of_discontinuous_fields(comm, kind, degree):
     for function in (one, other):
         function.interpolate(linear)
     for to in ("secondary", "primary"):
-        found, wanted = (transfer.values(function, to=to).x.array for function in (one, other))
+        found, wanted = (transfer.transfer(function, to=to).x.array for function in (one, other))
         assert np.abs(found - wanted).max(initial=0.0) <= 10.0 * ROUNDING
 
 
@@ -182,7 +181,7 @@ def test_transfer_from_discontinuous_elements(comm, kind):
     """Elements of higher degree, parts of mixed elements and components of vectors."""
     scene = patch(comm, kind, upper=(2, 2), lower=(2, 2))
     mesh, dim = scene.mesh, scene.mesh.topology.dim
-    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
     cells_of = mesh.topology.connectivity(dim - 1, dim)
     cells = cells_of.array[cells_of.offsets[scene.facet_tags.find(LOWER)]].astype(np.int32)
     cell, (nodes, _) = mesh.basix_cell(), sides(scene)
@@ -199,7 +198,7 @@ def test_transfer_from_discontinuous_elements(comm, kind):
         whole.x.array[:] = 1e6
         field.interpolate(lambda x: np.full(x.shape[1], 7.0), cells)
         whole.x.scatter_forward()
-        found = nodal(transfer.values(field, to="secondary"))
+        found = nodal(transfer.transfer(field, to="secondary"))
         assert np.abs(found[nodes] - 7.0).max(initial=0.0) <= 100 * ROUNDING
 
 
@@ -244,11 +243,11 @@ def test_slip_bound_from_the_pressure_of_another_solution(comm):
 def test_conductance_matrix_conserves_heat(comm, kind, degree):
     """The flow is w h (T - P T) on one side and its transfer by P' on the other."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
     across = scene.mesh.geometry.dim - 1
     T = node_function(scene.mesh, lambda x: 20.0 + np.sin(9.0 * x[0]) + 5.0 * (x[across] > 1.001))
     h = node_function(scene.mesh, lambda x: 1.0 + x[0] ** 2)
-    C = transfer.conductance(h)
+    C = transfer.conductance_matrix(h)
     flow, nothing = fem.Function(T.function_space), C.createVecLeft()
     C.mult(T.x.petsc_vec, flow.x.petsc_vec)
     flow.x.scatter_forward()
@@ -257,10 +256,10 @@ def test_conductance_matrix_conserves_heat(comm, kind, degree):
     C.mult(ones, nothing)
     assert nothing.norm() <= ROUNDING * C.norm()
     secondary, primary = sides(scene)
-    load, before, areas = transfer.areas(), transfer.values(T, "secondary"), transfer.areas()
+    load, before, areas = transfer.areas(), transfer.transfer(T, "secondary"), transfer.areas()
     load.x.array[:] = h.x.array * areas.x.array * (T.x.array - before.x.array)
     size = comm.allreduce(np.abs(load.x.array).max(), op=MPI.MAX)
-    taken = nodal(transfer.loads(load))[primary]
+    taken = nodal(transfer.transfer_loads(load))[primary]
     for side, wanted in ((secondary, nodal(load)[secondary]), (primary, -taken)):
         found = nodal(flow)[side]
         assert np.abs(found - wanted).max(initial=0.0) <= ROUNDING * size
@@ -268,20 +267,20 @@ def test_conductance_matrix_conserves_heat(comm, kind, degree):
     for owned in (C, ones, nothing):
         owned.destroy()
     with pytest.raises(InputError, match="must be a scalar Function of degree 1"):
-        transfer.conductance(fem.Function(fem.functionspace(scene.mesh, ("DG", 0))))
+        transfer.conductance_matrix(fem.Function(fem.functionspace(scene.mesh, ("DG", 0))))
 
 
 def test_functions_that_cannot_be_transferred(comm):
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     other = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
-    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
     with pytest.raises(InputError, match="must be a Function on the mesh"):
-        transfer.loads(node_function(other.mesh, lambda x: x[0]))
+        transfer.transfer_loads(node_function(other.mesh, lambda x: x[0]))
     points = basix.ufl.quadrature_element("quadrilateral", (), degree=2)
     with pytest.raises(InputError, match=r"found the Function 'heat' of shape \(\) .* quadrature"):
-        transfer.loads(fem.Function(fem.functionspace(scene.mesh, points), name="heat"))
+        transfer.transfer_loads(fem.Function(fem.functionspace(scene.mesh, points), name="heat"))
     for element in (("DG", 0), ("Lagrange", 2)):  # their sum would not be conserved
         with pytest.raises(InputError, match=r"loads of nodes must be .* degree 1, assembled"):
-            transfer.loads(fem.Function(fem.functionspace(scene.mesh, element)))
+            transfer.transfer_loads(fem.Function(fem.functionspace(scene.mesh, element)))
     with pytest.raises(InputError, match='to must be "secondary" or "primary", found \'left\''):
-        transfer.values(node_function(scene.mesh, lambda x: x[0]), to="left")
+        transfer.transfer(node_function(scene.mesh, lambda x: x[0]), to="left")

@@ -11,25 +11,28 @@ import pytest
 
 import basix.ufl
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 
 from dolfinx_tresca import (
     MESHES,
     ContactForce,
     ContactPair,
+    ContactStatus,
     Coulomb,
     Frictionless,
     InputError,
     NewtonOptions,
     NonlinearContactProblem,
     RigidPlane,
+    RigidSphere,
     SolverOptions,
     StiffnessError,
     read_gmsh,
     solve_adaptively,
 )
+from scenes.elasticity import fixed, lame_constants
 from scenes.pressures import rubber_with_pressure
-from scenes.rubber_block import MU, rubber_block
+from scenes.rubber_block import MU, neo_hookean, rubber_block
 
 #: Accuracy of Newton's method, and of contact.
 RTOL = 1e-9
@@ -55,7 +58,7 @@ def uniaxial(comm, squeeze, **changes):
 @pytest.mark.parallel
 def test_uniaxial_compression(comm):
     """Poisson's ratio 0.5 in plane strain: a stress mu (s^-3 - s) for the stretch s."""
-    for squeeze in (0.05, 0.4):
+    for squeeze in (0.05, 0.3):  # by 40 % it is unstable, and buckles
         rubber, problem = uniaxial(comm, squeeze)
         solution = solved(problem)
         stretch = 1.0 - squeeze
@@ -249,3 +252,34 @@ def test_what_is_refused(comm):
         rubber.problem(F=rubber.F - 2 * q * log_J * ufl.dx)
     with pytest.raises(StiffnessError, match=r"K is singular: .* stable pair"):
         rubber_with_pressure(rubber_block(comm, (2, 2), degree=2), 0.0, ("DG", 2)).problem()
+
+
+@pytest.mark.parallel(poisson=[0.49])
+@pytest.mark.parametrize("poisson", [0.49, 0.3])
+def test_unstable_elements_are_named(comm, poisson):
+    """A ball pressed into a thin layer of degree 2, until Newton's method fails."""
+    domain = mesh.create_rectangle(
+        comm, [(0.0, 0.0), (10.0, 1.0)], (20, 2), mesh.CellType.quadrilateral
+    )
+    domain.topology.create_connectivity(1, 2)
+    upper, lower, middle = (
+        mesh.locate_entities_boundary(domain, 1, lambda x, k=k, at=at: np.isclose(x[k], at))
+        for k, at in ((1, 1.0), (1, 0.0), (0, 0.0))
+    )
+    upper.sort()
+    tags = mesh.meshtags(domain, 1, upper, np.ones(len(upper), np.int32))
+    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
+    u, ball = fem.Function(V), RigidSphere((0.0, 9.0), 8.0)
+    energy = neo_hookean(u, *lame_constants(1.0, poisson)) * ufl.dx(degree=4)
+    F = ufl.derivative(energy, u, ufl.TestFunction(V))
+    pair = ContactPair(tags, 1, ball, Frictionless())
+    bcs = [fixed(V, lower), fixed(V, middle, component=0)]
+    with NonlinearContactProblem(F, u, [pair], bcs) as problem:
+        for depth in (0.2, 0.4, 0.6, 0.8, 0.95):
+            ball.move_to((0.0, -depth))
+            solution = problem.solve(newton=NewtonOptions(max_halvings=1))
+            if solution.status is ContactStatus.NO_EQUILIBRIUM:
+                break
+            problem.accept(unconverged=True)
+    named = "Poisson's ratio about 0.49" in solution.failure
+    assert named is (poisson == 0.49)

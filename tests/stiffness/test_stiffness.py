@@ -17,9 +17,9 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca.stiffness.choice import check_choice, choose
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.surface.numbering import label_bodies
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, floating, two_bricks

@@ -512,6 +512,7 @@ def test_a_change_that_is_small_by_chance(residual, small):
     surfaces = SimpleNamespace(
         comm=MPI.COMM_SELF,
         gaps_at_nodes=lambda u: np.zeros((1, 1)),
+        normal_forces_at_nodes=lambda: np.zeros((1, 1)),
         linear=SimpleNamespace(prescribed_displacements=np.zeros(1, dtype=np.bool_)),
         obstacles=SimpleNamespace(extent=1.0),
         rounding_forces=lambda: np.zeros(1),

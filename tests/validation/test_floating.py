@@ -27,7 +27,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.surface.numbering import label_bodies
+from dolfinx_tresca._base.bodies import label_bodies
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.blocks import YOUNG as YOUNG_OF_BLOCK
 from scenes.boxes import Body, boxes

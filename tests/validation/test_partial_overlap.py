@@ -69,7 +69,7 @@ def test_nodes_match_to_rounding_or_not_at_all(comm, kind, shift, match):
     upper = Body((2, 1), [(shift, 1.0 + shift)] * (dim - 1) + [(0.0, 1.0)])
     both = boxes(comm, kind, [lower, upper], turn=rotation(6, dim))
     tags = both.tags((SECONDARY, [1], top), (PRIMARY, [0], top))
-    error = nullcontext() if match else pytest.raises(PairingError, match=r"by up to 1(.4)?e-06 at")
+    error = nullcontext() if match else pytest.raises(PairingError, match="do not match")
     with error:
         both.operators(ContactPair(tags, SECONDARY, PRIMARY, Tresca(1.0), "nodes"))
 

@@ -21,9 +21,8 @@ from dolfinx_tresca import (
     PairingError,
     SolverOptions,
 )
-from dolfinx_tresca.pairing.choice import pair_displaced_surfaces
-from dolfinx_tresca.pairing.group import PairGroup
-from dolfinx_tresca.pairing.undeformed import Undeformed
+from dolfinx_tresca.pairing.group import PairGroup, Undeformed
+from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
 from scenes.boxes import Body, boxes
 from scenes.elasticity import fixed
 from scenes.rubber_block import neo_hookean

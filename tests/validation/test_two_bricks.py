@@ -31,7 +31,7 @@ def test_known_answers(comm, end):
     q, contact, stick, normal, tangential = KNOWN[end]
     with bricks_problem(comm, 16, end=end, hexahedra=True) as problem:
         assert (problem.free_dofs, problem.contact_nodes) == (6 * 16**3, 16**2)
-        solution = problem.solve(rtol=1e-7)
+        solution = problem.solve(rtol=1e-8)
     assert solution.status is ContactStatus.CONVERGED
     assert solution.q[-1] == pytest.approx(q, abs=Q_DIGITS[end])
     assert (solution.counts.nodes, solution.counts.contact) == (256, contact)

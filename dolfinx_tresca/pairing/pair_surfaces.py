@@ -1,0 +1,224 @@
+"""Pairing of two surfaces, or of a surface and a rigid obstacle: from tags to N, T and the gap."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.exchange import exchange, row_of_least
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.pairing import mortar, obstacle
+from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
+from dolfinx_tresca.pairing.group import PairGroup, Undeformed
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair, SideName
+
+#: Difference of the sums of squares of a node's means over both sides up to which the meshes match
+#: there: one to two times the distance of the nodes along the surface, relative to the size of a
+#: facet. With twice as much, meshes match that are twice as far apart; those of a mesh generator
+#: differ by 1e-10 or less.
+MATCHING_SQUARES = 2e-8
+
+#: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
+SAME_PLACE = 1e-6
+
+#: Large primes of a spatial hash, the sum of primes times integer coordinates (Teschner et al.
+#: 2003, Optimized spatial hashing for collision detection of deformable objects).
+HASH_FACTORS = np.array([73856093, 19349663, 83492791])
+
+
+def pair_surfaces(
+    V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
+) -> PairOperators:
+    """Compute N, T and the gap of a single pair; see `pair_group`. Collective."""
+    return pair_group(V, prescribed, PairGroup.of([pair]), axisymmetric=axisymmetric)[0]
+
+
+def pair_group(
+    V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
+) -> list[PairOperators]:
+    """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes.
+
+    Collective.
+
+    Args:
+        V: vector space of degree 1 or 2.
+        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
+        group: the contact pairs.
+        axisymmetric: whether integrals are over rings about the axis x = 0.
+
+    Raises:
+        InputError: tags, obstacle or geometry are wrong.
+        PairingError: the surfaces cannot be paired in the requested way or do not face each other,
+            or all secondary nodes are prescribed.
+    """
+    undeformed = Undeformed.of(V, prescribed, group, axisymmetric=axisymmetric)
+    return _pair(V, undeformed, undeformed.sides, moved=False)
+
+
+def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[PairOperators]:
+    """Compute N, T and the gap of pairs in the configuration displaced by u. Collective.
+
+    The gap in the result is the distance between the displaced surfaces. The gap for displacements
+    from the undeformed surfaces is this gap plus N u, with the N in the result.
+
+    Args:
+        V: the space of the displacement.
+        undeformed: the undeformed surfaces of a group of pairs.
+        u: (nodes, dim of space) displacement of this rank's nodes [length], from `straightened`.
+
+    Raises:
+        InputError: the signed distance of the obstacle is wrong.
+        PairingError: the displaced surfaces cannot be paired.
+    """
+    return _pair(V, undeformed, undeformed.displaced(V, u), moved=True)
+
+
+def _pair(
+    V: Any, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
+) -> list[PairOperators]:
+    """Compute N, T and the gap of pairs from the facets of their sides. Collective.
+
+    Raises:
+        PairingError: see `pair_group`.
+    """
+    group, comm = undeformed.group, V.mesh.comm
+    pair = group.surfaces
+    halo = Halo(V, sides[pair.secondary])
+    others, bodies = None, None
+    if isinstance(pair.primary, RigidObstacle):
+        if comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
+            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
+        nodes = _surface_nodes(V, pair, "secondary", halo, moved)
+        coupling = obstacle.couple(V, group, pair.primary, nodes, moved)
+    else:
+        primary = halo if pair.touches_itself else Halo(V, sides[pair.primary])
+        extend_halos(halo, primary, pair.search_limit)
+        nodes = other_nodes = _surface_nodes(V, pair, "secondary", halo, moved)
+        if not pair.touches_itself:
+            other_nodes = _surface_nodes(V, pair, "primary", primary, moved)
+        facets, others = nodes.facets, other_nodes.facets
+
+        def may_meet(facet: Indices, other: Indices) -> Mask:
+            tags = facets.tag_index[facet], primary.facets.tag_index[other]
+            return np.asarray(group.pair_of_tags[tags] >= 0)
+
+        with errors_on_all_ranks(comm):
+            around, limit = halo.facets_at_own_nodes(), pair.search_limit
+            order = SelfContact(facets) if pair.touches_itself else None
+            integrals = MortarIntegrals(nodes, other_nodes, around, limit, order, may_meet)
+            shared: Mask = np.isin(nodes.numbers, others.nodes)
+            if order is not None:
+                shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
+                bodies = opposite_bodies(nodes, integrals.pairs, order)
+        if pair.touches_itself:
+            decided = nodes.numbers[shared & owned_nodes(V, nodes)]
+            shared = np.isin(nodes.numbers, gather_rows(comm, decided))
+        coupling = mortar.couple(V, group, nodes, other_nodes, integrals, shared, moved)
+        if pair.pairing == "nodes" and not moved:
+            _check_meshes_match(V, pair, coupling, nodes)
+    if not moved and len(group.pairs) > 1:
+        areas = reduce_array(comm, coupling.shares.sum(axis=0))
+        for single, area in zip(group.pairs, areas, strict=True):
+            if area == 0.0 and single.sliding == "small":
+                raise PairingError(
+                    f"the surfaces of contact pair {single} do not face each other. Check the tags"
+                    f"{'' if single.search_distance is None else ' and the search distance'}."
+                )
+        group.say_laws(comm, coupling.shares)
+    largest = float(reduce_array(comm, np.abs(halo.owned.points).max(initial=0.0), MPI.MAX))
+    return PairOperators.of(V, coupling, nodes, ROUNDING * largest, undeformed, others, bodies)
+
+
+def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: SurfaceNodes) -> None:
+    """Check that the means over both sides have equal weights, as on matching meshes. Collective.
+
+    The means are over one node on each side then, and over equal nodes with degree 2.
+
+    Raises:
+        PairingError: secondary nodes face the primary side away from its nodes.
+    """
+    primary, secondary = coupling.primary, coupling.jump + coupling.primary
+    differ = np.abs((secondary.power(2) - primary.power(2)).sum(axis=1))
+    apart = differ > MATCHING_SQUARES + 100.0 * nodes.facets.rounding.max(initial=0.0)
+    position = coupling.position[apart]
+    number = V.mesh.comm.allreduce(len(np.unique(nodes.numbers[position])))
+    if number > 0:
+        place = row_of_least(V.mesh.comm, -differ[apart], nodes.points[position])
+        raise PairingError(
+            f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
+            f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
+            f"({pair.side('primary')}) away from its nodes, most of all at "
+            f"{tuple(round(float(x), 6) for x in place)}. Mesh both surfaces alike, or leave out "
+            "the argument: mortar pairing needs no matching meshes."
+        )
+
+
+def _surface_nodes(
+    V: Any, pair: ContactPair, side: SideName, halo: Halo, moved: bool
+) -> SurfaceNodes:
+    """Return the nodes of this rank's facets on one side. Collective.
+
+    The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
+    there. Coincident nodes have the same hash and are sent to the same rank, which counts them.
+    Nodes that also belong to facets with other tags, such as coincident corners of adjacent bricks,
+    and surfaces that touch themselves, are not checked.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        side: "secondary" or "primary".
+        halo: the facets of the side.
+        moved: whether the surface is displaced.
+
+    Raises:
+        PairingError: an owned node has no normal.
+    """
+    comm = V.mesh.comm
+    with errors_on_all_ranks(comm):
+        nodes = SurfaceNodes.of(halo.facets)
+        own = owned_nodes(V, nodes)
+        has_no_normal = own & nodes.has_no_normal
+        if has_no_normal.any():
+            raise PairingError(
+                f"the surface {pair.side(side)} ({side} side) has no normal at "
+                f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
+                "cancel. Repair the mesh there."
+            )
+    if moved or pair.touches_itself:
+        return nodes
+    size = np.linalg.norm(np.ptp(halo.owned.points, axis=1), axis=1)
+    smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
+    tags = pair.facet_tags
+    outside = tags.indices[tags.values != getattr(pair, side)]
+    outside = fem.locate_dofs_topological(V, tags.dim, outside)
+    numbers, entry = np.unique(nodes.numbers[own], return_index=True)
+    entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
+    places = np.round(nodes.points[own][entry] / (SAME_PLACE * smallest)).astype(np.int64)
+    places, _ = exchange(comm, places, (places @ HASH_FACTORS) % comm.size)
+    coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
+    if coincident:
+        log(
+            comm,
+            "the surface %s (%s side) has %d nodes at the place of another one: it is torn there. "
+            "Merge duplicated nodes of the mesh, unless these are edges of two bodies.",
+            *(pair.side(side), side, coincident),
+            level=logging.WARNING,
+            about=pair.side(side),
+        )
+    return nodes

@@ -1,0 +1,266 @@
+"""Visibility: facets are not paired through a body."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
+from dolfinx_tresca.pairing.search.balls import Balls, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.facets import Pieces
+
+#: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
+#: degrees). At larger angles the facet's area is more than ten times the area of its projection.
+FACING_COSINE = 0.1
+
+#: Distance of surfaces, relative to the radius of a facet, up to which they touch: above rounding,
+#: and far below the resolution of a mesh.
+TOUCHING_DISTANCE = 1e-6
+
+#: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
+#: surfaces penetrate each other by a part of their size.
+SHALLOW_DEPTH = 0.1
+
+#: A point's penetration along the normal counts only if the point's least distance from the other
+#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
+#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
+CREDIBLE_PART = 0.1
+
+#: Cosine between a line and the normal of a facet up to which the line is parallel to the facet.
+PARALLEL_COSINE = 1e-6
+
+#: Number of pairs of a point and a possible occluder that are processed at once, which bounds the
+#: memory.
+CROSSINGS_AT_ONCE = 100_000
+
+#: Length in a facet's plane, relative to the facet's size, that counts as rounding.
+POSITION_ROUNDING = 1e-9
+
+
+class Visibility:
+    """Decides which points of the primary side are hidden from points of the secondary side.
+
+    A point x of the secondary side with outward normal n may touch a point y = x + s n of the
+    primary side, whose normal is opposed, if the segment from x to y crosses no facet of either
+    side in the wrong direction. A crossing either enters or leaves the body behind the facet:
+
+    * s > 0, gap: the segment is outside of both bodies. It must not enter the secondary body, nor
+      leave any body.
+    * s < 0, penetration: the segment is inside both bodies, which overlap. It must not leave the
+      secondary body, nor enter the primary body.
+
+    If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
+    is also not paired with y if the distance of x from the primary surface, in any direction, is
+    much smaller than the penetration |s|.
+
+    On a surface that touches itself, both sides consist of all facets. A facet in the way of a
+    segment then counts as secondary if it is on the body of x, and as primary otherwise. If x and y
+    are on one body, a segment enters or leaves this body at y, which does not hide y.
+
+    If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
+    counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
+    search/clipping.py.
+    """
+
+    def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
+        """Keep the pieces of both sides, and find the primary pieces that may hide points.
+
+        Only primary pieces that are turned away from a secondary piece may hide points from it
+        (occluders). All secondary pieces may be occluders.
+
+        Args:
+            pieces: pieces of the secondary side.
+            others: pieces of the primary side.
+            body: (n,) the body of each piece of a surface that touches itself, where `others` are
+                the same pieces; None for two surfaces.
+        """
+        self._pieces, self._others, self._body = pieces, others, body
+        # `least` bounds the angles between the normals of secondary pieces and their mean. By this
+        # bound only the primary pieces in `may` can have a normal at less than a right angle to the
+        # normal of a secondary piece.
+        mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
+        least = (pieces.normals @ mean).min(initial=float(mean @ mean))
+        sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
+        may = (least <= 0.0) | (others.normals @ mean > -sine - PARALLEL_COSINE)
+        #: indices of the primary pieces that may be turned away from a secondary piece
+        self._facing_away = np.flatnonzero(may)
+
+    @cached_property
+    def _balls(self) -> tuple[Balls, Balls]:
+        """The enclosing balls of the primary and of the secondary pieces that may be occluders."""
+        others, away = self._others, self._facing_away
+        own = Balls(self._pieces.centres, self._pieces.radii)
+        return Balls(others.centres[away], others.radii[away]), own
+
+    def hidden(
+        self,
+        piece: Indices,
+        places: Array,
+        start: Array,
+        end: Array,
+        other: Indices | None = None,
+    ) -> Mask:
+        """Return whether each primary point is hidden from the opposite secondary point, (n,).
+
+        Args:
+            piece: (n,) the secondary piece of each point, ascending.
+            places: (n, d) position of each point in the plane of the piece, relative to the centre
+                of the piece [length].
+            start: (n,) height of the secondary side over the plane, along the normal [length].
+            end: (n,) height of the primary side over the plane [length].
+            other: (n,) the primary piece of each point; needed on a surface that touches itself.
+        """
+        result = np.zeros(len(piece), dtype=np.bool_)
+        in_one_body = np.zeros(len(piece), dtype=np.bool_)
+        # the piece of the primary point, if it may be on `own`
+        end_piece: Indices = np.full(len(piece), -1)
+        if self._body is not None and other is not None:
+            in_one_body, end_piece = self._body[piece] == self._body[other], other
+        apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
+        if len(apart) == 0:
+            return result
+        targets, first, target = np.unique(piece[apart], return_index=True, return_inverse=True)
+        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
+        for own in (True, False):
+            occluders, occluder_target, corners, height, slope = self._occluders(
+                own, targets, reach
+            )
+            begin = np.searchsorted(occluder_target, target)
+            numbers = np.searchsorted(occluder_target, target, side="right") - begin
+            block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
+            for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
+                # all pairs of a point and a possible occluder
+                owner, occluder = expanded_ranges(begin[some], numbers[some])
+                place = apart[some[owner]]
+                if own:  # the end of a segment is on its piece, or near it if the facet is curved
+                    passed = occluders[occluder] != end_piece[place]
+                    occluder, place = occluder[passed], place[passed]
+                around = corners[occluder] - places[place][:, None]
+                crosses = _around_origin(around)
+                occluder, place, middle = occluder[crosses], place[crosses], around[crosses]
+                middle = middle.mean(axis=1)
+                crossing = height[occluder] - np.einsum("nd,nd->n", slope[occluder, :-1], middle)
+                outward = slope[occluder, -1] > 0.0
+                gap = end[place] > start[place]
+                leaves = outward == gap  # whether the segment leaves the body behind the facet
+                matters = leaves | gap if own else leaves == gap
+                distance = (crossing - start[place]) * np.where(gap, 1.0, -1.0)
+                touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
+                at = np.where(leaves, distance - touch, distance + touch)
+                length = np.abs(end - start)[place]
+                between = (at > 0.0) & (at <= length)
+                result[place[matters & between]] = True
+        apart = apart[~in_one_body[apart]]
+        result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
+        return result
+
+    def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
+        """Return whether points (n,) penetrate far more than their distance from the primary side.
+
+        This is so if the distance is less than `CREDIBLE_PART` times the penetration. On a surface
+        that touches itself only other bodies count as primary side. The arguments are those of
+        `hidden`.
+        """
+        result = np.zeros(len(piece), dtype=np.bool_)
+        deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
+        if len(deep) == 0:
+            return result
+        local = np.column_stack([places, start])[deep]
+        points = self._pieces.centres[piece[deep]]
+        points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
+        limit = CREDIBLE_PART * (start - end)[deep]
+        near = cKDTree(self._others.centres).query_ball_point(
+            points, limit + self._others.radii.max()
+        )
+        point, other = flattened(near)
+        if self._body is not None:
+            elsewhere = self._body[other] != self._body[piece[deep]][point]
+            point, other = point[elsewhere], other[elsewhere]
+        within = distances(self._others, other, points[point]) < limit[point]
+        result[deep[point[within]]] = True
+        return result
+
+    def _occluders(
+        self, own: bool, targets: Indices, reach: Array
+    ) -> tuple[Indices, Indices, Array, Array, Array]:
+        """Return the facets of one side that may cross segments from pieces to primary points.
+
+        Args:
+            own: whether the occluders are on the secondary side.
+            targets: (m,) secondary pieces, along whose normals the segments run.
+            reach: (m,) largest distance of the segments' ends from the plane of each piece
+                [length].
+
+        Returns:
+            For each pair (n,) of an occluder and a piece whose bounding boxes overlap in the plane
+            of the piece: the index of the occluder among the pieces of its side; the index in
+            `targets`, ascending; the corners (n, corners, d) of the occluder in the plane, and the
+            height (n,) of its centre over it [length]; and (n, d + 1) the gradient of its height
+            over the plane, followed by the cosine between the normals of both.
+        """
+        pieces, side = self._pieces, self._pieces if own else self._others
+        # segments end at primary facets with opposed normals; such facets hide nothing
+        target, occluder = self._balls[own].on_normals(
+            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
+            reach + pieces.radii[targets],
+        )  # fmt: skip
+        occluder, piece = occluder if own else self._facing_away[occluder], targets[target]
+        normal, other = pieces.normals[piece], side.normals[occluder]
+        cosine = np.einsum("ni,ni->n", normal, other)
+        if own:
+            offset = side.centres[occluder] - pieces.centres[piece]
+            height = np.abs(np.einsum("ni,ni->n", offset, normal))
+            height += side.radii[occluder] * np.linalg.norm(normal - other, axis=1)
+            apart = height > TOUCHING_DISTANCE * pieces.radii[piece]
+            keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
+        else:
+            keep = cosine > PARALLEL_COSINE
+        if self._body is not None:
+            keep &= (self._body[occluder] == self._body[piece]) == own
+        target, occluder = target[keep], occluder[keep]
+        piece, cosine = piece[keep], cosine[keep]
+        if own:  # a line crosses a facet with a common node and a similar normal at its own start
+            common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
+            keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
+            target, occluder, piece = target[keep], occluder[keep], piece[keep]
+        corners = pieces.local_coordinates(piece, side.points[occluder])
+        flat = corners[:, :, :-1]
+        own_flat = pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1]
+        low = np.maximum(flat.min(axis=1), own_flat.min(axis=1))
+        high = np.minimum(flat.max(axis=1), own_flat.max(axis=1))
+        keep = (high - low > POSITION_ROUNDING * np.ptp(own_flat, axis=1)).all(axis=1)
+        occluder, target, corners = occluder[keep], target[keep], corners[keep]
+        slope = np.einsum("ni,ndi->nd", side.normals[occluder], pieces.frames[piece[keep]])
+        slope[:, :-1] /= -slope[:, -1:]
+        return occluder, target, corners[:, :, :-1], corners[:, :, -1].mean(axis=1), slope
+
+
+def _around_origin(corners: Array) -> Mask:
+    """Return whether the origin lies in segments or polygons (n, corners, d), or on their edges."""
+    if corners.shape[2] == 1:
+        low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
+        slack = POSITION_ROUNDING * (high - low)
+        return np.asarray((low <= slack) & (high >= -slack))
+    following = np.roll(corners, -1, axis=1)
+    turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
+    slack = POSITION_ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
+    return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
+
+
+def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
+    """Return the distance (n,) of each point (n, 3) from its flat piece `chosen` (n,) [length]."""
+    corners = pieces.points[chosen] - points[:, None]
+    normals = pieces.normals[chosen]
+    along = np.roll(corners, -1, axis=1) - corners
+    # parameter in [0, 1] of the nearest point of each side
+    part = -np.einsum("nci,nci->nc", corners, along) / np.einsum("nci,nci->nc", along, along)
+    part = np.clip(part, 0.0, 1.0)
+    result = np.linalg.norm(corners + part[:, :, None] * along, axis=2).min(axis=1)
+    if corners.shape[1] > 2:
+        turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
+        projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
+        height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
+        result = np.where(projects_inside, height, result)
+    return np.asarray(result)

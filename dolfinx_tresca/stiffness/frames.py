@@ -1,0 +1,338 @@
+"""Frames of linear bodies that turn: a rigid motion of each body, from which it deforms little.
+
+A point X of a body is at x = X + u with u = u_R + R v. Here u_R = t + (R - 1)(X - c) is the rigid
+motion of the body's frame, with the centre c, the translation t and the rotation R, and v is the
+displacement in the frame. If v is small, the strain energy is 1/2 v'K v with the K of the
+undeformed body, also if R turns by whole revolutions: this is the corotational formulation, or
+floating frame of reference, with one frame for each body (Nour-Omid and Rankin 1991, Comput.
+Methods Appl. Mech. Eng. 93; Shabana 1997, Multibody Syst. Dyn. 1). docs/theory/frames.md derives
+what follows for contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+import ufl
+from dolfinx import fem
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.classes import Argument, Grad
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.matrices import sparse_matrix
+from dolfinx_tresca._base.parallel import reduce_array
+
+#: A force of K against a rigid motion counts as rounding up to this multiple of the body's largest
+#: diagonal entry, for a displacement of length 1. Softer springs exert less than 1e-10 of the
+#: forces that strains cause. (Assembly and products leave 1e-15 to 1e-13.)
+RIGID_ROUNDING = 1e-12
+
+#: Prescribed nodes determine a rotation if they are spread, in one direction in 2D and in two in
+#: 3D, over more than this fraction of the largest spread of the body. Rotations of closer nodes
+#: have the relative rounding errors of their displacements, divided by this number.
+LEAST_SPREAD = 1e-6
+
+
+@dataclass(frozen=True)
+class BodyFrames:
+    """The frame of each body of a mesh.
+
+    Bodies without a frame have R = 1 and t = 0, so that v = u.
+
+    Attributes:
+        V: the space of the displacement.
+        label: (nodes of V,) the body of each node of this rank, with ghosts.
+        has_frame: (bodies,) whether the body has a frame that moves.
+        axis: (bodies, 3) unit vector about which alone the body can turn; zero: it can turn freely.
+        guides: (owned nodes,) whether the node is one of those that determine its body's frame:
+            nodes whose displacement is prescribed, if they determine it; otherwise all nodes.
+        centre: (bodies, 3) mean undeformed position of the guides, c [length].
+        translation: (bodies, 3) t [length].
+        rotation: (bodies, 3, 3) R.
+    """
+
+    V: Any
+    label: npt.NDArray[np.int64]
+    has_frame: Mask
+    axis: Array
+    guides: Mask
+    centre: Array
+    translation: Array
+    rotation: Array
+
+    @classmethod
+    def at_rest(cls, system: Any, fixed_surfaces: Sequence[LocalNumbers]) -> BodyFrames | None:
+        """Return the frames of undeformed bodies; None if no body can have a frame. Collective.
+
+        A body has no frame if it is a body of revolution in its meridian, or one of a mixed space;
+        if directions of prescribed displacements let it turn about no axis; if K resists its rigid
+        motions, as with springs that tie it to a place in space; or if L has derivatives of the
+        test function, which are stresses inside the bodies and would turn with them.
+
+        Args:
+            system: a `LinearSystem` with K assembled.
+            fixed_surfaces: numbers of the nodes of surfaces with small sliding, whose normals do
+                not turn; their bodies have no frames.
+        """
+        V, comm = system.V, system.comm
+        if system.component is not None or system.axisymmetric or _has_stresses(system.loads):
+            return None
+        owned, dim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
+        label = label_bodies(V)
+        number = comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+        prescribed = system.prescribed_displacements.reshape(owned, dim)
+        whole = prescribed.all(axis=1)
+        alone = np.zeros((number, 3), dtype=np.int64)  # nodes with a prescribed single component
+        np.add.at(alone[:, :dim], label[:owned], prescribed & ~whole[:, None])
+        for nodes in fixed_surfaces:
+            alone[label[nodes]] = 1
+        alone = reduce_array(comm, alone)
+        axis = np.where((alone > 0) & (alone.sum(axis=1) == alone.max(axis=1))[:, None], 1.0, 0.0)
+        has_frame = (np.count_nonzero(alone, axis=1) <= dim - 2) & ~_resisted(system, label, number)
+        if dim == 2:
+            axis[:] = [0.0, 0.0, 1.0]
+        if not has_frame.any():
+            return None
+        identity = np.broadcast_to(np.eye(3), (number, 3, 3))
+        everywhere = np.ones(owned, dtype=np.bool_)
+        zero = np.zeros((number, 3))
+        frames = cls(V, label, has_frame, axis, everywhere, zero, zero, identity)
+        centre, moment = frames._moments(frames._points[:owned])
+        held = replace(frames, guides=whole)
+        held_centre, held_moment = held._moments(frames._points[:owned])
+        spread, held_spread = (np.linalg.eigvalsh(one)[:, 1 - dim] for one in (moment, held_moment))
+        is_held = held_spread > LEAST_SPREAD**2 * spread
+        return replace(
+            frames,
+            guides=np.where(is_held[label[:owned]], whole, everywhere),
+            centre=np.where(is_held[:, None], held_centre, centre),
+        )
+
+    @cached_property
+    def _points(self) -> Array:
+        """(nodes, 3) undeformed positions of this rank's nodes, with ghosts [length]."""
+        return np.asarray(self.V.tabulate_dof_coordinates())
+
+    def _vectors(self, u: Array) -> Array:
+        """Return nodal values (nodes * d,) as vectors (nodes, 3)."""
+        dim = self.V.mesh.geometry.dim
+        result = np.zeros((len(u) // dim, 3))
+        result[:, :dim] = u.reshape(-1, dim)
+        return result
+
+    def _moments(self, x: Array) -> tuple[Array, Array]:
+        """Return the mean (bodies, 3) of positions of guides, and their moments. Collective.
+
+        The moments (bodies, 3, 3) are the sums of (x - mean) (X - mean)'.
+
+        Args:
+            x: (owned nodes, 3) positions [length].
+        """
+        comm, label, X = self.V.mesh.comm, self.label[: len(x)], self._points[: len(x)]
+        sums = np.zeros((len(self.has_frame), 7))
+        np.add.at(sums, label[self.guides], np.column_stack([X, x, np.ones(len(x))])[self.guides])
+        sums = np.asarray(reduce_array(comm, sums))
+        sums[:, :6] /= np.maximum(sums[:, 6:], 1.0)
+        x, X = x - sums[label, 3:6], X - sums[label, :3]
+        moments = np.zeros((len(sums), 3, 3))
+        np.add.at(moments, label[self.guides], (x[:, :, None] * X[:, None, :])[self.guides])
+        return sums[:, 3:6], np.asarray(reduce_array(comm, moments))
+
+    def at(self, u: fem.Function) -> BodyFrames | None:
+        """Return the frames that move with a displacement; None if all are at rest. Collective.
+
+        R is the rotation that maps the undeformed guides best, in the least-squares sense, onto
+        their displaced positions (polar decomposition), among the rotations that the body's axis
+        allows.
+
+        Args:
+            u: displacement [length].
+        """
+        owned = len(self.guides)
+        mean, moments = self._moments((self._points + self._vectors(u.x.array))[:owned])
+        translation = np.where(self.has_frame[:, None], mean - self.centre, 0.0)
+        rotation = self.rotation * 0.0 + np.eye(3)
+        for body in np.flatnonzero(self.has_frame):
+            M, e = moments[body], self.axis[body]
+            if e.any():
+                turned = float(e @ _axial(M)), float(np.trace(M) - e @ M @ e)
+                rotation[body] = _rotation(np.arctan2(*turned) * e)
+            else:
+                left, _, right = np.linalg.svd(M)
+                left[:, 2] *= np.linalg.det(left @ right)
+                rotation[body] = left @ right
+            if np.abs(rotation[body] - np.eye(3)).max() <= ROUNDING:
+                rotation[body] = np.eye(3)
+        size = np.abs(self._points).max(initial=0.0) + np.abs(translation).max(initial=0.0)
+        size = float(reduce_array(self.V.mesh.comm, size, MPI.MAX))
+        translation[np.abs(translation).max(axis=1) <= ROUNDING * size] = 0.0
+        if not translation.any() and (rotation == np.eye(3)).all():
+            return None
+        return replace(self, translation=translation, rotation=rotation)
+
+    @cached_property
+    def rigid(self) -> fem.Function:
+        """The rigid motions u_R [length]. Not collective."""
+        arm = self._points - self.centre[self.label]
+        moved = np.einsum("nij,nj->ni", (self.rotation - np.eye(3))[self.label], arm)
+        result = fem.Function(self.V)
+        result.x.array[:] = self._values(moved + self.translation[self.label])
+        return result
+
+    def _values(self, vectors: Array) -> Array:
+        """Return vectors (nodes, 3) as nodal values (nodes * d,)."""
+        return vectors[:, : self.V.mesh.geometry.dim].ravel()
+
+    def into_space(self, v: Array) -> Array:
+        """Return R v for nodal values (nodes * d,) of this rank, with or without ghosts."""
+        vectors = self._vectors(v)
+        turned = np.einsum("nij,nj->ni", self.rotation[self.label[: len(vectors)]], vectors)
+        return self._values(turned)
+
+    def into_frames(self, values: Array) -> Array:
+        """Return R'f for nodal values (nodes * d,) of this rank, with or without ghosts."""
+        vectors = self._vectors(values)
+        turned = np.einsum("nji,nj->ni", self.rotation[self.label[: len(vectors)]], vectors)
+        return self._values(turned)
+
+    def displacement(self, v: fem.Function) -> fem.Function:
+        """Return u = u_R + R v [length] of a displacement v in the frames. Not collective."""
+        u = v.copy()
+        u.name = v.name
+        u.x.array[:] = self.rigid.x.array + self.into_space(v.x.array)
+        return u
+
+    def deformation(self, u: fem.Function) -> fem.Function:
+        """Return v = R'(u - u_R) [length] of a displacement u. Not collective."""
+        v = u.copy()
+        v.x.array[:] = self.into_frames(u.x.array - self.rigid.x.array)
+        return v
+
+    def work(self, forces: fem.Function) -> float:
+        """Return the work [energy] of forces in the frames [force] on u_R. Collective."""
+        owned = self.guides.size * self.V.mesh.geometry.dim
+        own = self.into_space(forces.x.array[:owned]) @ self.rigid.x.array[:owned]
+        return float(reduce_array(self.V.mesh.comm, own))
+
+    def exactly_turned(self, u: fem.Function) -> fem.Function:
+        """Return a displacement whose rotation from the frames is exact. Collective.
+
+        If the mean rotation w of v is small, R (1 + w x) swells the body by w^2 / 2. The result has
+        R exp(w x) in its place.
+
+        Args:
+            u: displacement [length] with a small v.
+        """
+        owned, label = len(self.guides), self.label
+        v = self._vectors(self.deformation(u).x.array)
+        X = self._points[:owned]
+        _, inertia = self._moments(X)
+        mean, moments = self._moments(X + v[:owned])
+        mean = mean - self.centre
+        rotation, turned = self.rotation.copy(), np.zeros_like(mean)
+        for body in np.flatnonzero(self.has_frame):
+            e, M = self.axis[body], inertia[body]
+            turn, resistance = _axial(moments[body]), np.trace(M) * np.eye(3) - M
+            if e.any():
+                turned[body] = e * (e @ turn) / (e @ resistance @ e)
+            else:
+                turned[body] = np.linalg.solve(resistance, turn)
+            rotation[body] = self.rotation[body] @ _rotation(turned[body])
+        arm = self._points - self.centre[label]
+        strained = arm + v - mean[label] - np.cross(turned[label], arm)
+        moved = np.einsum("nij,nj->ni", rotation[label], strained) - arm
+        moved += self.translation[label] + np.einsum("bij,bj->bi", self.rotation, mean)[label]
+        result = u.copy()
+        has_frame = np.repeat(self.has_frame[label], self.V.mesh.geometry.dim)
+        result.x.array[:] = np.where(has_frame, self._values(moved), u.x.array)
+        return result
+
+    def columns(self, B: PETSc.Mat) -> PETSc.Mat:
+        """Return B R, which the caller owns, for a matrix with columns in space. Collective."""
+        dim, owned = self.V.mesh.geometry.dim, len(self.guides)
+        first = self.V.dofmap.index_map.local_range[0]
+        blocks = self.rotation[self.label[:owned], :dim, :dim]
+        columns = np.arange(first, first + owned)[:, None, None] * dim + np.arange(dim)
+        columns = np.broadcast_to(columns, blocks.shape)
+        ends = np.arange(0, owned * dim**2 + 1, dim)
+        shape = owned * dim, self.V.dofmap.index_map.size_global * dim
+        rows = csr_array((blocks.ravel(), columns.ravel(), ends), shape)
+        R = sparse_matrix(rows, B.getSizes()[1], B.comm)
+        result = B.matMult(R)
+        R.destroy()
+        return result
+
+
+def _axial(moments: Array) -> Array:
+    """Return the sum (3,) of X x x for moments (3, 3), the sum of x X'."""
+    return np.array([moments[k, j] - moments[j, k] for j, k in ((1, 2), (2, 0), (0, 1))])
+
+
+def _rotation(turn: Array) -> Array:
+    """Return the rotation (3, 3) about the axis of a vector (3,) by its length [rad]."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = turn / angle
+    spin = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * spin + (1.0 - np.cos(angle)) * spin @ spin)
+
+
+def _has_stresses(L: Any) -> bool:
+    """Return whether a linear form has derivatives of its test function. Not collective."""
+    if not isinstance(L, ufl.Form):
+        return False
+    integrals = apply_derivatives(apply_algebra_lowering(L)).integrals()
+    return any(
+        isinstance(node, Grad) and isinstance(node.ufl_operands[0], Argument)
+        for integral in integrals
+        for node in unique_pre_traversal(integral.integrand())
+    )
+
+
+def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:
+    """Return whether K resists a rigid motion of each body (number,). Collective.
+
+    Args:
+        system: a `LinearSystem` with K assembled.
+        label: (nodes,) the body of each node of this rank, with ghosts.
+        number: number of bodies.
+    """
+    V, comm, prescribed = system.V, system.comm, system.prescribed
+    dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+    label, points = label[:owned], V.tabulate_dof_coordinates()[:owned]
+    extent = float(reduce_array(comm, np.abs(points).max(initial=0.0), MPI.MAX))
+    rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], points / (extent or 1.0))
+    motions = [*np.broadcast_to(np.eye(3)[:dim, None], (dim, owned, 3)), *rotations]
+    # another factor for each body, so that springs between bodies are seen, too
+    factor = 1.0 + 0.618 * label % 1.0
+    diagonal = system.K.getDiagonal()
+    largest, force = np.zeros(number), np.zeros(number)
+    free = np.repeat(label, dim)[~prescribed]
+    np.maximum.at(largest, free, np.abs(diagonal.array[~prescribed]))
+    inside, forces = system.K.createVecs()
+    for motion in motions:
+        values = (factor[:, None] * motion)[:, :dim].ravel()
+        inside.array = np.where(prescribed, 0.0, values)
+        system.K.mult(inside, forces)
+        caused = system.forces_of(values[prescribed])
+        total = np.abs(forces.array + caused.array)[~prescribed]
+        np.maximum.at(force, free, total)
+        caused.destroy()
+    for owned_vector in (diagonal, inside, forces):
+        owned_vector.destroy()
+    largest, force = reduce_array(comm, np.array([largest, force]), MPI.MAX)
+    return np.asarray(force > RIGID_ROUNDING * largest)

@@ -1,1 +1,0 @@
-"""Geometry of tagged surfaces: facets, nodes, weights, normals, search, clipping, visibility."""

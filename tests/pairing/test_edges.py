@@ -1,0 +1,116 @@
+"""Smooth patches: sharp edges partition the facets at a node."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from rotations import rotation
+from sheets import CELLS, joined, nodes_of, sheet
+
+from dolfinx_tresca import PairingError
+from dolfinx_tresca.pairing.pair_surfaces import _surface_nodes
+from dolfinx_tresca.pairing.search.nodes import EDGE_ANGLE, smooth_patches
+from scenes.scene import EPS
+
+
+def fan(angles: np.ndarray) -> np.ndarray:
+    """Return unit normals at angles [degrees] in a rotated plane."""
+    turns = np.radians(angles)
+    flat = np.stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))], axis=1)
+    return flat @ rotation(5).T
+
+
+@pytest.mark.parametrize(
+    ("angles", "patches"),
+    [
+        ((0.0, 0.0), 1),
+        ((0.0, EDGE_ANGLE - 1.0), 1),
+        ((0.0, EDGE_ANGLE + 1.0), 2),
+        ((0.0, 90.0, 0.0, 90.0), 2),
+        ((0.0, 45.0, 90.0), 1),  # a fillet
+        ((0.0, 360.0 / 7.0), 1),  # a heptagon is smooth
+        ((0.0, 60.0), 2),  # a hexagon has sharp edges
+        ((0.0, 180.0), 2),
+        ((0.0, 120.0, 240.0), 3),
+        ((0.0, 30.0, 120.0, 150.0), 2),
+    ],
+)
+def test_patch_is_a_chain_of_normals(angles, patches):
+    """The result does not depend on the order; a flat node comes before and another one after."""
+    for order in (slice(None), slice(None, None, -1)):
+        normals = fan(np.array([0.0, 1.0, *angles[order], 90.0]))
+        node = np.array([0, 0, *[1] * len(angles), 2])
+        patch, of_patch = smooth_patches(node, normals)
+        assert np.array_equal(of_patch[patch], node)
+        assert np.bincount(of_patch).tolist() == [1, patches, 1]
+        near = normals @ normals.T >= np.cos(np.radians(EDGE_ANGLE))
+        assert (patch[:, None] == patch)[near & (node[:, None] == node)].all()
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_nodes_on_a_sharp_edge_have_one_normal_and_weight_per_side(cell, degree):
+    """Two sheets share nodes at a right angle; the first sheet is larger."""
+    n = 3
+    first = sheet(cell, n, degree=degree)
+    up = np.array([0.0, 1.0, 0.0] if cell == "interval" else [0.0, 0.0, 1.0])
+
+    def upright(x):
+        height = 0.5 * x[:, :1]
+        return height * up + x * (np.array([0.0, 0.0, 1.0]) if cell == "interval" else [0, 1, 0])
+
+    second = sheet(cell, n, degree=degree, first=1000, move=upright,
+                   away=lambda x: np.broadcast_to([1.0, 0.0, 0.0], x.shape))  # fmt: skip
+    places = {tuple(p): k for k, p in zip(first.nodes.ravel(),
+                                          np.round(first.points, 9).reshape(-1, 3) + 0.0,
+                                          strict=True)}  # fmt: skip
+    numbers = np.array([
+        places.get(tuple(p), k) for k, p in zip(second.nodes.ravel(),
+                                                np.round(second.points, 9).reshape(-1, 3) + 0.0,
+                                                strict=True)
+    ])  # fmt: skip
+    nodes = nodes_of(
+        joined(first, dataclasses.replace(second, nodes=numbers.reshape(second.nodes.shape)))
+    )
+    shared = np.flatnonzero(np.diff(nodes.numbers) == 0)
+    assert len(shared) == (1 if cell == "interval" else n + 1)
+    assert np.allclose(nodes.normals[shared], [1.0, 0.0, 0.0], atol=10 * EPS)
+    assert np.allclose(nodes.normals[shared + 1], up, atol=10 * EPS)  # the larger one comes last
+    assert nodes.weights.sum() == pytest.approx(1.5)
+    assert np.allclose(nodes.weights[shared], 0.5 * nodes.weights[shared + 1])
+    assert nodes.corner_weights.sum() == pytest.approx(1.5)
+
+
+def test_error_names_a_node_whose_normals_cancel():
+    """The triangles all contain the same axis, like a needle."""
+    count = 12
+    turn = 2.0 * np.pi * np.arange(count) / count
+    spokes = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
+    side = np.stack([-spokes[:, 1], spokes[:, 0], spokes[:, 2]], axis=1)
+    tip = np.array([0.0, 0.0, 1.0])
+    points = np.stack([0 * spokes, tip + 0 * spokes, tip + side], axis=1)
+    one = sheet("triangle", 1)
+    needle = dataclasses.replace(
+        one,
+        nodes=np.array([[0, 1, 2 + k] for k in range(count)]),
+        points=points,
+        free=np.ones((count, 3, 3), dtype=bool),
+        file_numbers=np.array([[0, 1, 2 + k] for k in range(count)]),
+        outward=np.ones(count),
+    )
+    nodes = nodes_of(needle)
+    assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
+    assert np.isfinite(nodes.normals).all()
+    pair = SimpleNamespace(side=lambda name: "tag 1")
+    halo = SimpleNamespace(facets=needle)
+    space = SimpleNamespace(
+        mesh=SimpleNamespace(comm=MPI.COMM_SELF),
+        dofmap=SimpleNamespace(index_map=SimpleNamespace(local_range=(1, count + 2))),
+    )
+    with pytest.raises(PairingError, match=r"no normal at \[0\. 0\. 1\.\].*Repair the mesh"):
+        _surface_nodes(space, pair, "secondary", halo, moved=False)

@@ -1,0 +1,253 @@
+"""Linear bodies that turn with finite sliding: each has a frame of its own."""
+
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem, mesh
+
+from dolfinx_tresca import (
+    ContactPair,
+    ContactProblem,
+    ContactStatus,
+    Coulomb,
+    Frictionless,
+    NonlinearContactProblem,
+    RigidPlane,
+)
+
+MU, LAMBDA = 8e3, 1.2e4
+OUTSIDE, HELD = 1, 2
+CELLS = 24
+
+
+def strain(u: Any) -> Any:
+    return ufl.sym(ufl.grad(u))
+
+
+def linear_form(V: Any) -> Any:
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    return (2 * MU * ufl.inner(strain(u), strain(v)) + LAMBDA * ufl.div(u) * ufl.div(v)) * ufl.dx
+
+
+def saint_venant_kirchhoff(u: fem.Function) -> Any:
+    F = ufl.Identity(len(u)) + ufl.grad(u)
+    E = (F.T * F - ufl.Identity(len(u))) / 2
+    energy = (MU * ufl.inner(E, E) + LAMBDA / 2 * ufl.tr(E) ** 2) * ufl.dx
+    return ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
+
+
+def turned(angle: float, axis: int = 2) -> Any:
+    """Return the displacement of a rotation about an axis through the origin."""
+    c, s = np.cos(angle) - 1.0, np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+
+    def displacement(x: Any) -> Any:
+        u = np.zeros_like(x)
+        u[i], u[j] = c * x[i] - s * x[j], s * x[i] + c * x[j]
+        return u
+
+    return displacement
+
+
+def sector() -> Any:
+    """Return a mesh of 150 degrees of a ring of radii 6 and 10, with tags of its two arcs."""
+    ring = mesh.create_rectangle(
+        MPI.COMM_WORLD,
+        [[6.0, -np.radians(75.0)], [10.0, np.radians(75.0)]],
+        [5, 60],
+        cell_type=mesh.CellType.quadrilateral,
+    )
+    arcs = [
+        mesh.locate_entities_boundary(ring, 1, lambda x, r=r: abs(x[0] - r) < 1e-9) for r in (10, 6)
+    ]
+    radius, angle = ring.geometry.x[:, 0].copy(), ring.geometry.x[:, 1].copy()
+    ring.geometry.x[:, 0], ring.geometry.x[:, 1] = radius * np.sin(angle), radius * np.cos(angle)
+    return ring, tagged(ring, arcs)
+
+
+def tagged(domain: Any, groups: Any) -> Any:
+    facets = np.concatenate(groups)
+    values = np.repeat(np.arange(1, len(groups) + 1, dtype=np.int32), [len(one) for one in groups])
+    order = np.argsort(facets)
+    return mesh.meshtags(domain, domain.topology.dim - 1, facets[order], values[order])
+
+
+def disc(length: float = 0.0, radius: float = 1.0) -> Any:
+    """Return the mesh of a disc, or of a cylinder, and tags of its round side and one end."""
+    kinds = mesh.CellType.quadrilateral, mesh.CellType.hexahedron
+    if length:
+        corners = [[-1.0, -1.0, 0.0], [1.0, 1.0, length]]
+        domain = mesh.create_box(MPI.COMM_WORLD, corners, [8, 8, 4], cell_type=kinds[1])
+    else:
+        corners = [[-1.0, -1.0], [1.0, 1.0]]
+        domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [CELLS] * 2, cell_type=kinds[0])
+    dim = domain.topology.dim
+    side = mesh.locate_entities_boundary(
+        domain, dim - 1, lambda x: np.maximum(abs(x[0]), abs(x[1])) > 1.0 - 1e-9
+    )
+    end = mesh.locate_entities_boundary(domain, dim - 1, lambda x: x[2] > length - 1e-9)
+    x = domain.geometry.x
+    square = x[:, :2].copy()
+    size = np.abs(square).max(axis=1)
+    # equal angles along each side of the square: the mesh has the symmetry of a quarter turn
+    angle = np.where(
+        np.abs(square[:, 0]) >= np.abs(square[:, 1]),
+        np.arctan2(0.0, square[:, 0])
+        + np.pi / 4 * square[:, 1] / np.where(square[:, 0], square[:, 0], 1.0),
+        np.sign(square[:, 1]) * np.pi / 2
+        - np.pi / 4 * square[:, 0] / np.where(square[:, 1], square[:, 1], 1.0),
+    )
+    size = size * radius
+    # a square at the centre, a circle at the rim
+    circle = size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    share = (size / radius)[:, None]
+    x[:, :2] = share * circle + (1.0 - share) * 0.8 * radius * square
+    return domain, tagged(domain, [side, end] if length else [side])
+
+
+def sector_problem(kind: type, law: Any = None, form: Any = linear_form, load: Any = None) -> Any:
+    """Return a sector under a plane, its prescribed displacement, and the rows of its solves."""
+    ring, tags = sector()
+    V = fem.functionspace(ring, ("Lagrange", 1, (2,)))
+    held, u = fem.Function(V), fem.Function(V)
+    bcs = [fem.dirichletbc(held, fem.locate_dofs_topological(V, 1, tags.find(HELD)))]
+    plane = RigidPlane(point=(0.0, 9.995), normal=(0.0, -1.0))
+    pair = ContactPair(tags, OUTSIDE, plane, law or Frictionless(), sliding="finite")
+    if kind is ContactProblem:
+        return ContactProblem(form(V), load and load(V), [pair], bcs), held
+    return NonlinearContactProblem(saint_venant_kirchhoff(u), u, [pair], bcs), held
+
+
+def turn(held: fem.Function, angle: float) -> None:
+    held.interpolate(lambda x: turned(angle)(x)[: len(held)])
+
+
+@pytest.mark.parallel
+def test_a_sector_that_turns_back_has_the_same_energy_and_forces() -> None:
+    linear, held = sector_problem(ContactProblem)
+    nonlinear, held_exactly = sector_problem(NonlinearContactProblem)
+    with linear, nonlinear:
+        forces, energies = [], []
+        for angle in (0.0, 0.2, 0.4, 0.7, 2 * np.pi):
+            turn(held, angle)
+            solution = linear.solve(rtol=1e-11, geometry_accuracy=1e-10)
+            solution.raise_if_failed()
+            linear.accept()
+            forces.append(solution.pair_resultants[0].force)
+            energies.append(solution.primal_energy)
+            if angle == 0.7:
+                strained = np.abs(solution.deformation.x.array).max()
+        for angle in (0.0, 0.35, 0.7):
+            turn(held_exactly, angle)
+            exact = nonlinear.solve()
+            exact.raise_if_failed()
+            nonlinear.accept()
+    assert np.allclose(forces[-1], forces[0], atol=1e-9 * np.linalg.norm(forces[0]))
+    assert abs(energies[-1] / energies[0] - 1.0) < 1e-9
+    assert linear.comm.allreduce(strained, op=MPI.MAX) < 0.01
+    assert abs(exact.normal_force / np.linalg.norm(forces[3]) - 1.0) < 0.005
+
+
+@pytest.mark.parallel
+def test_a_process_goes_on_from_a_file_with_its_frames(folder: Path) -> None:
+    path = folder / "state.npz"
+    forces = []
+    (whole, held), (later, held_later) = (
+        sector_problem(ContactProblem, Coulomb(0.3)) for _ in "ab"
+    )
+    with whole, later:
+        for angle in (0.0, 0.1, 0.2):
+            turn(held, angle)
+            whole.solve(rtol=1e-9, geometry_accuracy=1e-8).raise_if_failed()
+            whole.accept()
+        whole.save_state(path)
+        later.load_state(path)
+        for problem, values in ((whole, held), (later, held_later)):
+            turn(values, 0.3)
+            solution = problem.solve(rtol=1e-9, geometry_accuracy=1e-8)
+            solution.raise_if_failed()
+            forces.append(solution.pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=1e-6)
+
+
+@pytest.mark.parametrize("held_by", ["springs", "stresses"])
+def test_bodies_without_a_frame_leave_linear_theory(held_by: str) -> None:
+    def with_springs(V: Any) -> Any:
+        spring = 1e-6 * ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V)) * ufl.dx
+        return linear_form(V) + spring
+
+    def stresses(V: Any) -> Any:
+        return 1e-3 * ufl.div(ufl.TestFunction(V)) * ufl.dx
+
+    changes = {"springs": {"form": with_springs}, "stresses": {"load": stresses}}
+    problem, held = sector_problem(ContactProblem, **changes[held_by])
+    with problem:
+        turn(held, 0.1)
+        assert problem.solve().status is ContactStatus.OUTSIDE_THEORY
+
+
+@pytest.mark.parallel
+def test_a_disc_rolls_by_a_quarter_turn() -> None:
+    domain, tags = disc()
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    below = RigidPlane(point=(0.0, -0.999), normal=(0.0, 1.0))
+    above = RigidPlane(point=(0.0, 0.999), normal=(0.0, -1.0))
+    pairs = [
+        ContactPair(tags, OUTSIDE, plane, Coulomb(0.5), sliding="finite")
+        for plane in (below, above)
+    ]
+    forces = []
+    with ContactProblem(linear_form(V), None, pairs) as problem:
+        for angle in np.linspace(0.0, np.pi / 2, 13):
+            above.move_to((2.0 * angle, 0.0))
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            forces.append(solution.normal_force)
+    owned = V.dofmap.index_map.size_local
+    points = V.tabulate_dof_coordinates()[:owned, :2]
+    x = points + solution.u.x.array.reshape(-1, 2)[:owned]
+    sums = domain.comm.allreduce(np.array([*x.sum(axis=0), owned]))
+    centre = sums[:2] / sums[2]
+    assert np.allclose(centre, [np.pi / 2, 0.0], atol=2e-4)
+    rotated = np.column_stack([points[:, 1], -points[:, 0]])
+    assert np.abs(x - centre - rotated).max(initial=0.0) < 8e-3
+    # the mesh is the same after a quarter turn, up to the creep of a contact of two nodes
+    assert abs(forces[-1] / forces[0] - 1.0) < 0.02
+
+
+def test_a_shaft_carries_its_moment_at_its_deformed_place() -> None:
+    domain, tags = disc(length=4.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+    results = {}
+    for kind in (ContactProblem, NonlinearContactProblem):
+        held, u = fem.Function(V), fem.Function(V)
+        bcs = [fem.dirichletbc(held, fem.locate_dofs_topological(V, 2, tags.find(HELD)))]
+        plane = RigidPlane(point=(0.0, 0.99, 0.0), normal=(0.0, -1.0, 0.0))
+        pair = ContactPair(tags, OUTSIDE, plane, Coulomb(0.3), sliding="finite")
+        linear = kind is ContactProblem
+        with (
+            ContactProblem(linear_form(V), None, [pair], bcs)
+            if linear
+            else NonlinearContactProblem(saint_venant_kirchhoff(u), u, [pair], bcs)
+        ) as problem:
+            for angle in (0.0, 0.2, 0.4):
+                turn(held, angle)
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+            results[linear] = solution
+    moments = [
+        results[linear].body_resultants[0].about((0.0, 0.0, 4.0)).moment for linear in (True, False)
+    ]
+    assert np.allclose(*moments, atol=0.01 * np.linalg.norm(moments[1]))
+    friction = results[True].tangential_force
+    assert abs(abs(moments[0][2]) / (0.99 * friction) - 1.0) < 0.01
+    on_pair = results[True].pair_resultants[0].about((0.0, 0.0, 4.0)).moment
+    assert np.allclose(on_pair, moments[0], atol=0.003 * np.linalg.norm(moments[0]))
