@@ -99,8 +99,8 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
                 1,
                 2 * int(rng.integers(3, 9)),
                 rng.choice(["lifts", "slips"]),
-                poisson=rng.uniform(0.0, 0.45),
-                size=rng.uniform(0.1, 1.0),
+                poisson=rng.choice([0.0, 0.3, 0.45]),
+                size=rng.choice([0.3, 1.0]),
                 distort=rng.uniform(0.0, 0.6),
                 seed=seed,
             )
