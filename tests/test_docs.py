@@ -52,7 +52,7 @@ PROGRAMS |= {"~/contact/bin/pip"}
 
 
 #: Packages whose code on pages is run where they are installed.
-OPTIONAL = ("dolfinx_adjoint", "jax", "torch")
+OPTIONAL = ("dolfinx_adjoint", "jax", "meshio", "torch")
 
 
 def name(page: Path) -> str:
