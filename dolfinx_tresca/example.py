@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import MESHES, ContactPair, ContactProblem, Tresca, Units, read_gmsh
 
-bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=16)  # or your own .geo, .msh
+bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=16)  # or your own .geo, .msh, .step
 facets, tags = bricks.facet_tags, bricks.tags
 V = fem.functionspace(bricks.mesh, ("Lagrange", 1, (3,)))
 
