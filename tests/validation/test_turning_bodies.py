@@ -241,6 +241,7 @@ def test_a_disc_rolls_by_a_quarter_turn() -> None:
     assert abs(forces[-1] / forces[0] - 1.0) < 0.02
 
 
+@pytest.mark.parallel
 def test_a_shaft_carries_its_moment_at_its_deformed_place() -> None:
     domain, tags = disc(length=4.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
