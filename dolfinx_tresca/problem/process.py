@@ -495,7 +495,8 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Collective. At prescribed degrees of freedom, the force balances internal forces, loads and
         contact. Springs are terms of `a` (or F) over facets with the tag in which u occurs, such as
-        `k * inner(u, v) * ds(7)`.
+        `k * inner(u, v) * ds(7)`. With finite sliding forces act at the displaced places, as those
+        of `pair_resultants` do.
 
         Args:
             where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`.
@@ -516,10 +517,19 @@ class ContactProcess(PetscOwner, Tabulated):
         solved = self._contact.solved
         if solved is None:
             raise ContactError("there is no solution for reaction(): call solve() first.")
-        u = getattr(self, "u", solved.fields.u)
-        tags = self.pairs[0].given_tags("secondary")[0]
-        force = solved.fields.contact_force
-        return reaction_at(self._forms_at(u), u, force, self.prescribed, tags, where, point)
+        surfaces, fields = self._contact.surfaces, solved.fields
+        u = getattr(self, "u", fields.deformation)
+        return reaction_at(
+            self._forms_at(u),
+            u,
+            fields.contact_force,
+            self.prescribed,
+            self.pairs[0].given_tags("secondary")[0],
+            where,
+            point,
+            moved=fields.u if surfaces.slides_far else None,
+            frames=surfaces.jump.frames,
+        )
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.

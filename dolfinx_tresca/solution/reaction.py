@@ -19,6 +19,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.solution.resultants import Resultant, centre_of_forces, resultants_on
+from dolfinx_tresca.stiffness.frames import BodyFrames
 
 #: Largest force at free nodes, relative to the largest nodal force, with which loads are those of
 #: the solution. Solutions of the default accuracy are below a hundredth of this.
@@ -33,6 +34,9 @@ def reaction_at(
     facet_tags: Any,
     where: Any,
     point: npt.ArrayLike | None,
+    *,
+    moved: fem.Function | None = None,
+    frames: BodyFrames | None = None,
 ) -> Resultant:
     """Return the force and moment that a support exerts on the bodies. Collective.
 
@@ -41,12 +45,14 @@ def reaction_at(
 
     Args:
         forms: the forms and conditions of the bodies.
-        u: the displacement in these forms, of the solution.
+        u: the displacement in these forms, of the solution; with `frames` the displacement in them.
         contact_force: contact forces on all nodes [force].
         prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         facet_tags: tags of facets, for tags.
         where: the tag of a surface, or a Dirichlet condition of the problem.
         point: (d,) reference point of the moment [length]; None: the middle of all these forces.
+        moved: displacement of the places at which forces act [length]; None: the undeformed places.
+        frames: the frames of linear bodies that have turned; None: there are none.
 
     Raises:
         InputError: `where` is neither of both, no facet has the tag, nothing holds it, or the forms
@@ -65,7 +71,11 @@ def reaction_at(
         vector.x.scatter_reverse(dolfinx.la.InsertMode.add)
         return np.asarray(vector.x.array[: len(prescribed)])
 
-    forces = nodal(residual) - contact_force.x.array[: len(prescribed)]
+    forces = nodal(residual)
+    if frames is not None:  # loads are in space, internal forces in the frames
+        loads = nodal(ufl.replace(residual, {u: fem.Function(u.function_space)}))
+        forces = frames.into_space(forces - loads) + loads
+    forces -= contact_force.x.array[: len(prescribed)]
     sizes = [np.abs(forces[some]).max(initial=0.0) for some in (~prescribed, slice(None))]
     sizes.append(np.abs(contact_force.x.array).max(initial=0.0))
     unbalanced, *largest = reduce_array(comm, sizes, MPI.MAX)
@@ -109,6 +119,8 @@ def reaction_at(
         forces -= nodal(ufl.Form(only))
     rows = forces.reshape(-1, dim)
     places = V.tabulate_dof_coordinates()[: len(rows), :dim]
+    if moved is not None:
+        places = places + moved.x.array[: len(prescribed)].reshape(-1, dim)
     centre = centre_of_forces(comm, places, rows)
     index = np.zeros(len(rows), dtype=np.intp)
     (result,) = resultants_on(comm, [(places, rows, index)], 1, centre)

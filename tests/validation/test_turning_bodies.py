@@ -143,12 +143,17 @@ def test_a_sector_that_turns_back_has_the_same_energy_and_forces() -> None:
             forces.append(solution.pair_resultants[0].force)
             energies.append(solution.primal_energy)
             if angle == 0.7:
+                contact = solution.pair_resultants[0].about((0.0, 0.0))
+                support = linear.reaction(HELD, (0.0, 0.0))
                 strained = np.abs(solution.deformation.x.array).max()
         for angle in (0.0, 0.35, 0.7):
             turn(held_exactly, angle)
             exact = nonlinear.solve()
             exact.raise_if_failed()
             nonlinear.accept()
+    assert np.allclose(support.force, -contact.force, atol=1e-8 * np.linalg.norm(contact.force))
+    lever = 10.0 * np.linalg.norm(contact.force)
+    assert np.allclose(support.moment, -contact.moment, atol=2e-3 * lever)  # strains: up to 1e-3
     assert solution.products < solution.counts.nodes  # all nodes were in contact before
     assert np.allclose(forces[-1], forces[0], atol=1e-9 * np.linalg.norm(forces[0]))
     assert abs(energies[-1] / energies[0] - 1.0) < 1e-9
