@@ -384,7 +384,7 @@ class ContactProblem(ContactProcess):
         if contact.surfaces.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
             raise InputError(
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
-                " sliding='small', and do not call update_geometry()."
+                "sliding='small', and do not call update_geometry()."
             )
         return guaranteed_error(
             contact.linear, self.pairs, solved.dual, solved.multipliers, solved.fields.u, number
