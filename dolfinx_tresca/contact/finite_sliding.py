@@ -43,6 +43,11 @@ ALIKE = 0.1
 #: residuals point at each other, at which the next one lies: the solution is between them.
 LEAST_PART, LARGEST_PART = 0.1, 0.9
 
+#: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds
+#: of a bellows whose contact passes from node to node do not converge; with 3, an edge that slides
+#: off a corner does not.
+GROWING = 2
+
 #: Residual to which a contact problem is solved, relative to the residual that the contact problem
 #: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
 #: configuration changes the forces again, so early contact problems need no more accuracy. A
@@ -132,7 +137,7 @@ class FiniteSliding:
         self._gaps: Array | None = None
         self._residual = math.inf  # |u - w|^2
         self._path: list[Configuration] = []
-        self._grows = False  # whether |u - w| is larger than in the configuration before
+        self._grows = 0  # number of last configurations in which |u - w| has grown
         self._start = 1.0  # relative residual that the last contact problem started with
         self.change = self.error = math.inf
         self.configurations, self.snaps = 1, False
@@ -171,7 +176,7 @@ class FiniteSliding:
             [float(values @ values) for values in (changed, forces, residual, rounding)],
         )
         residual_before, self._residual = self._residual, distance
-        self._grows = distance > residual_before
+        self._grows = self._grows + 1 if distance > residual_before else 0
         before, gaps = self.change, self._gaps
         self._gaps = self._surfaces.gaps_at_nodes(u)
         if last is None or gaps is None:
@@ -272,7 +277,7 @@ class FiniteSliding:
         scaled = matrix / np.outer(lengths, lengths)
         weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
         accelerated: Array = u - moves.T @ weights
-        if self._grows and self._products(residual, [accelerated - w])[0] < 0.0:
+        if self._grows >= GROWING and self._products(residual, [accelerated - w])[0] < 0.0:
             self.snaps, self._path = True, [last]
             return u
         return accelerated

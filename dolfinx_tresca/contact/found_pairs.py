@@ -199,17 +199,16 @@ def contacts(
     names = Bodies.of(V, cell_tags).names
     alone = [body for body in range(len(names)) if body not in touched]
     if alone and len(names) > 1:
-        text = (
-            "%s touches no other body: its tagged faces are %.3g away from those of others, more "
-            "than %.3g. Check the positions and units of length of the bodies, that their faces "
-            "have tags, or give a larger distance"
-        )
-        away = _distance_to_others(V, faces, alone[0])
-        if not pairs:
-            raise MeshError(text % (names[alone[0]], away, reach) + ".")
         for body in alone:
             away = _distance_to_others(V, faces, body)
-            log(mesh.comm, text, names[body], away, reach, level=logging.WARNING, about=names[body])
+            error = MeshError(
+                f"{names[body]} touches no other body: its tagged faces are {away:.3g} away from "
+                f"those of others, more than {reach:.3g}. Check the positions and units of length "
+                "of the bodies, that their faces have tags, or give a larger distance."
+            )
+            if not pairs:
+                raise error
+            log(mesh.comm, "%s", error, level=logging.WARNING, about=names[body])
     if not pairs:
         raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
     return Contacts(pairs, near_faces, reach)

@@ -190,8 +190,9 @@ def mortar_rows(
     weights = node_sums(corners, weights, count)
     own = dual @ integrals.values
     facet, other = integrals.pairs.T
-    block = dual[facet] @ integrals.other
-    across = assemble_rows(nodes, corners[facet], primary.nodes[other], block, columns)
+    across = assemble_rows(
+        nodes, corners[facet], primary.nodes[other], dual[facet] @ integrals.other, columns
+    )
     jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns) - across
     means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
     jump, across = (drop_rounding(matrix, nodes, corners, weights) for matrix in (jump, across))

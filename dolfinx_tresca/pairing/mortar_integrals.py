@@ -142,6 +142,9 @@ class MortarIntegrals:
         self.pairs, self.other, self.opposite = map(
             np.concatenate, zip(*self._overlaps, strict=True)
         )
+        # the integrals outlive what they were computed with
+        del self._overlaps, self._pieces, self._others, self._visibility
+        del self._surface, self._other_surface
 
     def _facing_pairs(
         self, balls: Balls, mine: Indices, limit: Array

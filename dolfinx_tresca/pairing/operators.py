@@ -9,7 +9,7 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, kron, vstack
+from scipy.sparse import csr_array, vstack
 
 from dolfinx_tresca._base.arrays import (
     Array,
@@ -262,13 +262,11 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
         rows: (n,) the row of the scalar jump for each direction.
         directions: (n, d) unit vectors.
     """
-    axes = np.eye(directions.shape[1])
-    of_rows = jump[rows]
-    along_axes = (
-        kron(scaled_rows(of_rows, component), axis[None], format="csr")
-        for component, axis in zip(directions.T, axes, strict=True)
-    )
-    result = csr_array(sum(along_axes))
+    dim, of_rows = directions.shape[1], jump[rows]
+    values = np.repeat(directions, np.diff(of_rows.indptr), axis=0) * of_rows.data[:, None]
+    columns = of_rows.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
+    shape = len(rows), dim * jump.shape[1]
+    result = csr_array((values.ravel(), columns.ravel(), dim * of_rows.indptr), shape)
     result.eliminate_zeros()  # no columns for directions normal to an axis
     return result
 

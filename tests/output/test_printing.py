@@ -27,6 +27,7 @@ from dolfinx_tresca import (
     Coulomb,
     FrictionCurve,
     Frictionless,
+    GuaranteedError,
     InputError,
     Iteration,
     Level,
@@ -46,6 +47,7 @@ from dolfinx_tresca import (
     TaggedMesh,
     Tresca,
     Units,
+    contacts,
 )
 from dolfinx_tresca._base.lines import LINE_WIDTH, UNBROKEN, fill
 from dolfinx_tresca._base.parallel import log
@@ -275,6 +277,8 @@ def test_repr_of_everything_public_is_short(comm):
             ControlVector([fem.Constant(scene.mesh, 1.0)]),
             tangent := problem.tangent([scene.data.load], [(0.0, 0.0, 1.0)]),
             *tangent.surfaces,
+            contacts(bricks, friction=Coulomb(0.3)),
+            GuaranteedError(1 / 3, 1 / 3, solution.u, *[1 / 3] * 5),
         ]
         with problem.record() as tape:
             objects.append(tape)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
 #: Number of lines in a block that is searched at once, which bounds the memory.
-LINES_AT_ONCE = 4096
+LINES_AT_ONCE = 2048
 
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
