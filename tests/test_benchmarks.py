@@ -102,7 +102,7 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
 
 
 def test_pairing_takes_as_much_memory_as_the_page_says(tmp_path, monkeypatch):
-    """3.9 kB at the peak for each secondary facet; 5.0 if the search for pairs is kept meanwhile."""
+    """3.9 kB at the peak for each secondary facet; 5.0 if the search for pairs is kept longer."""
     result = tmp_path / "rows.json"
     counted = "--facets 10000 --count-bytes --here --changed --json"
     run(monkeypatch, "pairing", *counted.split(), result)
