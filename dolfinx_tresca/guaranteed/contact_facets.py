@@ -472,7 +472,7 @@ def lifted(
 
 
 def defects(contact: ContactFacets, jump: Array, areas: Array) -> tuple[Array, Array, Array]:
-    """Return what tractions and a displacement lack of the law of contact, facet by facet.
+    """Return by how much tractions and jumps miss the law of contact on each facet.
 
     Args:
         contact: the facets and their tractions.

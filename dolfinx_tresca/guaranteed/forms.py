@@ -21,6 +21,7 @@ from dolfinx_tresca.dual.bounds.estimate import with_gradient
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
 from dolfinx_tresca.guaranteed.stress_element import stress_element
+from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that
 #: count as rounding.
@@ -156,10 +157,7 @@ def loads(L: ufl.Form | None, cells: Simplices, mesh: Any, maps: EntityMaps | No
                 f"{NEEDED}loads on cells and on the boundary, found an integral of the kind "
                 f"'{kind}' in L."
             )
-        if any(
-            isinstance(node, Grad) and isinstance(node.ufl_operands[0], Argument)
-            for node in unique_pre_traversal(integrand)
-        ):
+        if has_stresses(ufl.Form([integral])):
             raise InputError(
                 f"{NEEDED}a form L of the displacement itself; this one depends on its gradient, "
                 "as an initial stress does."

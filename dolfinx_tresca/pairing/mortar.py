@@ -117,8 +117,8 @@ def couple(
         least: Array = np.full(len(nodes.numbers), np.inf)
         np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
         gap = np.maximum(gap, least[position])
-    if not moved and not any_known_surface(facets, others):
-        _warn_of_close_fit(V.mesh.comm, pair, gap, sagitta)
+        if not any_known_surface(facets, others):
+            _warn_of_close_fit(V.mesh.comm, pair, gap, sagitta)
     # only displacements of degree 2 can bend facets and so make up for the sagitta
     secondary_sagitta = secondary_sagitta * (facets.degree > 1)
     shares *= (weights / shares.sum(axis=1))[:, None]

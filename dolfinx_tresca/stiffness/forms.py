@@ -14,6 +14,10 @@ import basix
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.classes import Argument, Grad
+from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.compat import (
     EntityMaps,
@@ -95,6 +99,21 @@ _ONE_SPACE = (
 
 #: Cells whose facets are all of one type.
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+
+
+def has_stresses(L: Any) -> bool:
+    """Return whether a linear form has derivatives of its test function. Not collective.
+
+    Such loads, as of thermal strains, are stresses inside the bodies.
+    """
+    if not isinstance(L, ufl.Form):
+        return False
+    integrals = apply_derivatives(apply_algebra_lowering(L)).integrals()
+    return any(
+        isinstance(node, Grad) and isinstance(node.ufl_operands[0], Argument)
+        for integral in integrals
+        for node in unique_pre_traversal(integral.integrand())
+    )
 
 
 def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:

@@ -22,18 +22,15 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
-import ufl
 from dolfinx import fem
-from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
-from ufl.algorithms.apply_derivatives import apply_derivatives
-from ufl.classes import Argument, Grad
-from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: A force of K against a rigid motion counts as rounding up to this multiple of the body's largest
 #: diagonal entry, for a displacement of length 1. Softer springs exert less than 1e-10 of the
@@ -88,7 +85,7 @@ class BodyFrames:
                 not turn; their bodies have no frames.
         """
         V, comm = system.V, system.comm
-        if system.component is not None or system.axisymmetric or _has_stresses(system.loads):
+        if system.component is not None or system.axisymmetric or has_stresses(system.loads):
             return None
         owned, dim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
         label = label_bodies(V)
@@ -169,7 +166,7 @@ class BodyFrames:
             M, e = moments[body], self.axis[body]
             if e.any():
                 turned = float(e @ _axial(M)), float(np.trace(M) - e @ M @ e)
-                rotation[body] = _rotation(np.arctan2(*turned) * e)
+                rotation[body] = Rotation.from_rotvec(np.arctan2(*turned) * e).as_matrix()
             else:
                 left, _, right = np.linalg.svd(M)
                 left[:, 2] *= np.linalg.det(left @ right)
@@ -250,7 +247,7 @@ class BodyFrames:
                 turned[body] = e * (e @ turn) / (e @ resistance @ e)
             else:
                 turned[body] = np.linalg.solve(resistance, turn)
-            rotation[body] = self.rotation[body] @ _rotation(turned[body])
+            rotation[body] = self.rotation[body] @ Rotation.from_rotvec(turned[body]).as_matrix()
         arm = self._points - self.centre[label]
         strained = arm + v - mean[label] - np.cross(turned[label], arm)
         moved = np.einsum("nij,nj->ni", rotation[label], strained) - arm
@@ -279,28 +276,6 @@ class BodyFrames:
 def _axial(moments: Array) -> Array:
     """Return the sum (3,) of X x x for moments (3, 3), the sum of x X'."""
     return np.array([moments[k, j] - moments[j, k] for j, k in ((1, 2), (2, 0), (0, 1))])
-
-
-def _rotation(turn: Array) -> Array:
-    """Return the rotation (3, 3) about the axis of a vector (3,) by its length [rad]."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = turn / angle
-    spin = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * spin + (1.0 - np.cos(angle)) * spin @ spin)
-
-
-def _has_stresses(L: Any) -> bool:
-    """Return whether a linear form has derivatives of its test function. Not collective."""
-    if not isinstance(L, ufl.Form):
-        return False
-    integrals = apply_derivatives(apply_algebra_lowering(L)).integrals()
-    return any(
-        isinstance(node, Grad) and isinstance(node.ufl_operands[0], Argument)
-        for integral in integrals
-        for node in unique_pre_traversal(integral.integrand())
-    )
 
 
 def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:

@@ -22,24 +22,41 @@ from scenes.elasticity import elasticity, fixed, no_load
 
 GAP = 0.03
 
-#: A block of 4 x 10, chamfered at its right ends by `depth` at an angle, and a wall beside it.
-CHAMFER = """
+#: A block, chamfered at its right ends by `depth` at an angle, and a wall beside it.
+CHAMFERED = """
 SetFactory("OpenCASCADE");
 DefineConstant[ angle = 45, h = 0.5 ];
 depth = 0.3 * Tan(angle * Pi / 180);
-Point(1) = {0, 0, 0, h}; Point(2) = {4.1 - depth, 0, 0, h}; Point(3) = {4.1, 0.3, 0, h};
-Point(4) = {4.1, 9.7, 0, h}; Point(5) = {4.1 - depth, 10, 0, h}; Point(6) = {0, 10, 0, h};
-Point(7) = {4.13, -2, 0, h}; Point(8) = {4.73, -2, 0, h}; Point(9) = {4.73, 13, 0, h};
-Point(10) = {4.13, 13, 0, h};
+Point(1) = {0, 0, 0, h}; Point(2) = {width - depth, 0, 0, h}; Point(3) = {width, 0.3, 0, h};
+Point(4) = {width, height - 0.3, 0, h}; Point(5) = {width - depth, height, 0, h};
+Point(6) = {0, height, 0, h}; inner = width + 0.03; outer = inner + thickness;
+Point(7) = {inner, -below, 0, h}; Point(8) = {outer, -below, 0, h};
+Point(9) = {outer, top, 0, h}; Point(10) = {inner, top, 0, h};
 For i In {1:5}
   Line(i) = {i, i + 1};
 EndFor
 Line(6) = {6, 1}; Line(7) = {7, 8}; Line(8) = {8, 9}; Line(9) = {9, 10}; Line(10) = {10, 7};
 Curve Loop(1) = {1:6}; Curve Loop(2) = {7:10};
 Plane Surface(1) = {1}; Plane Surface(2) = {2};
-Physical Surface("block") = {1}; Physical Surface("wall") = {2};
-Physical Curve("side") = {2, 3, 4}; Physical Curve("axis") = {6};
-Physical Curve("inner") = {10}; Physical Curve("outer") = {8};
+"""
+
+CHAMFER = f"""
+width = 4.1; height = 10; thickness = 0.6; below = 2; top = 13;
+{CHAMFERED}
+Physical Surface("block") = {{1}}; Physical Surface("wall") = {{2}};
+Physical Curve("side") = {{2, 3, 4}}; Physical Curve("axis") = {{6}};
+Physical Curve("inner") = {{10}}; Physical Curve("outer") = {{8}};
+"""
+
+#: The same in space, one cell or two deep, so that nearly all facets are at the rim of a surface.
+CHAMFERED_SLAB = f"""
+width = 2; height = 3; thickness = 0.7; below = 1; top = 4;
+{CHAMFERED}
+block() = Extrude {{0, 0, 1}} {{ Surface{{1}}; }};
+wall() = Extrude {{0, 0, 1}} {{ Surface{{2}}; }};
+Physical Volume("block") = {{block(1)}}; Physical Volume("wall") = {{wall(1)}};
+Physical Surface("side") = {{block({{3:5}})}}; Physical Surface("axis") = {{block(7)}};
+Physical Surface("inner") = {{wall(5)}}; Physical Surface("outer") = {{wall(3)}};
 """
 
 #: Half a ring round a disc with the same radius; the ring ends 4 degrees above the x-axis.
@@ -93,29 +110,6 @@ def test_a_chamfered_block_moves_along_a_wall(comm, folder, angle, size, sliding
             solution = problem.solve()
             solution.raise_if_failed()
             assert solution.normal_force == 0.0
-
-
-#: The same in space, one cell or two deep, so that nearly all facets are at the rim of a surface.
-CHAMFERED_SLAB = """
-SetFactory("OpenCASCADE");
-DefineConstant[ angle = 45, h = 0.5 ];
-depth = 0.3 * Tan(angle * Pi / 180);
-Point(1) = {0, 0, 0, h}; Point(2) = {2 - depth, 0, 0, h}; Point(3) = {2, 0.3, 0, h};
-Point(4) = {2, 2.7, 0, h}; Point(5) = {2 - depth, 3, 0, h}; Point(6) = {0, 3, 0, h};
-Point(7) = {2.03, -1, 0, h}; Point(8) = {2.73, -1, 0, h}; Point(9) = {2.73, 4, 0, h};
-Point(10) = {2.03, 4, 0, h};
-For i In {1:5}
-  Line(i) = {i, i + 1};
-EndFor
-Line(6) = {6, 1}; Line(7) = {7, 8}; Line(8) = {8, 9}; Line(9) = {9, 10}; Line(10) = {10, 7};
-Curve Loop(1) = {1:6}; Curve Loop(2) = {7:10};
-Plane Surface(1) = {1}; Plane Surface(2) = {2};
-block() = Extrude {0, 0, 1} { Surface{1}; };
-wall() = Extrude {0, 0, 1} { Surface{2}; };
-Physical Volume("block") = {block(1)}; Physical Volume("wall") = {wall(1)};
-Physical Surface("side") = {block({3:5})}; Physical Surface("axis") = {block(7)};
-Physical Surface("inner") = {wall(5)}; Physical Surface("outer") = {wall(3)};
-"""
 
 
 @pytest.mark.parallel
