@@ -17,6 +17,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps, interpolation_points
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.bounds.estimate import with_gradient
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
@@ -84,18 +85,19 @@ def elasticity(a: ufl.Form, cells: Simplices, mesh: Any, maps: EntityMaps | None
         rotation = np.zeros((dim, dim))
         rotation[i, j], rotation[j, i] = 1.0, -1.0
         turned = np.maximum(turned, np.abs(energies(rotation)).max(axis=1))
-    if (turned > STIFFNESS_ROUNDING * size).any():
-        raise InputError(
-            f"{NEEDED}a form a of the symmetric gradient; this one gives rotations an energy."
-        )
-    spread = np.abs(at_vertices - result[:, None]).max(axis=(1, 2, 3), initial=0.0)
-    if (spread > STIFFNESS_ROUNDING * size).any():
-        raise InputError(
-            f"{NEEDED}a stiffness that is constant in each cell. Interpolate the moduli into a "
-            'space ("DG", 0).'
-        )
-    if not (np.linalg.eigvalsh(result)[:, 0] > 0.0).all():
-        raise InputError(f"{NEEDED}a stiffness in every cell, and positive moduli.")
+    with errors_on_all_ranks(mesh.comm):  # the cells of one rank may be at fault
+        if (turned > STIFFNESS_ROUNDING * size).any():
+            raise InputError(
+                f"{NEEDED}a form a of the symmetric gradient; this one gives rotations an energy."
+            )
+        spread = np.abs(at_vertices - result[:, None]).max(axis=(1, 2, 3), initial=0.0)
+        if (spread > STIFFNESS_ROUNDING * size).any():
+            raise InputError(
+                f"{NEEDED}a stiffness that is constant in each cell. Interpolate the moduli into a "
+                'space ("DG", 0).'
+            )
+        if not (np.linalg.eigvalsh(result)[:, 0] > 0.0).all():
+            raise InputError(f"{NEEDED}a stiffness in every cell, and positive moduli.")
     return result
 
 

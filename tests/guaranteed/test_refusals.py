@@ -70,6 +70,14 @@ def test_stiffnesses_that_vary_in_cells(scene):
     assert "constant in each cell" in refusal(scene, a=elasticity(scene.V, 1.0 + x[0]))
 
 
+@pytest.mark.parallel
+def test_a_stiffness_that_varies_in_cells_of_one_rank(scene):
+    """All ranks refuse it, though the cells of others have none of it."""
+    x = ufl.SpatialCoordinate(scene.mesh)
+    there = ufl.conditional(ufl.lt(x[0], 0.25), x[0], 0.0)
+    assert "constant in each cell" in refusal(scene, a=elasticity(scene.V, 1.0 + there))
+
+
 def test_stiffnesses_of_more_than_the_strain(scene):
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
     spring = 0.1 * ufl.inner(u, v)
