@@ -38,6 +38,7 @@ from dolfinx_tresca import (
     TaggedMesh,
     Tresca,
     Units,
+    contacts,
     read_gmsh,
     refine,
     refinement_indicators,
@@ -481,6 +482,12 @@ CASES: dict[str, Case] = {
         True,
         False,
         "h differs",
+    ),
+    "contacts": (
+        lambda s, x: contacts(s.block, friction=Coulomb(0.3), distance=x),
+        0.1,
+        0.2,
+        "distance differs",
     ),
     # meshes
     "read_gmsh": (
