@@ -330,7 +330,7 @@ PARTS: dict[str, Patches] = {
     "shift of A": [(whole_model, "SHIFT", 0.0)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "other initial guesses": [(semismooth_newton, "OTHER_GUESSES", ())],
+    "paths through soft layers": [(semismooth_newton, "LAYERS_PER_POWER", ())],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -358,14 +358,15 @@ CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS WATCHDOG "
-    "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
+    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS WATCHDOG MOST_NEAR_PRODUCTS "
+    "PROXIMAL SOFTER SOFTER_LAYERED LARGEST_LAYER LEAST_LAYER SOLVED",
     "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
     "solvers.nodal_maps": "LEAST_SOFTNESS",
     "solvers.balance": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
-    "dual.products.compliance": "FEW NEAR_CAPACITY LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
+    "dual.products.compliance": "FEW",
+    "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
     "dual.initial_guess": "KEPT",
     "dual.response": "LOAD_ACCURACY",

@@ -61,13 +61,18 @@ class EqualityConstraints:
         """The absolute values of G."""
         return abs(self.columns)
 
+    @cached_property
+    def _rows(self) -> csr_array:
+        """G', which SciPy would otherwise transpose at every product."""
+        return csr_array(self.columns.T)
+
     def along(self, x: Array) -> Array:
         """Return G'x (k,)."""
-        return self.reductions.inner(self.columns, x) if len(self) else np.empty(0)
+        return self.reductions.total(self._rows @ x) if len(self) else np.empty(0)
 
     def along_absolute(self, x: Array) -> Array:
         """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
-        return self.reductions.inner(self.absolute, x)
+        return self.reductions.total(abs(self._rows) @ x)
 
     def hessian(self, derivative: Callable[[Array], Array]) -> csr_array:
         """Return G'D G, (k, k), the same on all ranks.
@@ -86,11 +91,13 @@ class EqualityConstraints:
 
     def softness_with(self, added: float) -> csr_array:
         """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
-        if len(self) == 0:
-            return self.softness
+        return csr_array(self.softness + added * self._exact_directions) if added else self.softness
+
+    @cached_property
+    def _exact_directions(self) -> csr_array:
+        """The projector I - V V' onto the directions of equations that are not soft."""
         vectors = self.soft_directions[1]
-        exact = eye_array(len(self), format="csr") - vectors @ vectors.T
-        return csr_array(self.softness + added * exact)
+        return csr_array(eye_array(len(self)) - vectors @ vectors.T)
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""

@@ -13,9 +13,6 @@ from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
-#: Largest `circle_stiffness`, which takes the place of larger and infinite values.
-STIFFEST = 1e150
-
 
 @dataclass(frozen=True)
 class Face:
@@ -117,10 +114,6 @@ class FeasibleSet:
         """Return the function (s, v) -> s: slip bounds do not change with steps s."""
         return lambda step, v: step
 
-    def dilation(self, x: Array, r: Array) -> Array:
-        """Return zeros (size,): slip bounds do not grow with pressures."""
-        return np.zeros(self.size)
-
     def sums(self, v: Array) -> Array:
         """Return the sum of the tangential entries of v in each disc, (n_discs,) or (n_discs, k).
 
@@ -195,17 +188,16 @@ class FeasibleSet:
 
         Kappa is the Lagrange multiplier of |lambda| <= g: the curvature of the circle adds kappa to
         the second derivative of q along the circle. If the gradient points outwards, kappa is zero
-        instead of negative.
+        instead of negative. With a radius that is almost zero, kappa may be infinite.
         """
         kappa = np.zeros_like(self.radius)
-        with np.errstate(over="ignore"):  # a radius that is almost zero
+        with np.errstate(over="ignore"):
             np.divide(
                 np.maximum(-face.radial_parts(gradient), 0.0),
                 self.radius,
                 out=kappa,
                 where=face.slip,
             )
-        kappa = np.minimum(kappa, STIFFEST)
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]
         return result

@@ -83,7 +83,8 @@ def solve(
     """
     if options.method in paper.ALGORITHMS:
         if not isinstance(problem.admissible, FrictionCones):
-            return paper.ALGORITHMS[options.method](problem, start, options, observe)
+            run = paper.Run(problem, start, options, observe)
+            return paper.ALGORITHMS[options.method](run)
         raise InputError(
             f"method={options.method!r} needs slip bounds that are given: here they depend on the "
             "pressure. Leave out `method`, or give the friction as Tresca, Bonded or Frictionless."

@@ -1,7 +1,7 @@
 """The algorithms of the paper, for Tresca's law: SSN, MSSN, IMSSN and GIMSSN.
 
-They are here for comparisons with the default method (docs/theory/algorithms.md). All have the same
-signature, and all are collective.
+They are here for comparisons with the default method (docs/theory/algorithms.md). Each is a
+function of a `Run`, which has not taken a step yet, and all are collective.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ from dolfinx_tresca.status import ContactStatus
 INNER_RESIDUAL = 1e-12
 
 
-def ssn(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> DualSolution:
+def ssn(run: Run) -> DualSolution:
     """Solve lambda = P(lambda - rho r(lambda)) by Newton steps with the full slanting function.
 
     The full derivative of the projection onto the circle makes the systems non-symmetric. Table
@@ -34,7 +32,7 @@ def ssn(
 
     Collective.
     """
-    run = _Run(problem, start, options, observe)
+    problem = run.problem
 
     def step(tolerance: float) -> tuple[Array, Array]:
         rho, y = run.history.residual.rho, run.target
@@ -48,36 +46,28 @@ def ssn(
         x = run.x + change
         return x, gradient(problem, x)
 
-    return run.iterate(step, adaptive_precision(run.history, options))
+    return run.iterate(step, adaptive_precision(run.history, run.options))
 
 
-def mssn(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> DualSolution:
+def mssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
 
     The inner CG iterations end at 1e-12 times the residual at the start. The method converges fast
     if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
     there is one, is the solution. Collective.
     """
-    run = _Run(problem, start, options, observe)
     return run.iterate(run.symmetrized_step, lambda: INNER_RESIDUAL * run.history.errors[0])
 
 
-def imssn(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> DualSolution:
+def imssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM IMSSN: MSSN with the precision control of (Step 3.1).
 
     The method is fast if it converges, but may cycle if many nodes stick. Collective.
     """
-    run = _Run(problem, start, options, observe)
-    return run.iterate(run.symmetrized_step, adaptive_precision(run.history, options))
+    return run.iterate(run.symmetrized_step, adaptive_precision(run.history, run.options))
 
 
-def gimssn(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> DualSolution:
+def gimssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
 
     Each iteration takes a gradient projection step, which alone gives the R-linear rate of
@@ -86,8 +76,7 @@ def gimssn(
 
     Collective.
     """
-    run = _Run(problem, start, options, observe)
-    feasible_set = run.feasible_set
+    problem, feasible_set = run.problem, run.feasible_set
 
     def step(tolerance: float) -> tuple[Array, Array]:
         residual = run.history.residual
@@ -98,7 +87,7 @@ def gimssn(
             if curvature * residual.rho < 2.0:
                 break
             # the Lanczos iteration missed an eigenvalue whose vector is almost orthogonal to b
-            residual.set_rho(options.step_factor / curvature)
+            residual.set_rho(run.options.step_factor / curvature)
         projected = run.x + move
 
         def feasible(change: Array) -> bool:
@@ -114,18 +103,19 @@ def gimssn(
         change, image = conjugate_gradients(problem, active, r, tolerance, feasible=feasible)
         return feasible_set.project(projected + change), r + image
 
-    return run.iterate(step, adaptive_precision(run.history, options))
+    return run.iterate(step, adaptive_precision(run.history, run.options))
 
 
 #: Name of a method in `SolverOptions` -> its function.
 ALGORITHMS = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
 
-class _Run:
+class Run:
     """The state of a solve by an algorithm of the paper.
 
     Attributes:
         problem: the dual problem (38.4), without constraints.
+        options: tolerances and the step length.
         feasible_set: Lambda.
         history: the record, with rho from an estimate of sigma_max.
         x: (size,) multipliers, maybe outside of Lambda.
@@ -138,7 +128,8 @@ class _Run:
         """Begin at the projected start, or at zero if the residual is smaller there. Collective."""
         problem.response.refine_b()  # every gradient contains b
         residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
-        self.problem, self.history = problem, History(problem, options, observe, residual)
+        self.problem, self.options = problem, options
+        self.history = History(problem, options, observe, residual)
         self.feasible_set = problem.bounds(start, -problem.b)
         self.x = self.feasible_set.project(start)
         self.r = gradient(problem, self.x)

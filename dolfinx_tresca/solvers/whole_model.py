@@ -128,28 +128,24 @@ class WholeModel:
         `LEAST_SOFTNESS`, divided by the mean of diag(A), is added to the diagonal of S, so that the
         equations have a solution even if the constraints have none.
         """
-        unit, k = self.unit, len(missing)
+        unit, n, k = self.unit, len(self), len(missing)
         T, R = self._whole(maps.test), self._whole(maps.rest)
-        matrix = (T @ self._shifted + R) / unit
-        if k:
-            G = self._reductions.stacked(G)
-            soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-            blocks = [[matrix, -(T @ G)], [G.T, soft]]
-            matrix = (
-                csr_array(block_array(blocks))
-                if issparse(matrix)
-                else np.block([[dense(block) for block in row] for row in blocks])
-            )
+        matrix, G = (T @ self._shifted + R) / unit, self._reductions.stacked(G)
         right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         if issparse(matrix):
-            solution = self._solve(csr_array(matrix), right)
+            soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
+            blocks = [[matrix, -(T @ G)], [G.T, soft]] if k else [[matrix]]
+            solution = self._solve(csr_array(block_array(blocks)), right)
         else:
-            moving = np.count_nonzero(matrix, axis=1) > 1
-            moving[len(self) :] = True
-            solution = np.zeros(len(right))
-            solution[moving] = solve_or_fit(matrix[np.ix_(moving, moving)], right[moving])
+            equations, G = np.zeros((n + k, n + k)), dense(G)
+            equations[:n, :n], equations[:n, n:], equations[n:, :n] = matrix, -(T @ G), G.T
+            equations[n:, n:] = unit * dense(softness) + LEAST_SOFTNESS * np.eye(k)
+            moving = np.count_nonzero(equations, axis=1) > 1
+            moving[n:] = True
+            solution = np.zeros(n + k)
+            solution[moving] = solve_or_fit(equations[np.ix_(moving, moving)], right[moving])
         solution = self._reductions.from_first_rank(solution)
-        return solution[self._mine], unit * solution[len(self) :]
+        return solution[self._mine], unit * solution[n:]
 
     def _gathered(self, x: Array) -> Array:
         """Return the values of all ranks, (n,) or (n, columns). Collective."""

@@ -15,21 +15,19 @@ from dolfinx_tresca.dual.bounds.certificate import EnergyBound
 from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
-from dolfinx_tresca.dual.products.body_products import dense_model, sparse_model
+from dolfinx_tresca.dual.products.assembled_operator import (
+    SurfaceCompliance,
+    dense_model,
+    sparse_model,
+)
 from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import DualOperator
-from dolfinx_tresca.dual.products.surface_compliance import SurfaceCompliance
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.solvers.problem import KnownProducts
 from dolfinx_tresca.solvers.products import ProductStore
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
-
-#: A is computed as a dense matrix if it has at most this number of rows, with a direct and with an
-#: iterative solver for K, which needs a solve for each column. With 3,000 rows, a step of Newton's
-#: method takes some seconds, and A takes 72 MB on each rank.
-LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
 #: With a direct solver, A is computed at once if it has at most this number of rows.
 FEW = 400
@@ -150,16 +148,14 @@ class ContactCompliance(PetscOwner):
         return self._store
 
     def complete_products(self) -> bool:
-        """Compute A as a dense matrix, unless it is known; return whether it is known. Collective.
+        """Compute A as a dense matrix, unless it is known or too large; return whether it is known.
 
-        A is not computed if it is too large (`LARGEST_DENSE`).
+        Collective.
         """
-        largest = LARGEST_DENSE if self.operator.exact else LARGEST_DENSE_ITERATIVE
-        affordable = self.jump.matrix.getSize()[0] <= largest
-        if affordable and not isinstance(self._store, WholeModel):
-            surface, local = self._surface, np.reciprocal(self.nodal_stiffness)
-            rows = None if surface is None else surface.product_rows(self.operator)
-            self._store = dense_model(self.operator, local, rows)
+        if not isinstance(self._store, WholeModel):
+            compliance = np.reciprocal(self.nodal_stiffness)
+            model = dense_model(self.operator, compliance, self._surface)
+            self._store = self._store if model is None else model
         return isinstance(self._store, WholeModel)
 
     @cached_property

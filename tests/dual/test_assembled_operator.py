@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import NonlinearContactProblem
-from dolfinx_tresca.dual.products import body_products, compliance
+from dolfinx_tresca.dual.products import assembled_operator, compliance
 from scenes.scene import EPS
 from scenes.two_bricks import bricks_problem
 from scenes.wall import HEIGHT, wall
@@ -29,7 +29,7 @@ def found(monkeypatch) -> list:
     result: list = []
 
     def sparse_model(operator, local_compliance):
-        result.append((operator, body_products.sparse_model(operator, local_compliance)))
+        result.append((operator, assembled_operator.sparse_model(operator, local_compliance)))
         return result[-1][1]
 
     monkeypatch.setattr(compliance, "sparse_model", sparse_model)
@@ -92,7 +92,7 @@ def test_two_bodies_have_none(found):
 
 
 def test_bodies_with_many_multipliers_have_none(found, monkeypatch):
-    monkeypatch.setattr(body_products, "MOST_ON_BODY", 10)
+    monkeypatch.setattr(assembled_operator, "MOST_ON_BODY", 10)
     with wall(MPI.COMM_SELF, 2, 3).problem() as problem:
         problem.solve(rtol=1e-6)
     assert [matrix for _, matrix in found] == [None]
@@ -106,7 +106,7 @@ def test_a_dense_matrix_is_A(comm, monkeypatch):
     with bricks_problem(comm, 2) as problem:
         before = problem.solve(rtol=1e-6).products
         operator, local_compliance = calls[0]
-        matrix = body_products.dense_model(operator, local_compliance)
+        matrix = assembled_operator.dense_model(operator, local_compliance)
         assert operator.products - before == len(matrix)
         check_products(comm, operator, matrix)
 
