@@ -306,7 +306,7 @@ def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> None:
 
 def without_gradient_steps(state: iteration.ModelNewton, step: iterate.Step) -> iterate.Step:
     """Return the best part of the Newton step, without a gradient projection step."""
-    return state.minimiser_between(state.at.zero_step(), step)
+    return state.minimiser_between(state.iterate.zero_step(), step)
 
 
 def first_rho(residual: NaturalResidual, rho: float) -> None:
@@ -339,7 +339,7 @@ PARTS: dict[str, Patches] = {
     ],
     "gradient projection steps": [(NEWTON, "descending", without_gradient_steps)],
     "reductions of rho": [(NaturalResidual, "set_rho", first_rho)],
-    "higher accuracy where it stalls": [(INEXACT, "increase_accuracy", lambda self: False)],
+    "higher accuracy where it stalls": [(INEXACT, "increase_accuracy", lambda self: None)],
     "refined gradients": [(INEXACT, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],

@@ -98,7 +98,7 @@ class DenseProblem(OneRank):
 
     def bounds(self, x: np.ndarray, r: np.ndarray) -> FeasibleSet:
         """Return Lambda with the slip bounds at a point."""
-        return self.admissible.at(x, r).section(x)
+        return self.admissible.at_point(x, r).section(x)
 
     def known_products(self) -> KnownProducts:
         """Return the store of known products."""

@@ -134,7 +134,7 @@ def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.nd
     """Return rho, and the relative natural residual as a function of lambda and its gradient."""
     rho = 1.0 / largest_eigenvalue(dual)
     residual = NaturalResidual(dual, rho)
-    return rho, lambda x, r: residual.relative(residual.at(Point(x, np.empty(0), r)))
+    return rho, lambda x, r: residual.relative(residual.norm_at(Point(x, np.empty(0), r)))
 
 
 def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:

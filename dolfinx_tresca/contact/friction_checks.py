@@ -42,7 +42,7 @@ def check_curves(
         InputError: F is negative, NaN or infinite at a node under pressure.
     """
     x = found.multipliers
-    cones = dual.admissible.at(x, found.gradient)
+    cones = dual.admissible.at_point(x, found.gradient)
     if not isinstance(cones, FrictionCones) or cones.curves is None:
         return []
     arguments = cones.curve_arguments(x)

@@ -97,6 +97,6 @@ def _meets(
     point = Point(found.multipliers, found.c, found.gradient)
     residual = NaturalResidual(dual, found.rho)
     history = History(dual, requested, lambda iteration: False, residual)
-    measures = history.measures(point, found.accuracy or 0.0, residual.at(point))
+    measures = history.measures(point, found.accuracy or 0.0, residual.norm_at(point))
     met = all(reached <= wanted for reached, wanted in measures)
     return met and evaluation.energy_error_bound <= SLACK * history.accuracy

@@ -103,7 +103,7 @@ class LinearisedContact:
         Raises:
             InputError: a slip bound depends on the slip.
         """
-        cones = dual.admissible.at(x, r)
+        cones = dual.admissible.at_point(x, r)
         target = dual.decoupled_minimiser(x, r)
         if edge is not None:
             rows, discs = at_edge(dual, x, r)
@@ -160,7 +160,7 @@ class LinearisedContact:
             left = v - (along if transpose else change @ along)
             return (test(curved) if transpose else curved) + (left.T * diagonal).T
 
-        return NodalMaps(test=test, rest=rest, inverse=inverse)
+        return NodalMaps(test=test, added=rest, inverse=inverse)
 
 
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:

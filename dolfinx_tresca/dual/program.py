@@ -91,7 +91,7 @@ class DualProgram:
             x: (size,) multipliers.
             r: (size,) gradient at x, with the terms of the equality constraints.
         """
-        return self.admissible.at(x, r).section(x)
+        return self.admissible.at_point(x, r).section(x)
 
     @property
     def is_load_step(self) -> bool:

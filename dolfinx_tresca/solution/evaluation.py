@@ -134,7 +134,7 @@ def evaluate(
     jump = B.of(solved)
     increment = jump - response.offset
     target = dual.decoupled_minimiser(found.multipliers, r)
-    cones = dual.admissible.at(found.multipliers, r)
+    cones = dual.admissible.at_point(found.multipliers, r)
     moved = cones.section(target)
     stick = moved.face(target).stick
     change, _ = dual.local_change(found.multipliers, r)

@@ -53,7 +53,7 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
     """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
     jump, x = step.dual.jump, step.multipliers
     discs = step.state.face.discs
-    cones = step.dual.admissible.at(x, step.gradient)
+    cones = step.dual.admissible.at_point(x, step.gradient)
     curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
     is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
     shape, by_value = (discs.size, len(discs.radius)), _radii_by_terms(step, is_limited)

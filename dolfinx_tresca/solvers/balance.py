@@ -121,14 +121,14 @@ def balance(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
         )
 
-        def slope(part: float, z: Array = z, step: Array = step) -> float:
-            return _dot(step, excess(z + part * step))
+        def slope(length: float, z: Array = z, step: Array = step) -> float:
+            return _dot(step, excess(z + length * step))
 
-        part = 1.0
+        length = 1.0
         if slope(1.0) > 0.0 > _dot(step, gradient):
-            part = brentq(slope, 0.0, 1.0, xtol=LEAST_PART, rtol=PART_ACCURACY, maxiter=1000)
-        z = z + part * step
-        damping = RELAXATION * damping if part == 1.0 else damping / part
+            length = brentq(slope, 0.0, 1.0, xtol=LEAST_PART, rtol=PART_ACCURACY, maxiter=1000)
+        z = z + length * step
+        damping = RELAXATION * damping if length == 1.0 else damping / length
         damping = min(max(damping, LEAST_DAMPING), LARGEST_DAMPING)
     return Balance(z, excess(z), satisfied=False, unbounded=unbounded)
 

@@ -45,11 +45,11 @@ class Face:
         """Return the parts (n_discs,) or (n_discs, k) of v along the unit vectors `radial`."""
         return self.discs.sums((v.T * self.radial).T)
 
-    def along_radius(self, parts: Array) -> Array:
-        """Return vectors along `radial` with the given parts, (n_discs,) or (n_discs, k)."""
+    def along_radius(self, lengths: Array) -> Array:
+        """Return vectors along `radial` with the given lengths, (n_discs,) or (n_discs, k)."""
         discs = self.discs
-        result = np.zeros((discs.size, *parts.shape[1:]))
-        result[discs.tangential] = (parts[discs.node].T * self.radial[discs.tangential]).T
+        result = np.zeros((discs.size, *lengths.shape[1:]))
+        result[discs.tangential] = (lengths[discs.node].T * self.radial[discs.tangential]).T
         return result
 
     def project(self, v: Array) -> Array:
@@ -100,7 +100,7 @@ class FeasibleSet:
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
-    def at(self, x: Array, r: Array, target: Array | None = None) -> FeasibleSet:
+    def at_point(self, x: Array, r: Array, target: Array | None = None) -> FeasibleSet:
         """Return the set itself: its bounds depend neither on pressures nor on slips."""
         return self
 
@@ -120,12 +120,12 @@ class FeasibleSet:
         Args:
             v: (size,) or (size, k); the columns are summed separately.
         """
-        parts, n = v[self.tangential], len(self.radius)
+        entries, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
-            return np.bincount(self.node, parts, minlength=n).astype(np.float64)
-        size = len(parts)  # stored by columns, so that `node` needs no conversion
+            return np.bincount(self.node, entries, minlength=n).astype(np.float64)
+        size = len(entries)  # stored by columns, so that `node` needs no conversion
         total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
-        return np.asarray(total @ parts)
+        return np.asarray(total @ entries)
 
     @property
     def movable(self) -> Mask:

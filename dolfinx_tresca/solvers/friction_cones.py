@@ -53,42 +53,42 @@ class NodalCurves:
     a length times the same root.
 
     Attributes:
-        parts: for each curve the range of its discs, and the curve.
+        of_discs: for each curve the range of its discs, and the curve.
         root: (n_discs,) root of the node's area.
     """
 
-    parts: Sequence[tuple[slice, Curve]]
+    of_discs: Sequence[tuple[slice, Curve]]
     root: Array
 
     @np.errstate(all="ignore")
-    def coefficients(self, others: Array, pressure: Array, slip: Array) -> Array:
-        """Return F (n_discs,): values of the curves, and `others` for discs without a curve.
+    def coefficients(self, constant: Array, pressure: Array, slip: Array) -> Array:
+        """Return F (n_discs,): values of the curves, and `constant` for discs without a curve.
 
         Values that are negative or not finite become zero: iterates may have pressures and slips
         far from those of the solution. The values at the solution are checked afterwards.
 
         Args:
-            others: (n_discs,) coefficients of discs without a curve.
+            constant: (n_discs,) coefficients of discs without a curve.
             pressure: (n_discs,) normal multiplier.
             slip: (n_discs,) norm of the tangential gradient.
         """
-        result = others.copy()
-        for part, curve, p, v in self.arguments(pressure, slip):
-            result[part] = np.maximum(_finite(curve.values(p, v)), 0.0)
+        result = constant.copy()
+        for discs, curve, p, v in self.arguments(pressure, slip):
+            result[discs] = np.maximum(_finite(curve.values(p, v)), 0.0)
         return result
 
     @np.errstate(all="ignore")
     def slopes(self, pressure: Array, slip: Array) -> Array:
         """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
         result = np.zeros((2, len(self.root)))
-        for part, curve, p, v in self.arguments(pressure, slip):
-            result[:, part] = _finite(np.array(curve.slopes(p, v)))
+        for discs, curve, p, v in self.arguments(pressure, slip):
+            result[:, discs] = _finite(np.array(curve.slopes(p, v)))
         return result / self.root
 
     def arguments(self, pressure: Array, slip: Array) -> list[tuple[slice, Curve, Array, Array]]:
         """Return the discs of each curve, the curve, and its nodes' pressures and slips (n,)."""
         p, v = np.maximum(pressure, 0.0) / self.root, slip / self.root
-        return [(part, curve, p[part], v[part]) for part, curve in self.parts]
+        return [(discs, curve, p[discs], v[discs]) for discs, curve in self.of_discs]
 
 
 def _finite(values: Array) -> Array:
@@ -106,7 +106,7 @@ class FrictionCones(FeasibleSet):
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
     at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of a
-    single point, which `at` sets; they serve to move nearby points into the set.
+    single point, which `at_point` sets; they serve to move nearby points into the set.
 
     Attributes:
         radius: (n_discs,) c >= 0, maybe infinite.
@@ -131,7 +131,7 @@ class FrictionCones(FeasibleSet):
         pressed = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
         return (self.radius > 0.0) | pressed
 
-    def at(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
+    def at_point(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
         Args:
@@ -190,10 +190,10 @@ class FrictionCones(FeasibleSet):
         follows = bool(by_slip.any())
 
         def change(step: Array, v: Array) -> Array:
-            parts = (self._pressures(step).T * slope).T
+            growth = (self._pressures(step).T * slope).T
             if follows:
-                parts += (face.radial_parts(v).T * by_slip).T
-            return step + face.along_radius(parts)
+                growth += (face.radial_parts(v).T * by_slip).T
+            return step + face.along_radius(growth)
 
         return change
 

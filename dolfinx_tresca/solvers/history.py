@@ -131,7 +131,7 @@ class History:
             error: error of the gradient in the norm sqrt(e'A^-1 e).
         """
         problem, residual = self._problem, self.residual
-        value = residual.at(point)
+        value = residual.norm_at(point)
         self.errors.append(value)
         self.residuals.append(residual.relative(value))
         self.q.append(dual_energy(problem, point))

@@ -100,12 +100,12 @@ class Iterate:
         """Return A x. Only the part of x without known product is multiplied by A."""
         # subtracting the known part from a product of the whole x would leave rounding errors that
         # grow from pair to pair
-        new, known = self.store.split(x)
+        new, product_of_known = self.store.split(x)
         if float(self._problem.inner(new, new)) == 0.0:
-            return known
+            return product_of_known
         product = self._problem.operator.apply(new)
         self.store.add(new, product)
-        return known + product
+        return product_of_known + product
 
     def initial_gradient(self, x: Array) -> tuple[Array, float]:
         """Return the gradient at an initial point, and its error. Collective.
@@ -114,10 +114,10 @@ class Iterate:
         ended at these multipliers.
         """
         response, b = self._problem.response, self._problem.b
-        known, error = self.store.product(x)
+        product, error = self.store.product(x)
         wanted = max(self.initial_part * self._energy_norm(x), self.finest)
         if error + response.b_error <= wanted:
-            return known - b, error + response.b_error
+            return product - b, error + response.b_error
         # an accuracy below the error of b is useless: for tiny multipliers, the product would
         # consist of the error of b only
         r, error = response.gradient(x, max(wanted, response.b_error))
@@ -128,9 +128,8 @@ class Iterate:
         """Return the energy norm of x (size,), with the model in place of A. Collective."""
         return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
-    def increase_accuracy(self) -> bool:
-        """Compute the gradient and later products more accurately; return False if impossible."""
-        return False
+    def increase_accuracy(self) -> None:
+        """Compute the gradient and later products more accurately, if that is possible."""
 
 
 class InexactIterate(Iterate):
@@ -176,15 +175,13 @@ class InexactIterate(Iterate):
             self._part = FORCING
         return Step(direction, product, error, c)
 
-    def increase_accuracy(self) -> bool:
-        """Compute the gradient and later products more accurately; return False if impossible."""
-        if self._part < FULL_ACCURACY:
-            return False
-        self._part *= FORCING
-        self.finest *= FORCING
-        self.learned = True
-        self.refine(self._wanted())
-        return True
+    def increase_accuracy(self) -> None:
+        """Compute the gradient and later products more accurately, if that is possible."""
+        if self._part >= FULL_ACCURACY:
+            self._part *= FORCING
+            self.finest *= FORCING
+            self.learned = True
+            self.refine(self._wanted())
 
     def refine(self, accuracy: float) -> None:
         """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""

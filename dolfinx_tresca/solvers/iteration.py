@@ -104,7 +104,7 @@ class ModelNewton:
         store: known products with A.
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
-        at: the present point.
+        iterate: the present point.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
         first_target: the solution of the model at the start; None after it was used.
         deficit: deficit of friction with which the iteration ends; None if friction is strong
@@ -115,7 +115,7 @@ class ModelNewton:
     store: KnownProducts
     residual: NaturalResidual
     history: History
-    at: Iterate
+    iterate: Iterate
     first_target: ModelSolution | None = None
     deficit: FrictionDeficit | None = None
 
@@ -129,13 +129,15 @@ class ModelNewton:
         """Iterate until a status ends the iteration. Collective."""
         self.compute_first_products()
         self.begin_at(start)
-        at, target = self.at, self.first_target
-        while (status := self.status(target or at.point)) is None:
+        iterate, target = self.iterate, self.first_target
+        while (status := self.status(target or iterate.point)) is None:
             target, self.first_target = self.first_target or self.target(), None
-            at.move(self.accepted(target))
-            if not (at.learned or self.residual.at(at.point) < PROGRESS * self.history.error):
-                at.increase_accuracy()
-        solution = self.history.solution(at.point, status, at.error)
+            iterate.move(self.accepted(target))
+            if iterate.learned:
+                continue
+            if not self.residual.norm_at(iterate.point) < PROGRESS * self.history.error:
+                iterate.increase_accuracy()
+        solution = self.history.solution(iterate.point, status, iterate.error)
         return dataclasses.replace(solution, deficit=self.deficit)
 
     def compute_first_products(self) -> None:
@@ -161,30 +163,30 @@ class ModelNewton:
         satisfy the law of friction as well.
         """
         problem, constraints = self.problem, self.problem.constraints
-        iterate = Iterate if problem.operator.exact else InexactIterate
-        self.at = at = iterate(problem, self.store)
+        kind = Iterate if problem.operator.exact else InexactIterate
+        self.iterate = iterate = kind(problem, self.store)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
-        if residual.zero_is_undecided(at.error):
+        if residual.zero_is_undecided(iterate.error):
             problem.response.refine_b()
-            at.move_to(at.x, -problem.b, problem.response.b_error)
-            self.residual = residual = NaturalResidual(problem, residual.rho, at.error)
+            iterate.move_to(iterate.x, -problem.b, problem.response.b_error)
+            self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
-        zero, start = at.x, problem.admissible.project(start)
+        zero, start = iterate.x, problem.admissible.project(start)
         if len(constraints) > 0:  # the nearest multipliers that balance the loads
             shift = balance(constraints, problem.admissible, start=start).shift
             start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
-            at.move_to(start, *at.initial_gradient(start))
+            iterate.move_to(start, *iterate.initial_gradient(start))
         self.find_constraint_multipliers()
         if self.options.rtol:
-            at.finest = FORCING * self.history.residual_error
-        if residual.at(at.point) > residual.scale:
+            iterate.finest = FORCING * self.history.residual_error
+        if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not self.has_given_bounds:
-                residual.count(at.r + problem.b)
+                residual.count(iterate.r + problem.b)
             else:
-                at.move_to(zero, -problem.b, problem.response.b_error)
-                at.c, self.first_target = np.zeros_like(at.c), None
-                residual.set_constraint_multipliers(at.c)
+                iterate.move_to(zero, -problem.b, problem.response.b_error)
+                iterate.c, self.first_target = np.zeros_like(iterate.c), None
+                residual.set_constraint_multipliers(iterate.c)
                 self.find_constraint_multipliers()
 
     def find_constraint_multipliers(self) -> None:
@@ -192,15 +194,15 @@ class ModelNewton:
 
         The motions of the gradient projection step that balances the loads are the initial guess.
         """
-        at, constraints, rho = self.at, self.problem.constraints, self.residual.rho
-        is_at_rest = self.residual.zero_is_solution and norm(self.problem, at.x) == 0.0
+        iterate, constraints, rho = self.iterate, self.problem.constraints, self.residual.rho
+        is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
         if len(constraints) > 0 and not is_at_rest:
-            lam, softness = self.problem.bounds(at.x, at.r), 1.0 / rho * constraints.softness
-            shift = balance(constraints, lam, at.x - rho * at.r, softness).shift
-            at.c = np.asarray(shift / rho)
+            x, r, softness = iterate.x, iterate.r, 1.0 / rho * constraints.softness
+            shift = balance(constraints, self.problem.bounds(x, r), x - rho * r, softness).shift
+            iterate.c = np.asarray(shift / rho)
             self.first_target = self.target()
-            at.c = self.first_target.c
-            self.residual.set_constraint_multipliers(at.c)
+            iterate.c = self.first_target.c
+            self.residual.set_constraint_multipliers(iterate.c)
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
@@ -216,14 +218,14 @@ class ModelNewton:
         Args:
             target: newest solution of the model, at whose pressures friction may be too weak.
         """
-        at, history, residual = self.at, self.history, self.residual
-        if isinstance(at, InexactIterate):
-            done = history.reached(at.point, 0.0, residual.at(at.point))[2]
-            at.refine(history.tolerable_error(at.point) if done else np.inf)
-        if (status := history.check_convergence(at.point, at.error)) is not None:
+        iterate, history, residual = self.iterate, self.history, self.residual
+        if isinstance(iterate, InexactIterate):
+            done = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))[2]
+            iterate.refine(history.tolerable_error(iterate.point) if done else np.inf)
+        if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
         is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error
-        stalls = (is_same and not at.learned) or history.is_idle(
+        stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
         is_limited = residual.is_limited_by_rounding(history.error)
@@ -247,22 +249,21 @@ class ModelNewton:
         if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
             return False
         self.store, self.first_target = self.problem.known_products(), None
-        self.at.store = self.store
+        self.iterate.store = self.store
         self.misses, self.completed_at = 0, len(self.history.residuals)
-        self.at.learned = True
+        self.iterate.learned = True
         return True
 
     def target(self) -> ModelSolution:
         """Return a solution with the model in place of A."""
-        tolerance = self.options.r_tol * self.residual.at(self.at.point)
-        target = solve_model(self.problem, self.at.point, self.residual, tolerance)
+        tolerance = self.options.r_tol * self.residual.norm_at(self.iterate.point)
+        target = solve_model(self.problem, self.iterate.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
         return target
 
     def accepted(self, target: ModelSolution) -> Step:
         """Return the step to take from the present point, given the solution of the model."""
-        at = self.at
-        step = at.step(target.x - at.x, target.c)
+        step = self.iterate.step(target.x - self.iterate.x, target.c)
         if (rho := self.proposed_rho()) < self.residual.rho:
             self.residual.set_rho(rho)  # no step achieves the decrease that a large rho predicts
         return self.descending(step) if self.has_given_bounds and len(target.c) == 0 else step
@@ -275,40 +276,41 @@ class ModelNewton:
         the gradient projection step exceeds 1 / rho, rho is reduced first, for all later
         iterations. Slip bounds must be given, and there must be no constraints. Collective.
         """
-        at, residual, inner = self.at, self.residual, self.problem.inner
-        move = residual.projection(at.point) - at.x
-        promised = float(inner(move, at.r + 0.5 / residual.rho * move))
-        if -promised <= PRODUCT_ROUNDING * norm(self.problem, at.x) * norm(self.problem, at.r):
+        iterate, residual, inner = self.iterate, self.residual, self.problem.inner
+        move = residual.projection(iterate.point) - iterate.x
+        promised = float(inner(move, iterate.r + 0.5 / residual.rho * move))
+        size = norm(self.problem, iterate.x) * norm(self.problem, iterate.r)
+        if -promised <= PRODUCT_ROUNDING * size:
             # changes of q are rounding, changes of the gradient are not: the residual decides
-            if residual.at(at.point_after(whole)) < self.history.error:
+            if residual.norm_at(iterate.point_after(whole)) < self.history.error:
                 return whole
-            at.increase_accuracy()
-            return at.zero_step()
-        step = self.minimiser_between(at.zero_step(), whole)
-        if float(inner(step.direction, at.r + 0.5 * step.product)) <= promised:
+            iterate.increase_accuracy()
+            return iterate.zero_step()
+        step = self.minimiser_between(iterate.zero_step(), whole)
+        if float(inner(step.direction, iterate.r + 0.5 * step.product)) <= promised:
             return step
         for _ in range(MOST_REDUCTIONS):
-            step = at.step(move, whole.c)
+            step = iterate.step(move, whole.c)
             curvature, length = float(inner(move, step.product)), float(inner(move, move))
             # the error of an inexact product does not count as curvature
-            noise = (step.error + at.error) * float(np.sqrt(max(curvature, 0.0)))
+            noise = (step.error + iterate.error) * float(np.sqrt(max(curvature, 0.0)))
             if (curvature - noise) * residual.rho <= length * (1.0 + 1e-10):
                 break
             residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
-            move = residual.projection(at.point) - at.x
+            move = residual.projection(iterate.point) - iterate.x
         return self.minimiser_between(step, whole)
 
-    def minimiser_between(self, first: Step, last: Step) -> Step:
+    def minimiser_between(self, near: Step, far: Step) -> Step:
         """Return the step to the minimiser of q between the ends of two steps."""
-        direction, product = last.direction - first.direction, last.product - first.product
+        direction, product = far.direction - near.direction, far.product - near.product
         curvature = float(self.problem.inner(direction, product))
-        slope = float(self.problem.inner(direction, self.at.r + first.product))
-        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        slope = float(self.problem.inner(direction, self.iterate.r + near.product))
+        length = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
         return Step(
-            first.direction + part * direction,
-            first.product + part * product,
-            (1.0 - part) * first.error + part * last.error,
-            first.c,
+            near.direction + length * direction,
+            near.product + length * product,
+            (1.0 - length) * near.error + length * far.error,
+            near.c,
         )
 
 
@@ -326,10 +328,10 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
     constraints, section = problem.constraints, problem.bounds(point.x, point.r)
     if len(constraints) == 0:  # no body floats
         return None
-    found = balance(constraints, section)
-    if found.satisfied:
+    balanced = balance(constraints, section)
+    if balanced.satisfied:
         return None
-    motion = found.shift / np.linalg.norm(found.shift)
+    motion = balanced.shift / np.linalg.norm(balanced.shift)
     slip = constraints.columns @ motion
     friction = section.project(LARGE * slip)
     friction[section.normal] = 0.0

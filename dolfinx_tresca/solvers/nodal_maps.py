@@ -63,13 +63,13 @@ class NodalMaps:
 
     Attributes:
         test: T, applied to both sides of the equation.
-        rest: R, such as the curvature of the circles of slipping nodes, and the identity at
+        added: R, such as the curvature of the circles of slipping nodes, and the identity at
             multipliers that do not change.
         inverse: (T D + R)^-1 T with the diagonal D of the model.
     """
 
     test: Callable[[Array], Array]
-    rest: Callable[[Array], Array]
+    added: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
 
     @classmethod
@@ -103,13 +103,13 @@ class NodalMaps:
         def scaled(factors: Array, v: Array) -> Array:
             return np.asarray((factors * v.T).T)
 
-        def rest(v: Array) -> Array:
+        def added(v: Array) -> Array:
             along = project(v)
             return scaled(stiffness, along) + scaled(diagonal, v - change(along, np.zeros_like(v)))
 
         return cls(
             test=lambda v: project(v) + scaled(diagonal, change(np.zeros_like(v), v)),
-            rest=rest,
+            added=added,
             inverse=lambda v: follow(scaled(weight, project(v)), v),
         )
 

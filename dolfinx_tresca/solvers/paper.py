@@ -133,7 +133,7 @@ class Run:
         self.feasible_set = problem.bounds(start, -problem.b)
         self.x = self.feasible_set.project(start)
         self.r = gradient(problem, self.x)
-        if residual.at(self.point) > residual.scale:
+        if residual.norm_at(self.point) > residual.scale:
             self.x, self.r = np.zeros_like(start), -problem.b
 
     @property

@@ -94,15 +94,15 @@ class BlockBFGSModel:
         unit = self._unit
         columns = np.column_stack([self._U, unit * G.toarray()])
         scaled = maps.inverse(columns)
-        first = maps.inverse(right)
+        without_pairs = maps.inverse(right)
         capacitance = self._inner(columns, scaled)
         k = len(missing)
         rank = len(capacitance) - k
         capacitance[:rank, :rank] += self._C_inverse
         capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness.toarray()
-        wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
-        found = self._agreed(solve_or_fit(capacitance, wanted))
-        return first - scaled @ found, -unit * found[rank:]
+        wanted = self._inner(columns, without_pairs) - np.append(np.zeros(rank), unit * missing)
+        coefficients = self._agreed(solve_or_fit(capacitance, wanted))
+        return without_pairs - scaled @ coefficients, -unit * coefficients[rank:]
 
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
@@ -221,15 +221,16 @@ class ProductStore:
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
         if energy <= 0.0:
             return False
-        parts, new, new_product = self._without_known(x, product)
-        error = float(np.hypot(error, np.linalg.norm(self.errors * parts)))
-        rest = float(inner(new, new_product))
-        if rest <= (RESOLVED * error) ** 2:
+        coefficients, new, new_product = self._without_known(x, product)
+        error = float(np.hypot(error, np.linalg.norm(self.errors * coefficients)))
+        new_energy = float(inner(new, new_product))
+        if new_energy <= (RESOLVED * error) ** 2:
             return False
         length = float(inner(new, new))
-        self._largest = max(self._largest, rest / length)
-        if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
-            self._append(new, new_product, error, rest)
+        self._largest = max(self._largest, new_energy / length)
+        least = max(NEW_ENERGY * energy, NULL_ENERGY * self._largest * length)
+        if new_energy > least:
+            self._append(new, new_product, error, new_energy)
         return True
 
     def near_product(self, x: Array) -> Array:
@@ -241,12 +242,12 @@ class ProductStore:
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
-        known = np.zeros_like(x)
+        product = np.zeros_like(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
             x = x - self.W @ coefficients
-            known = known + self.Y @ coefficients
-        return x, known
+            product = product + self.Y @ coefficients
+        return x, product
 
     def product(self, x: Array) -> tuple[Array, float]:
         """Return an approximation of A x from the pairs, and its error. Collective.
@@ -256,11 +257,11 @@ class ProductStore:
             sqrt(e'A^-1 e). The error contains the errors of the pairs, and the energy of the other
             part of x, computed with diag(A) in place of A.
         """
-        new, known = self.split(x)
+        new, product = self.split(x)
         inner = self._reductions.inner
         error = np.linalg.norm(self.errors * inner(self.Y, x))
         energy = float(inner(new, self.diagonal * new))
-        return known, float(np.hypot(error, np.sqrt(energy)))
+        return product, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
         """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
@@ -271,14 +272,14 @@ class ProductStore:
         new pairs, until there are more pairs than unknowns.
         """
         inner = self._reductions.inner
-        parts: Array = np.zeros(len(self))
+        coefficients: Array = np.zeros(len(self))
         for number in range(MOST_STEPS):
             c = inner(self.Y, x)
-            rest = max(float(inner(x, product)), 0.0)
-            if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(rest):
+            energy = max(float(inner(x, product)), 0.0)
+            if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(energy):
                 break
-            x, product, parts = x - self.W @ c, product - self.Y @ c, parts + c
-        return parts, x, product
+            x, product, coefficients = x - self.W @ c, product - self.Y @ c, coefficients + c
+        return coefficients, x, product
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
         inner = self._reductions.inner
@@ -304,9 +305,9 @@ class ProductStore:
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
-        known = 0.0 if self.near is None else self.near.largest_ritz_value()
+        of_near_field = 0.0 if self.near is None else self.near.largest_ritz_value()
         if len(self) == 0:
-            return known
+            return of_near_field
         # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
         # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
@@ -314,7 +315,7 @@ class ProductStore:
         # are added
         errors = self.errors @ np.abs(vectors)
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
-        return max(float(least.max()), known)
+        return max(float(least.max()), of_near_field)
 
     def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
         """Return M x (size,), with M as in `model` and D given as a function. Collective.
@@ -324,9 +325,9 @@ class ProductStore:
             apply_base: function that applies D, the model of A without known pairs, to an array
                 (size,); it is called once.
         """
-        new, known = self.split(x)
+        new, product = self.split(x)
         image = apply_base(new)
-        return known + image - self.Y @ self._reductions.inner(self.W, image)
+        return product + image - self.Y @ self._reductions.inner(self.W, image)
 
     def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A: the diagonal, updated with all pairs. Collective.

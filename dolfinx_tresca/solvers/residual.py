@@ -52,7 +52,7 @@ class NaturalResidual:
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured. Collective."""
         self.rho = rho
-        self.scale = self.at(self.zero)
+        self.scale = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self._terms = norm(self._problem, self._problem.response.b_terms)
@@ -76,14 +76,14 @@ class NaturalResidual:
         """
         # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
         largest, zero = error / float(np.sqrt(self.rho)), self.zero
-        return self.scale <= largest and self.at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
+        return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
 
     def projection(self, point: Point) -> Array:
         """Return the gradient projection P(x - rho r) (size,) with the bounds at a point."""
-        cones = self._problem.admissible.at(point.x, point.r)
+        cones = self._problem.admissible.at_point(point.x, point.r)
         return cones.section(point.x).project(point.x - self.rho * point.r)
 
-    def at(self, point: Point) -> float:
+    def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
         change = norm(self._problem, point.x - self.projection(point))
         unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))

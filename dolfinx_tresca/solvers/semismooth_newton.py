@@ -140,10 +140,10 @@ class SemismoothNewton:
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
         """Return a point with the residual of its projection onto the friction cones."""
         admissible, rho = self.problem.admissible, self.rho
-        projected = admissible.at(x, r).project(x)
+        projected = admissible.at_point(x, r).project(x)
         gradient = r + self.model.apply(projected - x)
         target = projected - rho * gradient
-        section = admissible.at(projected, gradient, target).section(projected)
+        section = admissible.at_point(projected, gradient, target).section(projected)
         change = projected - section.project(target)
         unbalanced = self.problem.constraints.residual(projected, c)
         return NewtonPoint(x, c, r, self.energy(change, unbalanced))
@@ -158,7 +158,7 @@ class SemismoothNewton:
         """
         constraints, x, c, r = self.problem.constraints, point.x, point.c, point.r
         target = x - self.rho * r
-        admissible = self.problem.admissible.at(x, r, target)
+        admissible = self.problem.admissible.at_point(x, r, target)
         section = admissible.section(x)
         face = section.face(target)
         settled = section.on_face(x, face)
@@ -221,8 +221,8 @@ class SemismoothNewton:
         dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
         trials = []
         for halvings in range(most_halvings + 1):
-            part = 0.5**halvings
-            trials.append(self.point(point.x + part * dx, point.c + part * dc, point.r + part * dr))
+            t = 0.5**halvings
+            trials.append(self.point(point.x + t * dx, point.c + t * dc, point.r + t * dr))
             if trials[-1].residual <= wanted:
                 break
         return min(trials, key=lambda trial: trial.residual)
@@ -239,12 +239,12 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> ModelSo
         start: point in the cones, with the gradient for A.
     """
     newton = SemismoothNewton(problem, model)
-    first = newton.point(start.x, start.c, start.r)
-    tolerance = max(SOLVED * first.residual, newton.rounding)
-    point = newton.solve(first, tolerance)
+    guess = newton.point(start.x, start.c, start.r)
+    tolerance = max(SOLVED * guess.residual, newton.rounding)
+    point = newton.solve(guess, tolerance)
     if point.residual > tolerance and isinstance(model, WholeModel):
-        point = solve_through_soft_layers(newton, model, first, point, tolerance)
-    x = problem.admissible.at(point.x, point.r).project(point.x)
+        point = solve_through_soft_layers(newton, model, guess, point, tolerance)
+    x = problem.admissible.at_point(point.x, point.r).project(point.x)
     r = point.r + model.apply(x - point.x)
     return ModelSolution(x, point.c, r, point.residual <= tolerance)
 
@@ -311,7 +311,7 @@ def solve_model(
         return newton_solution(problem, store.model(), start)
     # a smaller tolerance costs no product with A, and saves some, since the model is accurate
     tolerance *= FORCING
-    G, initial = problem.constraints.columns, residual.at(start)
+    G, initial = problem.constraints.columns, residual.norm_at(start)
     best, least = None, float("inf")
     for _ in range(MOST_NEAR_PRODUCTS):
         point = best if best is not None and least < initial else start
@@ -321,7 +321,7 @@ def solve_model(
             break
         r = point.r + store.apply(step, store.near_product) - G @ (target.c - point.c)
         target = replace(target, r=r)
-        if (reached := residual.at(target)) < least:
+        if (reached := residual.norm_at(target)) < least:
             best, least = target, reached
         if least <= tolerance:
             break

@@ -45,7 +45,7 @@ class WholeModel:
         self,
         reductions: Reductions,
         rows: Matrix,
-        first: int,
+        begin: int,
         nodes: Indices,
         local_compliance: Array,
         solve: Callable[[csr_array, Array], Array],
@@ -55,7 +55,7 @@ class WholeModel:
         Args:
             reductions: sums over the ranks.
             rows: (size, n) this rank's rows of A, with columns for the multipliers of all ranks.
-            first: position of this rank's first row in A.
+            begin: position of this rank's first row in A.
             nodes: (size,) the node of each of this rank's multipliers.
             local_compliance: (size,) compliance of nodes whose neighbours are fixed.
             solve: function that solves a system of equations with a sparse matrix that is not
@@ -63,7 +63,7 @@ class WholeModel:
         """
         self._reductions, self._solve = reductions, solve
         size, n = rows.shape
-        self._mine, self._count = slice(first, first + size), int(n)
+        self._mine, self._count = slice(begin, begin + size), int(n)
         self.diagonal: Array = rows[:, self._mine].diagonal()
         self.size = self.diagonal
         self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
@@ -129,7 +129,7 @@ class WholeModel:
         equations have a solution even if the constraints have none.
         """
         unit, n, k = self.unit, len(self), len(missing)
-        T, R = self._whole(maps.test), self._whole(maps.rest)
+        T, R = self._whole(maps.test), self._whole(maps.added)
         matrix, G = (T @ self._shifted + R) / unit, self._reductions.stacked(G)
         right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         if issparse(matrix):

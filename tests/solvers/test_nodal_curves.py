@@ -77,7 +77,7 @@ def test_slips_and_slopes_of_a_node():
     """The slip is the tangential gradient, and the bound has its derivatives there."""
     cones = _one_node(lambda p, v: 0.1 + 0.2 * p + 0.3 * v)
     x, r = np.array([1.0, 0.2, 0.1]), np.array([0.0, -0.4, -0.2])
-    at = cones.at(x, r)
+    at = cones.at_point(x, r)
     assert at.slip is not None
     assert at.slip[0] == pytest.approx(np.hypot(0.4, 0.2), rel=10 * EPS)
     lam, y = at.section(x), x - 2.0 * r
