@@ -330,7 +330,7 @@ PARTS: dict[str, Patches] = {
     "shift of A": [(whole_model, "SHIFT", 0.0)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "paths through soft layers": [(semismooth_newton, "LAYERS_PER_POWER", ())],
+    "other initial guesses": [(semismooth_newton, "OTHER_GUESSES", ())],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -358,8 +358,8 @@ CONSTANTS = {
     "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
     "_base.patience": "PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS WATCHDOG MOST_NEAR_PRODUCTS "
-    "PROXIMAL SOFTER SOFTER_LAYERED LARGEST_LAYER LEAST_LAYER SOLVED",
+    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS WATCHDOG "
+    "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
     "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
