@@ -24,5 +24,5 @@ minus primary, the gap is positive if open.
 All that is computed here follows from the positions of nodes: the only state is `Undeformed`, which
 `PairOperators` carries from one pairing to the next and which is never changed.
 
-Read first: `pair_surfaces._pair`, `mortar.couple`, `mortar_integrals.MortarIntegrals`.
+Read first: `pair_surfaces._pair`, `coupling.couple`, `mortar_integrals.MortarIntegrals`.
 """

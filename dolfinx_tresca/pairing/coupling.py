@@ -1,23 +1,40 @@
-"""The jump at secondary nodes: the dual basis, and which nodes carry multipliers."""
+"""The jump at secondary nodes: means of both sides in the dual basis, gaps and contact normals."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.search.facets import Facets, quadrature
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
-from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.pairing.carriers import nodes_with_multipliers
+from dolfinx_tresca.pairing.contact_normal import nodal_contact_normals
+from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, node_sums
+from dolfinx_tresca.pairing.search.tagged import any_known_surface
+from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
+
+#: Least covered part of a node's area with which the node carries a multiplier. (At the limit
+#: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,
+#: such as 0.1 or 0.01, covers exactly this part of an area.)
+LEAST_AREA_PART = 3e-4
+
+#: A warning is logged if the penetration of bodies is less than this part of the sagitta (the
+#: height of their curved surfaces over the facets). The error of the sagitta, 1 to 5 % of the
+#: sagitta, may then be more than a tenth of the penetration.
+CLOSE_FIT = 0.5
+
+#: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
+#: may penetrate at a few nodes, by errors of the sagitta.
+FITTED_PART = 0.25
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
 #: rounding of the coordinates times the node's area. (Integrals over overlaps are sums of
@@ -69,136 +86,158 @@ class Coupling:
     secondary_sagitta: Array
 
 
-def owned_nodes(V: Any, nodes: SurfaceNodes) -> Mask:
-    """Return whether this rank owns each of the nodes, (n,). Not collective."""
-    low, high = V.dofmap.index_map.local_range
-    return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
-
-
-def _about_obstacle_normals(
-    comm: MPI.Comm, pair: ContactPair, nodes: SurfaceNodes, own: Mask
-) -> str:
-    """Say at how many nodes an obstacle's normal is along the outward normal. Collective.
-
-    The result is empty if there is no such node, or the primary side is no obstacle.
-    """
-    if not isinstance(pair.primary, RigidObstacle):
-        return ""
-    with errors_on_all_ranks(comm):
-        _, normals = pair.primary.at(nodes.points[own])
-    along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
-    number = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
-    if number == 0:
-        return ""
-    return (
-        f" At {number} nodes the obstacle's normal is along the outward normal of the body, and so "
-        "points into the body: it must point out of the obstacle, towards the surface that may "
-        "touch it. Reverse it if the tag is right."
-    )
-
-
-def nodes_with_multipliers(
+def couple(
     V: Any,
-    pair: ContactPair,
+    group: PairGroup,
     nodes: SurfaceNodes,
-    unpaired: Mask,
+    primary: Facets | None,
+    integrals: FacetIntegrals,
+    carries: Mask,
     shared: Mask,
-) -> Indices:
-    """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
+    moved: bool,
+    measured: Array | None = None,
+) -> Coupling:
+    """Find the jumps at secondary nodes by integrals over facets that face the other side.
+
+    The gap is the mean distance of the smooth surfaces along the contact normal: of the exact
+    surfaces where they are known, else of the facets with the heights of fitted surfaces over them.
+    Collective.
 
     Args:
         V: the space of the displacement.
-        pair: the contact pair.
-        nodes: the secondary nodes.
-        unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
-        shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
-            a surface that touches itself, see `redundant_nodes`.
+        group: the contact pairs.
+        nodes: nodes of the secondary side.
+        primary: facets of the primary side; None for an obstacle.
+        integrals: the integrals over the facets.
+        carries: (facets, corners) whether a corner has a multiplier; the part of other corners is
+            distributed over the facet's corners that have.
+        shared: (n,) whether a node belongs to both sides, and so has no multiplier.
+        moved: whether the surfaces are displaced. There is then no warning of a close fit, since
+            penetration is an error of the displacement.
+        measured: (n, 3) unit vectors along which the distances in `integrals` are measured; None:
+            along the contact normals.
 
     Raises:
-        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
-            error if nodes could carry multipliers in other positions of the bodies.
+        PairingError: no node can carry a multiplier.
     """
-    own = owned_nodes(V, nodes)
-    fixed = ~nodes.free.any(axis=1)
-    carries = own & ~unpaired & ~fixed & ~shared
-    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
-    facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
-    partly_free = carries & ~nodes.free.all(axis=1)
-    parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
-    counts = [len(np.unique(nodes.numbers[part])) for part in (own, own & ~fixed & ~shared, *parts)]
-    facing, total, eligible, prescribed, common, number, some = reduce_array(
-        V.mesh.comm, [len(facing_nodes), *counts]
+    pair, facets, count = group.surfaces, nodes.facets, len(nodes.numbers)
+    with errors_on_all_ranks(V.mesh.comm):
+        columns = V.dofmap.index_map.size_global
+        rows = mortar_rows(nodes, primary, integrals, columns, carries)
+    scale: Array = 1.0 / np.where(rows.weights > 0.0, rows.weights, 1.0)
+    means = scale[:, None] * rows.means
+    normals = nodal_contact_normals(means[:, 3:6], nodes)
+    if measured is not None:
+        cosine = np.maximum(np.einsum("ni,ni->n", measured, normals), FACING_COSINE)
+        means[:, :3] /= cosine[:, None]
+    gap, secondary_sagitta, sagitta = means[:, :3].T
+    unpaired: Mask = rows.weights <= LEAST_AREA_PART * nodes.weights
+    if primary is None:
+        unpaired |= np.abs(gap) > pair.search_limit
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
+    if primary is None:
+        facet, column = np.arange(len(facets.points)), np.zeros(1, dtype=np.intp)
+        sizes = integrals.hats.sum(axis=2)
+    else:
+        facet, partner = integrals.pairs.T
+        column, sizes = primary.tag_index[partner], integrals.partner.sum(axis=2)
+    sizes = redistributed(sizes[:, :, None], carries[facet])[:, :, 0]
+    shares: Array = np.zeros((count, len(group.pairs)))
+    member = group.pair_of_tags[facets.tag_index[facet], column]
+    np.add.at(shares, (nodes.facet_nodes[facet], member[:, None]), sizes)
+    weights, shares = rows.weights[position], shares[position]
+    shares *= (weights / shares.sum(axis=1))[:, None]
+    if not moved and primary is not None:
+        # Functions of the dual basis are negative in part: a mean may be less than all distances
+        # around the node. (The gap of moved surfaces must change as N says, or the positions of
+        # finite sliding do not converge.)
+        least: Array = np.full(count, np.inf)
+        np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
+        gap[:] = np.maximum(gap, least)
+        if not any_known_surface(facets, primary):
+            _warn_of_close_fit(V.mesh.comm, str(pair), gap[position], sagitta[position])
+    return Coupling(
+        position,
+        weights,
+        shares,
+        normals[position],
+        scaled_rows(rows.jump[position], scale[position]),
+        scaled_rows(rows.primary[position], scale[position]),
+        gap[position],
+        means[position, 6:],
+        # only displacements of degree 2 can bend facets and so make up for the sagitta
+        secondary_sagitta[position] * (facets.degree > 1),
     )
-    outside = total - facing
-    secondary, primary = pair.side("secondary"), pair.side("primary")
-    if number == 0 < eligible and pair.sliding == "finite":
-        along = _about_obstacle_normals(V.mesh.comm, pair, nodes, own)
+
+
+def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) -> None:
+    """Warn if nodes (n,) penetrate so little that errors of `sagitta` (n,) matter. Collective."""
+    depth, height = reduce_array(
+        comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
+    )
+    inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
+    if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * number:
         log(
-            V.mesh.comm,
-            "pairing: %s: no node that could carry a multiplier faces the other.%s",
-            *(pair, along),
-            level=logging.WARNING if along else logging.INFO,
-            about=str(pair),
+            comm,
+            "contact pair %s: bodies overlap by up to %.3g, but curved surfaces are up to %.3g off "
+            "their facets, a height that nodes determine to some percent only: the error of "
+            "pressures may be 10 %% or more. Give ContactPair(geometry=...), or use finer facets.",
+            *(pair, depth, height),
+            level=logging.WARNING,
+            about=pair,
         )
-        return np.flatnonzero(carries)
-    if outside == total:
-        limited = pair.search_distance is not None
-        within = f" within {pair.search_distance:g}" if limited else ""
-        limits = " and the search distance" if limited else ""
-        if pair.touches_itself:
-            raise PairingError(
-                f"no part of the surface ({secondary}) can touch another one: from none of its "
-                f"{total} nodes the outward normal leads to the surface of another body, or to "
-                f"another part of the same body{within}. Check the tag{limits}; for parts that "
-                'meet only when the body has moved take sliding="finite".'
-            )
-        raise PairingError(
-            f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
-            f"side ({secondary}) the outward normal leads to the primary side "
-            f"({primary}){within}. Check the tags{limits}."
-            f"{_about_obstacle_normals(V.mesh.comm, pair, nodes, own)}"
-        )
-    if number == 0:
-        raise PairingError(
-            f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
-            f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
-        )
-    excluded = {
-        "face nothing or are primary"
-        if pair.touches_itself
-        else "do not face the primary side": outside,
-        "are prescribed": prescribed,
-        "are in both roles" if pair.touches_itself else "are shared": common,
-    }
-    excluded_text = "".join(f", {count} {cause}" for cause, count in excluded.items() if count)
-    partly_fixed = f", {some} of them prescribed in part" if some else ""
-    log(
-        V.mesh.comm,
-        "pairing: %s: %d of %d secondary nodes carry multipliers%s%s",
-        pair,
-        number,
-        total,
-        partly_fixed,
-        excluded_text,
-    )
-    return np.flatnonzero(carries)
 
 
-def whole_facet_integrals(facets: Facets) -> tuple[Array, Array]:
-    """Return integrals as if every facet were covered completely. Not collective.
+class MortarRows(NamedTuple):
+    """Weighted jumps at the nodes of the secondary side.
 
-    Returns:
-        (n, corners, corners) integrals of the products of two hat functions, and (n, corners, k)
-        integrals of hat functions times basis functions of the displacement.
+    Attributes:
+        weights: (n,) covered area of each node [length^2, in 2D length].
+        jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
+        primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
+        means: (n, 9) six quantities of `MortarIntegrals.means` and the three coordinates of the
+            point of application of the nodal forces, times weight.
     """
-    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
-    area = facets.area_elements(x) * w
-    hats, basis = facets.hats(x), facets.basis(x)
-    return (
-        np.einsum("nq,qa,qb->nab", area, hats, hats, optimize=True),
-        np.einsum("nq,qa,qk->nak", area, hats, basis, optimize=True),
-    )
+
+    weights: Array
+    jump: Any
+    primary: Any
+    means: Array
+
+
+def mortar_rows(
+    nodes: SurfaceNodes,
+    primary: Facets | None,
+    integrals: FacetIntegrals,
+    columns: int,
+    carries: Mask | None = None,
+) -> MortarRows:
+    """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
+
+    Args:
+        nodes: nodes of the secondary side.
+        primary: facets of the primary side; None for an obstacle.
+        integrals: the integrals over the facets.
+        columns: number of nodes of V on all ranks.
+        carries: (facets, corners) whether a corner has a multiplier, see `couple`; None: all have.
+    """
+    corners, count = nodes.facet_nodes, len(nodes.numbers)
+    dual = dual_coefficients(integrals.hats, integrals.full, carries)
+    weights = integrals.hats.sum(axis=2)
+    if carries is not None:
+        weights = redistributed(weights[:, :, None], carries)[:, :, 0]
+    weights = node_sums(corners, weights, count)
+    own = dual @ integrals.values
+    jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns)
+    across = csr_array(jump.shape)
+    if primary is not None:
+        facet, partner = integrals.pairs.T
+        blocks = dual[facet] @ integrals.partner
+        across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
+        jump = jump - across
+    means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
+    jump, across = (drop_rounding(matrix, nodes, corners, weights) for matrix in (jump, across))
+    return MortarRows(weights, jump, across, node_sums(corners, means, count))
 
 
 def dual_coefficients(hats: Array, full: Mask, carries: Mask | None = None) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -39,12 +40,9 @@ NEAR = 2.0
 PAIRS_AT_ONCE = 8_000
 
 
-class MortarIntegrals:
-    """Integrals over the covered parts of secondary facets, which face the primary side.
-
-    Primary facets are projected along the normal of a secondary facet; each overlap is cut into
-    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body are
-    excluded, and among several layers the nearest one is integrated.
+@dataclass
+class FacetIntegrals:
+    """Integrals over the parts of secondary facets that face the primary side.
 
     Attributes:
         hats: (n, corners, corners) integrals of products of two secondary hat functions, for all
@@ -56,9 +54,28 @@ class MortarIntegrals:
             if an exact surface is known); and the three components of the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
         full: (n,) whether the whole facet is covered.
-        pairs: (p, 2) secondary and primary facet of each overlap.
-        other: (p, corners, k) integrals of secondary hat functions times primary basis functions
+        pairs: (p, 2) secondary and primary facet of each overlap; none for an obstacle.
+        partner: (p, corners, k) integrals of secondary hat functions times primary basis functions
             over each overlap.
+    """
+
+    hats: Array
+    values: Array
+    means: Array
+    least: Array
+    full: Mask
+    pairs: Indices
+    partner: Array
+
+
+class MortarIntegrals(FacetIntegrals):
+    """Integrals over the covered parts of secondary facets, which face the primary side.
+
+    Primary facets are projected along the normal of a secondary facet; each overlap is cut into
+    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body are
+    excluded, and among several layers the nearest one is integrated.
+
+    Attributes:
         opposite: (q, 2) pairs of facets that see each other, but whose roles are exchanged: the
             first facet, which was searched from, is primary, and the second one is secondary. Empty
             unless the surface touches itself.
@@ -121,7 +138,7 @@ class MortarIntegrals:
         n, corners = secondary.facet_nodes.shape
         self.hats, self.means = np.zeros((n, corners, corners)), np.zeros((n, corners, 6))
         self.values = np.zeros((n, corners, facets.nodes.shape[1]))
-        self.least: Array = np.full(n, np.inf)
+        self.least = np.full(n, np.inf)
         self._covered = np.zeros(len(whole))
         self._overlaps: list[tuple[Indices, Array, Indices]] = []
         mine = np.flatnonzero(np.isin(self._pieces.facet, selected))
@@ -136,10 +153,10 @@ class MortarIntegrals:
         for block in self._facing_pairs(balls, mine, reach):
             self._integrate(*block, reach)
         missing = self._covered < (1.0 - COVER_ROUNDING) * self._area
-        self.full: Mask = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
+        self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         none: Indices = np.zeros((0, 2), dtype=np.intp)
         self._overlaps.append((none, np.zeros((0, corners, others.nodes.shape[1])), none))
-        self.pairs, self.other, self.opposite = map(
+        self.pairs, self.partner, self.opposite = map(
             np.concatenate, zip(*self._overlaps, strict=True)
         )
         # the integrals outlive what they were computed with

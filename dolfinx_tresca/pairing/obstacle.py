@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, scaled_rows
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca.pairing.contact_normal import (
-    SmoothSurface,
-    contact_normals,
-    nodal_contact_normals,
-    turned_angles,
-)
-from dolfinx_tresca.pairing.coupling import (
-    Coupling,
-    assemble_rows,
-    drop_rounding,
-    dual_coefficients,
-    nodes_with_multipliers,
-    redistributed,
-    whole_facet_integrals,
-)
+from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
+from dolfinx_tresca.pairing.coupling import Coupling, couple
 from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
-from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes, node_sums
+from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes
 from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -50,12 +38,8 @@ UNSEEN_PART = 0.3
 ENTERED_DEGREE = 4
 
 
-def couple(
-    V: Any,
-    group: PairGroup,
-    obstacle: RigidObstacle,
-    nodes: SurfaceNodes,
-    moved: bool,
+def couple_to_obstacle(
+    V: Any, group: PairGroup, obstacle: RigidObstacle, nodes: SurfaceNodes, moved: bool
 ) -> Coupling:
     """Find the jumps at the nodes of a surface that faces a rigid obstacle. Collective.
 
@@ -73,11 +57,11 @@ def couple(
         InputError: the signed distance does not return distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
-    pair, facets = group.surfaces, nodes.facets
+    facets, comm = nodes.facets, V.mesh.comm
     # the patches of a node share the normal of the obstacle: only one entry per node is kept
-    node_entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
-    facet_nodes = node_entry[nodes.facet_nodes]
-    with errors_on_all_ranks(V.mesh.comm):
+    entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
+    whole_nodes = replace(nodes, facet_nodes=entry[nodes.facet_nodes])
+    with errors_on_all_ranks(comm):
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
         height = np.zeros_like(distance)
         surface = SmoothSurface(nodes)
@@ -85,54 +69,32 @@ def couple(
             x = lagrange_points(facets.cell, facets.degree)
             smooth = surface.points(np.arange(len(facets.points)), x)
             height = distance - obstacle.at(smooth.reshape(-1, 3))[0]
-        _, obstacle_normals = obstacle.at(nodes.points[node_entry])
+        _, obstacle_normals = obstacle.at(nodes.points)
         at_corners = obstacle_normals[nodes.facet_nodes]
         faces, turns = _facing_corners(facets, obstacle, at_corners)
-        turns = np.where(faces.any(axis=1), turns, 0.0)
-        normals = _corner_contact_normals(surface, facet_nodes, at_corners, turns)
-    hats, values = whole_facet_integrals(facets)
-    weighted = dual_coefficients(hats, np.ones(len(facets.points), dtype=np.bool_)) @ values
-    corner_weights = redistributed(nodes.corner_weights[:, :, None], faces)[:, :, 0]
-
-    weights = node_sums(facet_nodes, corner_weights, len(node_entry))
-    shares = np.zeros((len(weights), len(group.pairs)))
-    pair_of_facet = group.pair_of_tags[facets.tag_index, 0]
-    np.add.at(shares, (facet_nodes, pair_of_facet[:, None]), corner_weights)
-    scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-    columns = V.dofmap.index_map.size_global
-    rows = redistributed(weighted, faces)
-    jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
-    jump = scaled_rows(drop_rounding(jump, nodes, facet_nodes, weights), scale)
-
-    def nodal_means(at_nodes: Array) -> Array:
-        """Return means (nodes,) of values at facets' nodes, by the dual basis on facing facets."""
-        values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
-        values = values / nodes.corner_weights * corner_weights
-        return scale * node_sums(facet_nodes, values, len(weights))
-
-    means = node_sums(facet_nodes, corner_weights[:, :, None] * normals, len(weights))
-    means = nodal_contact_normals(scale[:, None] * means, nodes)
-    cosine = -np.einsum("ni,ni->n", means, obstacle_normals)
-    along = np.maximum(cosine, FACING_COSINE)
-    secondary_sagitta = nodal_means(height) / along
-    gap = nodal_means(distance) / along - secondary_sagitta
+        facing: Mask = np.asarray(faces.any(axis=1))
+        turns = np.where(facing, turns, 0.0)
+        normals = _corner_contact_normals(surface, whole_nodes.facet_nodes, at_corners, turns)
+    distance, height = (array.reshape(facets.nodes.shape) for array in (distance, height))
+    hats, values = (facing[:, None, None] * array for array in whole_facet_integrals(facets))
+    at_nodes = np.stack([distance - height, height, height], axis=2)
+    count = len(hats)
+    integrals = FacetIntegrals(
+        hats,
+        values,
+        means=np.concatenate([values @ at_nodes, hats @ normals], axis=2),
+        least=np.zeros(count),
+        full=np.ones(count, dtype=np.bool_),
+        pairs=np.zeros((0, 2), dtype=np.intp),
+        partner=np.zeros((0, *values.shape[1:])),
+    )
     if not moved:
-        at_nodes = (distance - height).reshape(facets.nodes.shape)
-        facing = np.flatnonzero(faces.any(axis=1))
-        _warn_of_entered_facets(V.mesh.comm, pair, obstacle, facets, surface, facing, at_nodes)
-    unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
-    position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired))
-    place = scale[:, None] * node_sums(facet_nodes, rows @ facets.points, len(weights))
-    return Coupling(
-        position,
-        weights[position],
-        shares[position],
-        means[position],
-        jump[position],
-        csr_array((len(position), columns)),
-        gap[position],
-        place[position],
-        secondary_sagitta[position],
+        near = np.flatnonzero(facing)
+        distances = at_nodes[:, :, 0]
+        _warn_of_entered_facets(comm, group.surfaces, obstacle, facets, surface, near, distances)
+    shared = np.zeros(len(entry), dtype=np.bool_)
+    return couple(
+        V, group, whole_nodes, None, integrals, faces, shared, moved, measured=-obstacle_normals
     )
 
 
@@ -231,3 +193,19 @@ def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> 
     faces = opposed(REFERENCE_CORNERS[facets.cell], normals)
     faces &= opposed(middle, centre_normals[:, None])
     return faces, turned_angles(np.einsum("nci,ni->nc", normals, centre_normals))
+
+
+def whole_facet_integrals(facets: Facets) -> tuple[Array, Array]:
+    """Return integrals as if every facet were covered completely. Not collective.
+
+    Returns:
+        (n, corners, corners) integrals of the products of two hat functions, and (n, corners, k)
+        integrals of hat functions times basis functions of the displacement.
+    """
+    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
+    area = facets.area_elements(x) * w
+    hats, basis = facets.hats(x), facets.basis(x)
+    return (
+        np.einsum("nq,qa,qb->nab", area, hats, hats, optimize=True),
+        np.einsum("nq,qa,qk->nak", area, hats, basis, optimize=True),
+    )

@@ -16,10 +16,11 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange, row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing import mortar, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
+from dolfinx_tresca.pairing.carriers import nodes_without_multiplier, owned_nodes
+from dolfinx_tresca.pairing.coupling import Coupling, couple
 from dolfinx_tresca.pairing.group import PairGroup, Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.obstacle import couple_to_obstacle
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
@@ -105,7 +106,7 @@ def _pair(
         if comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = _surface_nodes(V, pair, "secondary", halo, moved)
-        coupling = obstacle.couple(V, group, pair.primary, nodes, moved)
+        coupling = couple_to_obstacle(V, group, pair.primary, nodes, moved)
     else:
         primary = halo if pair.touches_itself else Halo(V, sides[pair.primary])
         extend_halos(halo, primary, pair.search_limit)
@@ -129,7 +130,9 @@ def _pair(
         if pair.touches_itself:
             decided = nodes.numbers[shared & owned_nodes(V, nodes)]
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
-        coupling = mortar.couple(V, group, nodes, other_nodes, integrals, shared, moved)
+        without = nodes_without_multiplier(V, nodes, others, integrals, shared, pair.friction)
+        carries = ~without[nodes.facet_nodes]
+        coupling = couple(V, group, nodes, others, integrals, carries, shared, moved)
         if pair.pairing == "nodes" and not moved:
             _check_meshes_match(V, pair, coupling, nodes)
     if not moved and len(group.pairs) > 1:

@@ -10,7 +10,7 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, nodes_of, part_of, sheet
 
-from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
+from dolfinx_tresca.pairing.coupling import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, _blocks_of_pairs
 from dolfinx_tresca.pairing.search.facets import Facets
 from scenes.scene import EPS

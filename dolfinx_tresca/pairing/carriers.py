@@ -1,0 +1,273 @@
+"""Which secondary nodes carry multipliers."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, FacetIntegrals
+from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, node_sums
+from dolfinx_tresca.scene.friction import DryFriction, Friction
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
+
+#: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
+#: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
+#: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
+#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it were
+#: 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the pressure of
+#: the nodes on the edge. If it were 0.94 (half this d), nodes of a circle of 16 segments would lose
+#: their multipliers if they lie outside the chords of the other body's mesh.
+LEAST_MEAN = 0.88
+
+#: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
+#: an overlap with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes,
+#: about which a body could rotate (tests/validation/test_random_floating.py, scene 3). With half
+#: of this limit, nodes with a twentieth of their area covered would carry multipliers.
+LEAST_MEAN_OF_FEW = 0.45
+
+#: Relative difference of the diameters of two facets up to which they count as equally large.
+SIZE_ROUNDING = 1e-6
+
+
+def nodes_without_multiplier(
+    V: Any,
+    nodes: SurfaceNodes,
+    others: Facets,
+    integrals: FacetIntegrals,
+    shared: Mask,
+    friction: Friction,
+) -> Mask:
+    """Return the nodes that give their part of the overlap to their neighbours. Collective.
+
+    These are nodes beyond the rim of the overlap. A part of the area of such a node may be covered,
+    but the node itself does not face the primary side. If it had a multiplier, the primary side
+    would seem to extend up to the node: the nodal force would be as large as for a whole facet, and
+    the pressure, this force divided by the covered area, would be far too large. With friction,
+    nodes that are prescribed tangentially and face a coarser mesh are returned, too
+    (`prescribed_before_coarser_facets`).
+
+    If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
+    its multiplier.
+
+    Args:
+        V: the space of the displacement.
+        nodes: nodes of the secondary side.
+        others: facets of the primary side.
+        integrals: the integrals over the overlap.
+        shared: (n,) whether a node also belongs to the primary side.
+        friction: the law of friction.
+
+    Returns:
+        (n,) whether the node has no multiplier; the same on all ranks that have the node.
+    """
+    corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
+    count = len(nodes.numbers)
+    covered = node_sums(corners, weights, count)
+    whole = node_sums(corners, weights.mean(axis=1, keepdims=True), count)
+    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
+    _, number = np.unique(nodes.numbers, return_inverse=True)
+    single: Mask = np.bincount(number, covered > 0.0)[number] == 1
+    own = owned_nodes(V, nodes)
+
+    def owners_flags(some: Mask) -> Mask:
+        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
+        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
+
+    part = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    at_rim = _corners_of(corners, part, count)
+    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
+    # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
+    # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
+    # which one of these nodes has a multiplier
+    near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
+    near = owners_flags(
+        at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))
+    )
+    near = _corners_of(corners, part & (near & ~without)[corners].any(axis=1), count)
+    without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
+    if isinstance(friction, DryFriction):
+        without |= prescribed_before_coarser_facets(nodes, others, integrals)
+    without = owners_flags((covered > 0.0) & without & single)
+    carries = ~without & ~shared & nodes.free.any(axis=1)
+    no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
+    largest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
+    without[corners[no_carrier[:, None] & largest]] = False
+    return owners_flags(without)
+
+
+def prescribed_before_coarser_facets(
+    nodes: SurfaceNodes, others: Facets, integrals: FacetIntegrals
+) -> Mask:
+    """Mark the nodes (n,) whose rows of T would be linearly dependent. Not collective.
+
+    If the displacement of a node is prescribed along a tangent, friction acts on the primary body
+    alone (`PairOperators`). In 3D the rows of T of such nodes along an edge are linearly dependent
+    if the primary mesh is coarser. These nodes give their part of the overlap to their neighbours.
+
+    The result is valid for nodes whose adjacent facets are all on this rank.
+
+    Args:
+        nodes: nodes of the secondary side.
+        others: facets of the primary side.
+        integrals: the integrals over the overlap.
+    """
+    facets, result = nodes.facets, np.zeros(len(nodes.numbers), dtype=np.bool_)
+    if facets.dim == 1:
+        return result
+    movable = np.linalg.norm(nodes.normals[:, : nodes.free.shape[1]] * nodes.free, axis=1)
+    primary_free = np.ones_like(nodes.free)
+    facet, primary = integrals.pairs.T
+    corner = nodes.facet_nodes[facet]
+    node = corner.ravel()
+    free: Mask = np.asarray(others.free.all(axis=1))
+    free = free[primary]
+    np.logical_and.at(primary_free, node, np.repeat(free, corner.shape[1], axis=0))
+    finer = _diameters(facets)[facet] < (1.0 - SIZE_ROUNDING) * _diameters(others)[primary]
+    np.logical_or.at(result, node, np.repeat(finer, corner.shape[1]))
+    acts_on_primary = (~nodes.free & primary_free).any(axis=1)
+    return np.asarray(result & (movable > FREE_PART) & acts_on_primary)
+
+
+def _corners_of(corners: Indices, facets: Mask, count: int) -> Mask:
+    """Return the mask (count,) of the nodes that are corners of facets in a mask.
+
+    Args:
+        corners: (n, k) corner nodes of each facet.
+        facets: (n,) mask of facets.
+        count: number of nodes.
+    """
+    result = np.zeros(count, dtype=np.bool_)
+    result[corners[facets]] = True
+    return result
+
+
+def _diameters(facets: Facets) -> Array:
+    """Return the largest distance (n,) of two corners of each facet [length]."""
+    corners = facets.points[:, : facets.corners]
+    squares = np.square(corners[:, :, None] - corners[:, None]).sum(axis=3)
+    return np.asarray(np.sqrt(squares.max(axis=(1, 2))))
+
+
+def owned_nodes(V: Any, nodes: SurfaceNodes) -> Mask:
+    """Return whether this rank owns each of the nodes, (n,). Not collective."""
+    low, high = V.dofmap.index_map.local_range
+    return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
+
+
+def _about_obstacle_normals(
+    comm: MPI.Comm, pair: ContactPair, nodes: SurfaceNodes, own: Mask
+) -> str:
+    """Say at how many nodes an obstacle's normal is along the outward normal. Collective.
+
+    The result is empty if there is no such node, or the primary side is no obstacle.
+    """
+    if not isinstance(pair.primary, RigidObstacle):
+        return ""
+    with errors_on_all_ranks(comm):
+        _, normals = pair.primary.at(nodes.points[own])
+    along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
+    number = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
+    if number == 0:
+        return ""
+    return (
+        f" At {number} nodes the obstacle's normal is along the outward normal of the body, and so "
+        "points into the body: it must point out of the obstacle, towards the surface that may "
+        "touch it. Reverse it if the tag is right."
+    )
+
+
+def nodes_with_multipliers(
+    V: Any,
+    pair: ContactPair,
+    nodes: SurfaceNodes,
+    unpaired: Mask,
+    shared: Mask,
+) -> Indices:
+    """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        nodes: the secondary nodes.
+        unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
+        shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
+            a surface that touches itself, see `redundant_nodes`.
+
+    Raises:
+        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
+            error if nodes could carry multipliers in other positions of the bodies.
+    """
+    own = owned_nodes(V, nodes)
+    fixed = ~nodes.free.any(axis=1)
+    carries = own & ~unpaired & ~fixed & ~shared
+    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
+    facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
+    partly_free = carries & ~nodes.free.all(axis=1)
+    parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
+    counts = [len(np.unique(nodes.numbers[part])) for part in (own, own & ~fixed & ~shared, *parts)]
+    facing, total, eligible, prescribed, common, number, some = reduce_array(
+        V.mesh.comm, [len(facing_nodes), *counts]
+    )
+    outside = total - facing
+    secondary, primary = pair.side("secondary"), pair.side("primary")
+    if number == 0 < eligible and pair.sliding == "finite":
+        along = _about_obstacle_normals(V.mesh.comm, pair, nodes, own)
+        log(
+            V.mesh.comm,
+            "pairing: %s: no node that could carry a multiplier faces the other.%s",
+            *(pair, along),
+            level=logging.WARNING if along else logging.INFO,
+            about=str(pair),
+        )
+        return np.flatnonzero(carries)
+    if outside == total:
+        limited = pair.search_distance is not None
+        within = f" within {pair.search_distance:g}" if limited else ""
+        limits = " and the search distance" if limited else ""
+        if pair.touches_itself:
+            raise PairingError(
+                f"no part of the surface ({secondary}) can touch another one: from none of its "
+                f"{total} nodes the outward normal leads to the surface of another body, or to "
+                f"another part of the same body{within}. Check the tag{limits}; for parts that "
+                'meet only when the body has moved take sliding="finite".'
+            )
+        raise PairingError(
+            f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
+            f"side ({secondary}) the outward normal leads to the primary side "
+            f"({primary}){within}. Check the tags{limits}."
+            f"{_about_obstacle_normals(V.mesh.comm, pair, nodes, own)}"
+        )
+    if number == 0:
+        raise PairingError(
+            f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
+            f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
+            f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
+        )
+    excluded = {
+        "face nothing or are primary"
+        if pair.touches_itself
+        else "do not face the primary side": outside,
+        "are prescribed": prescribed,
+        "are in both roles" if pair.touches_itself else "are shared": common,
+    }
+    excluded_text = "".join(f", {count} {cause}" for cause, count in excluded.items() if count)
+    partly_fixed = f", {some} of them prescribed in part" if some else ""
+    log(
+        V.mesh.comm,
+        "pairing: %s: %d of %d secondary nodes carry multipliers%s%s",
+        pair,
+        number,
+        total,
+        partly_fixed,
+        excluded_text,
+    )
+    return np.flatnonzero(carries)
