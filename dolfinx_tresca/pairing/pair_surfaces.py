@@ -23,7 +23,7 @@ from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.obstacle import couple_to_obstacle
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.facets import Facets
-from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
+from dolfinx_tresca.pairing.search.halo import at_own_nodes, halos, with_neighbours
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -100,29 +100,29 @@ def _pair(
     """
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
-    halo = Halo(V, sides[pair.secondary])
+    owned = sides[pair.secondary]
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
-        if comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
-            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
-        nodes = _surface_nodes(V, pair, "secondary", halo, moved)
+        nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
         coupling = couple_to_obstacle(V, group, pair.primary, nodes, moved)
     else:
-        primary = halo if pair.touches_itself else Halo(V, sides[pair.primary])
-        extend_halos(halo, primary, pair.search_limit)
-        nodes = other_nodes = _surface_nodes(V, pair, "secondary", halo, moved)
-        if not pair.touches_itself:
-            other_nodes = _surface_nodes(V, pair, "primary", primary, moved)
+        partners = owned if pair.touches_itself else sides[pair.primary]
+        around, across = halos(V, owned, partners, pair.search_limit)
+        if pair.touches_itself:
+            nodes = other_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
+        else:
+            nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
+            other_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
         facets, others = nodes.facets, other_nodes.facets
 
         def may_meet(facet: Indices, other: Indices) -> Mask:
-            tags = facets.tag_index[facet], primary.facets.tag_index[other]
+            tags = facets.tag_index[facet], others.tag_index[other]
             return np.asarray(group.pair_of_tags[tags] >= 0)
 
         with errors_on_all_ranks(comm):
-            around, limit = halo.facets_at_own_nodes(), pair.search_limit
+            selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
-            integrals = MortarIntegrals(nodes, other_nodes, around, limit, order, may_meet)
+            integrals = MortarIntegrals(nodes, other_nodes, selected, limit, order, may_meet)
             shared: Mask = np.isin(nodes.numbers, others.nodes)
             if order is not None:
                 shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
@@ -144,7 +144,7 @@ def _pair(
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
         group.say_laws(comm, coupling.shares)
-    largest = float(reduce_array(comm, np.abs(halo.owned.points).max(initial=0.0), MPI.MAX))
+    largest = float(reduce_array(comm, np.abs(owned.points).max(initial=0.0), MPI.MAX))
     return PairOperators.of(V, coupling, nodes, ROUNDING * largest, undeformed, others, bodies)
 
 
@@ -173,7 +173,7 @@ def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: Su
 
 
 def _surface_nodes(
-    V: Any, pair: ContactPair, side: SideName, halo: Halo, moved: bool
+    V: Any, pair: ContactPair, side: SideName, owned: Facets, halo: Facets, moved: bool
 ) -> SurfaceNodes:
     """Return the nodes of this rank's facets on one side. Collective.
 
@@ -186,7 +186,8 @@ def _surface_nodes(
         V: the space of the displacement.
         pair: the contact pair.
         side: "secondary" or "primary".
-        halo: the facets of the side.
+        owned: the facets of the side that this rank owns.
+        halo: these facets, and those of other ranks that the pairing depends on.
         moved: whether the surface is displaced.
 
     Raises:
@@ -194,7 +195,7 @@ def _surface_nodes(
     """
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):
-        nodes = SurfaceNodes.of(halo.facets)
+        nodes = SurfaceNodes.of(halo)
         own = owned_nodes(V, nodes)
         has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():
@@ -205,7 +206,7 @@ def _surface_nodes(
             )
     if moved or pair.touches_itself:
         return nodes
-    size = np.linalg.norm(np.ptp(halo.owned.points, axis=1), axis=1)
+    size = np.linalg.norm(np.ptp(owned.points, axis=1), axis=1)
     smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
     tags = pair.facet_tags
     outside = tags.indices[tags.values != getattr(pair, side)]
