@@ -310,7 +310,7 @@ class JumpOperator(PetscOwner):
         """The rows of all components of the jumps at all nodes. Collective."""
         dofmap = self.system.V.dofmap
         axes = np.eye(dofmap.index_map_bs)
-        rows = [kron(pair.secondary - pair.primary, axes, format="csr") for pair in self.pairs]
+        rows = [kron(pair.jump, axes, format="csr") for pair in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def of_values(self, u: Array) -> Array:

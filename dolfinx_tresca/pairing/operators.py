@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -29,11 +30,14 @@ from dolfinx_tresca.scene.friction import Bonded, Frictionless
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (
     *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
-    *("secondary_sagitta", "secondary", "primary", "prescribed"),
+    *("secondary_sagitta", "jump", "primary", "prescribed"),
 )
 
 #: The indices of nodes of each row of N and of T, and the attributes that have these rows.
-ROW_ARRAYS = {"normal_node": ("N",), "tangent_node": ("T", "tangents", "semi_axes")}
+ROW_ARRAYS: dict[str, tuple[str, ...]] = {
+    "normal_node": (),
+    "tangent_node": ("tangents", "semi_axes"),
+}
 
 
 @dataclass(frozen=True)
@@ -60,15 +64,13 @@ class PairOperators:
         added_gap: (n,) present value of `ContactPair.gap` at each node [length].
         secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
             which reduces the gap [length]; zero for degree 1.
-        secondary: (n, nodes of V) sparse matrix of the weighted means over the secondary side that
-            are part of N and T, with global column numbers.
+        jump: (n, nodes of V) sparse matrix of the jump, the weighted means over the secondary side
+            minus those over the primary side, with global column numbers.
         primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
             empty for an obstacle.
         prescribed: (n,) whether the displacement of the node is prescribed along the normal.
-        N: (n_normal, dofs of V) sparse matrix, with global column numbers.
         normal_node: (n_normal,) index in `nodes` of each row of N.
-        T: (n_tangential, dofs of V) sparse matrix; without rows if there is no friction.
-        tangents: (n_tangential, d) unit vector along each row of T.
+        tangents: (n_tangential, d) unit vector along each row of T; none if there is no friction.
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
             the node; 1 for circles.
@@ -85,12 +87,10 @@ class PairOperators:
     distance: Array
     added_gap: Array
     secondary_sagitta: Array
-    secondary: Any
+    jump: Any
     primary: Any
     prescribed: Mask
-    N: Any
     normal_node: LocalNumbers
-    T: Any
     tangents: Array
     tangent_node: LocalNumbers
     semi_axes: Array
@@ -160,12 +160,10 @@ class PairOperators:
             distance=np.where(bonded, 0.0, distance),
             added_gap=np.zeros_like(distance),
             secondary_sagitta=coupling.secondary_sagitta,
-            secondary=coupling.jump + coupling.primary,
+            jump=coupling.jump,
             primary=coupling.primary,
             prescribed=prescribed,
-            N=_directional_rows(coupling.jump, normal_node, normals[normal_node]),
             normal_node=normal_node,
-            T=_directional_rows(coupling.jump, tangent_node, along),
             tangents=along,
             tangent_node=tangent_node,
             semi_axes=np.ones(len(tangent_node)),
@@ -187,6 +185,21 @@ class PairOperators:
             changes[node] = number[getattr(self, node)[rows]]
             changes |= {name: getattr(self, name)[rows] for name in arrays}
         return replace(self, **changes)
+
+    @cached_property
+    def N(self) -> Any:
+        """Sparse matrix (n_normal, dofs of V) of normal jumps, with global column numbers."""
+        return _directional_rows(self.jump, self.normal_node, self.normals[self.normal_node])
+
+    @cached_property
+    def T(self) -> Any:
+        """Sparse matrix (n_tangential, dofs of V) of the jumps along `tangents`."""
+        return _directional_rows(self.jump, self.tangent_node, self.tangents)
+
+    @property
+    def secondary(self) -> Any:
+        """Sparse matrix (n, nodes of V) of the weighted means over the secondary side."""
+        return self.jump + self.primary
 
     @property
     def gap(self) -> Array:
@@ -231,7 +244,7 @@ def joined(parts: Sequence[PairOperators]) -> PairOperators:
     }
     for name in (*NODE_ARRAYS, *(name for names in ROW_ARRAYS.values() for name in names)):
         arrays = [getattr(part, name) for part in parts]
-        is_sparse = name in ("N", "T", "secondary", "primary")
+        is_sparse = name in ("jump", "primary")
         changes[name] = vstack(arrays, format="csr") if is_sparse else np.concatenate(arrays)
     return replace(parts[0], bonded=all(part.bonded for part in parts), **changes)
 
