@@ -163,34 +163,8 @@ def owned_nodes(V: Any, nodes: SurfaceNodes) -> Mask:
     return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
 
 
-def _about_obstacle_normals(
-    comm: MPI.Comm, pair: ContactPair, nodes: SurfaceNodes, own: Mask
-) -> str:
-    """Say at how many nodes an obstacle's normal is along the outward normal. Collective.
-
-    The result is empty if there is no such node, or the primary side is no obstacle.
-    """
-    if not isinstance(pair.primary, RigidObstacle):
-        return ""
-    with errors_on_all_ranks(comm):
-        _, normals = pair.primary.at(nodes.points[own])
-    along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
-    number = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
-    if number == 0:
-        return ""
-    return (
-        f" At {number} nodes the obstacle's normal is along the outward normal of the body, and so "
-        "points into the body: it must point out of the obstacle, towards the surface that may "
-        "touch it. Reverse it if the tag is right."
-    )
-
-
 def nodes_with_multipliers(
-    V: Any,
-    pair: ContactPair,
-    nodes: SurfaceNodes,
-    unpaired: Mask,
-    shared: Mask,
+    V: Any, pair: ContactPair, nodes: SurfaceNodes, unpaired: Mask, shared: Mask
 ) -> Indices:
     """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
 
@@ -206,68 +180,62 @@ def nodes_with_multipliers(
         PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
             error if nodes could carry multipliers in other positions of the bodies.
     """
-    own = owned_nodes(V, nodes)
-    fixed = ~nodes.free.any(axis=1)
-    carries = own & ~unpaired & ~fixed & ~shared
+    comm, own = V.mesh.comm, owned_nodes(V, nodes)
+    fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
+    carries = facing & ~fixed & ~shared
+    masks = (own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries)
+    masks = (*masks, carries & ~nodes.free.all(axis=1))
     # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
-    facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
-    partly_free = carries & ~nodes.free.all(axis=1)
-    parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
-    counts = [len(np.unique(nodes.numbers[part])) for part in (own, own & ~fixed & ~shared, *parts)]
-    facing, total, eligible, prescribed, common, number, some = reduce_array(
-        V.mesh.comm, [len(facing_nodes), *counts]
-    )
-    outside = total - facing
-    secondary, primary = pair.side("secondary"), pair.side("primary")
-    if number == 0 < eligible and pair.sliding == "finite":
-        along = _about_obstacle_normals(V.mesh.comm, pair, nodes, own)
+    counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
+    total, paired, eligible, prescribed, common, number, partly = reduce_array(comm, counts)
+    position = np.flatnonzero(carries)
+    if number > 0:
         log(
-            V.mesh.comm,
+            comm,
+            "pairing: %s: %d of %d secondary nodes carry multipliers, %d of them prescribed in "
+            "part; of the others %d face nothing, %d are prescribed and %d are on both sides",
+            *(pair, number, total, partly, total - paired, prescribed, common),
+        )
+        return position
+    hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
+    if isinstance(pair.primary, RigidObstacle):
+        with errors_on_all_ranks(comm):
+            _, normals = pair.primary.at(nodes.points[own])
+        along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
+        reversed_nodes = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
+        if reversed_nodes:
+            hint = (
+                f" At {reversed_nodes} nodes the obstacle's normal is along the outward normal of "
+                "the body, and so points into the body: it must point out of the obstacle, towards "
+                "the surface that may touch it. Reverse it if the tag is right."
+            )
+    if eligible > 0 and pair.sliding == "finite":
+        log(
+            comm,
             "pairing: %s: no node that could carry a multiplier faces the other.%s",
-            *(pair, along),
-            level=logging.WARNING if along else logging.INFO,
+            *(pair, hint),
+            level=logging.WARNING if hint else logging.INFO,
             about=str(pair),
         )
-        return np.flatnonzero(carries)
-    if outside == total:
-        limited = pair.search_distance is not None
-        within = f" within {pair.search_distance:g}" if limited else ""
-        limits = " and the search distance" if limited else ""
-        if pair.touches_itself:
-            raise PairingError(
-                f"no part of the surface ({secondary}) can touch another one: from none of its "
-                f"{total} nodes the outward normal leads to the surface of another body, or to "
-                f"another part of the same body{within}. Check the tag{limits}; for parts that "
-                'meet only when the body has moved take sliding="finite".'
-            )
-        raise PairingError(
-            f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
-            f"side ({secondary}) the outward normal leads to the primary side "
-            f"({primary}){within}. Check the tags{limits}."
-            f"{_about_obstacle_normals(V.mesh.comm, pair, nodes, own)}"
-        )
-    if number == 0:
+        return position
+    if paired > 0:
         raise PairingError(
             f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
+            f"nodes {total - paired} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
-    excluded = {
-        "face nothing or are primary"
-        if pair.touches_itself
-        else "do not face the primary side": outside,
-        "are prescribed": prescribed,
-        "are in both roles" if pair.touches_itself else "are shared": common,
-    }
-    excluded_text = "".join(f", {count} {cause}" for cause, count in excluded.items() if count)
-    partly_fixed = f", {some} of them prescribed in part" if some else ""
-    log(
-        V.mesh.comm,
-        "pairing: %s: %d of %d secondary nodes carry multipliers%s%s",
-        pair,
-        number,
-        total,
-        partly_fixed,
-        excluded_text,
+    limited = pair.search_distance is not None
+    within = f" within {pair.search_distance:g}" if limited else ""
+    limits = " and the search distance" if limited else ""
+    if pair.touches_itself:
+        raise PairingError(
+            f"no part of the surface ({secondary}) can touch another one: from none of its "
+            f"{total} nodes the outward normal leads to the surface of another body, or to "
+            f"another part of the same body{within}. Check the tag{limits}; for parts that "
+            'meet only when the body has moved take sliding="finite".'
+        )
+    raise PairingError(
+        f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
+        f"side ({secondary}) the outward normal leads to the primary side "
+        f"({primary}){within}. Check the tags{limits}.{hint}"
     )
-    return np.flatnonzero(carries)

@@ -188,7 +188,12 @@ class MortarIntegrals(FacetIntegrals):
             if self._may_meet is not None:
                 facets = pieces.facet[piece[opposed]], others.facet[other[opposed]]
                 opposed[opposed] = self._may_meet(*facets)
-            yield from _blocks_of_pairs(piece[opposed], other[opposed])
+            piece, other = piece[opposed], other[opposed]
+            # a block ends at the first pair of a piece after each `PAIRS_AT_ONCE` pairs
+            number = np.searchsorted(piece, piece) // PAIRS_AT_ONCE
+            ends = np.flatnonzero(np.diff(number)) + 1
+            if len(piece):
+                yield from zip(np.split(piece, ends), np.split(other, ends), strict=True)
 
     def _integrate(
         self, first: Indices, second: Indices, limit: Array, *, covered_only: bool = False
@@ -303,17 +308,3 @@ class MortarIntegrals(FacetIntegrals):
         paired = add & (sizes > 0.0)
         self._overlaps.append((both[paired], products(others)[paired], both[add & opposite[kept]]))
         return covered
-
-
-def _blocks_of_pairs(first: Indices, second: Indices) -> Iterator[tuple[Indices, Indices]]:
-    """Yield blocks of pairs, sorted by `first`; equal entries of `first` stay in one block."""
-    if len(first) == 0:
-        return
-    starts = np.unique(first, return_index=True)[1]
-    ends = np.append(starts[1:], len(first))
-    begin = 0
-    for start, end in zip(starts, ends, strict=True):
-        if end - begin > PAIRS_AT_ONCE and start > begin:
-            yield first[begin:start], second[begin:start]
-            begin = start
-    yield first[begin:], second[begin:]
