@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
@@ -183,8 +181,8 @@ def nodes_with_multipliers(
     comm, own = V.mesh.comm, owned_nodes(V, nodes)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
     carries = facing & ~fixed & ~shared
-    masks = (own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries)
-    masks = (*masks, carries & ~nodes.free.all(axis=1))
+    masks = [own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries]
+    masks.append(carries & ~nodes.free.all(axis=1))
     # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
     counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
     total, paired, eligible, prescribed, common, number, partly = reduce_array(comm, counts)

@@ -20,12 +20,8 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.pairing.search.nodes import (
-    NEIGHBOURS,
-    REFERENCE_CORNERS,
-    SurfaceNodes,
-    free_normals,
-)
+from dolfinx_tresca.pairing.search.facets import lagrange_points
+from dolfinx_tresca.pairing.search.nodes import NEIGHBOURS, SurfaceNodes, free_normals
 from dolfinx_tresca.pairing.search.tagged import normals_at, offsets_at
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
@@ -165,7 +161,7 @@ class SmoothSurface:
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
-            x = np.tile(REFERENCE_CORNERS[facets.cell], (len(facet) // facets.corners, 1))
+            x = np.tile(lagrange_points(facets.cell, 1), (len(facet) // facets.corners, 1))
             normals = normals_at(facets, facet, x)
             cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
             self.turns[self._exact] = turned_angles(cosines.reshape(-1, facets.corners))

@@ -292,14 +292,7 @@ class ContactOperators(PetscOwner):
         Raises:
             InputError: h is not a scalar Function of degree 1 on the mesh of the displacement.
         """
-        with errors_on_all_ranks(self.comm):
-            if not (isinstance(h, fem.Function) and h.ufl_shape == () and self._is_nodal(h)):
-                raise InputError(
-                    "a conductance must be a scalar Function of degree 1 in the space of the "
-                    "temperature, on the mesh of the displacement: of "
-                    f'fem.functionspace(mesh, ("Lagrange", 1)), found {shown(h)}.'
-                )
-        Q = h.function_space
+        Q, values = self._nodal_values(h, scalar=True)
         nodes, index_map = self._nodes_in(Q), Q.dofmap.index_map
         count = len(nodes)
         entries = np.ones(count), index_map.local_to_global(nodes), np.arange(count + 1)
@@ -307,7 +300,7 @@ class ContactOperators(PetscOwner):
         jump, P = as_petsc(index_map, 1, [rows], self.comm), self._projection(Q)
         jump.axpy(-1.0, P)
         weighted, weights = jump.duplicate(copy=True), jump.createVecLeft()
-        weights.array = self._pair.weights * h.x.array[nodes]
+        weights.array = self._pair.weights * values[nodes, 0]
         weighted.diagonalScale(L=weights)
         result = jump.transposeMatMult(weighted)
         for owned in (jump, P, weighted, weights):
@@ -332,25 +325,28 @@ class ContactOperators(PetscOwner):
         result[self._nodes_in(Q)[secondary]] = density[secondary]
         return _function(Q, name, result)
 
-    def _is_nodal(self, function: fem.Function) -> bool:
-        """Return whether a Function has Lagrange elements of degree 1 on the mesh."""
-        mesh, shapes = self._V.mesh, ((), (self._V.dofmap.index_map_bs,))
-        elements = [basix.ufl.element("Lagrange", mesh.basix_cell(), 1, shape=s) for s in shapes]
-        return function.function_space.mesh == mesh and function.ufl_element() in elements
-
-    def _nodal_values(self, function: fem.Function) -> tuple[Any, Array]:
+    def _nodal_values(self, function: fem.Function, *, scalar: bool = False) -> tuple[Any, Array]:
         """Return the space of a field, and its values (owned nodes, 1 or d). Collective.
 
         Raises:
-            InputError: `function` is not a scalar or vector of degree 1 on the mesh.
+            InputError: `function` is not of degree 1 on the mesh, or no scalar.
         """
+        mesh, dim = self._V.mesh, self._V.dofmap.index_map_bs
         with errors_on_all_ranks(self.comm):
-            if not (isinstance(function, fem.Function) and self._is_nodal(function)):
-                dim = self._V.dofmap.index_map_bs
+            elements = [
+                basix.ufl.element("Lagrange", mesh.basix_cell(), 1, shape=shape)
+                for shape in ([()] if scalar else [(), (dim,)])
+            ]
+            if (
+                not isinstance(function, fem.Function)
+                or function.function_space.mesh != mesh
+                or function.ufl_element() not in elements
+            ):
+                vector = "" if scalar else f" or a vector of {dim} components"
                 raise InputError(
-                    "a transferred field must be a Function of Lagrange elements of degree 1 on "
-                    f"the mesh of the displacement, a scalar or a vector of {dim} components, "
-                    f"found {shown(function)}. Interpolate or project it into such a space."
+                    "the field must be a Function of Lagrange elements of degree 1 on the mesh of "
+                    f"the displacement, a scalar{vector}, found {shown(function)}. Interpolate or "
+                    "project it into such a space."
                 )
         dofmap = function.function_space.dofmap
         values = function.x.array.reshape(-1, dofmap.index_map_bs)

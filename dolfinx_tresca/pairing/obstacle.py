@@ -18,10 +18,9 @@ from dolfinx_tresca.pairing.coupling import Coupling, couple
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
-from dolfinx_tresca.pairing.search.nodes import REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.visibility import FACING_COSINE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
 
 #: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the
 #: first one the mesh resolves the obstacle, and its exact normals at the nodes count; from the
@@ -89,55 +88,31 @@ def couple_to_obstacle(
         partner=np.zeros((0, *values.shape[1:])),
     )
     if not moved:
-        near = np.flatnonzero(facing)
-        distances = at_nodes[:, :, 0]
-        _warn_of_entered_facets(comm, group.surfaces, obstacle, facets, surface, near, distances)
+        # the obstacle enters the smooth surface between nodes, which do not see it
+        on_surface, size = distance - height, np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
+        near = np.flatnonzero(facing & (np.abs(on_surface).min(axis=1, initial=np.inf) <= size))
+        points = surface.points(near, lagrange_points(facets.cell, ENTERED_DEGREE))
+        with errors_on_all_ranks(comm):
+            inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
+        depth = inside.max(axis=1, initial=0.0)
+        seen = np.maximum(-on_surface[near].min(axis=1, initial=np.inf), 0.0)
+        largest = [depth.max(initial=0.0), (depth - seen).max(initial=0.0)]
+        deepest, unseen = reduce_array(comm, largest, MPI.MAX)
+        if unseen > UNSEEN_PART * deepest:
+            log(
+                comm,
+                "contact pair %s: the obstacle enters facets by up to %.3g, %.3g of it between "
+                "their nodes, which carry the contact and do not see it: forces are too small, and "
+                "vary as the obstacle slides from node to node. Use facets a third as large as its "
+                "radius.",
+                *(group.surfaces, deepest, unseen),
+                level=logging.WARNING,
+                about=str(group.surfaces),
+            )
     shared = np.zeros(len(entry), dtype=np.bool_)
     return couple(
         V, group, whole_nodes, None, integrals, faces, shared, moved, measured=-obstacle_normals
     )
-
-
-def _warn_of_entered_facets(
-    comm: MPI.Comm,
-    pair: ContactPair,
-    obstacle: RigidObstacle,
-    facets: Facets,
-    surface: SmoothSurface,
-    facing: Indices,
-    at_nodes: Array,
-) -> None:
-    """Warn if the obstacle enters a smooth surface between nodes, which do not see it. Collective.
-
-    Args:
-        comm: the communicator.
-        pair: the contact pair.
-        obstacle: the rigid obstacle.
-        facets: the facets of the surface.
-        surface: their smooth surface.
-        facing: (m,) the facets that face the obstacle.
-        at_nodes: (n, k) signed distances of the nodes on the smooth surface [length].
-    """
-    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    near = facing[np.abs(at_nodes[facing]).min(axis=1, initial=np.inf) <= size[facing]]
-    x = lagrange_points(facets.cell, ENTERED_DEGREE)
-    points = surface.points(near, x)
-    with errors_on_all_ranks(comm):
-        inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
-    depth = inside.max(axis=1, initial=0.0)
-    seen = np.maximum(-at_nodes[near].min(axis=1, initial=np.inf), 0.0)
-    deepest = reduce_array(comm, depth.max(initial=0.0), MPI.MAX)
-    unseen = reduce_array(comm, (depth - seen).max(initial=0.0), MPI.MAX)
-    if unseen > UNSEEN_PART * deepest:
-        log(
-            comm,
-            "contact pair %s: the obstacle enters facets by up to %.3g, %.3g of it between their "
-            "nodes, which carry the contact and do not see it: forces are too small, and vary as "
-            "the obstacle slides from node to node. Use facets a third as large as its radius.",
-            *(pair, deepest, unseen),
-            level=logging.WARNING,
-            about=str(pair),
-        )
 
 
 def _corner_contact_normals(
@@ -190,7 +165,7 @@ def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> 
         cosine = np.einsum("nqi,nqi->nq", vectors, normals) / np.linalg.norm(vectors, axis=2)
         return np.asarray(cosine < -FACING_COSINE)
 
-    faces = opposed(REFERENCE_CORNERS[facets.cell], normals)
+    faces = opposed(lagrange_points(facets.cell, 1), normals)
     faces &= opposed(middle, centre_normals[:, None])
     return faces, turned_angles(np.einsum("nci,ni->nc", normals, centre_normals))
 

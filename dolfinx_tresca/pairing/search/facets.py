@@ -63,7 +63,8 @@ class Facets:
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            search/tagged.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
+            search/tagged.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if those of
+            both sides are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see search/self_contact.py; (n, 0) on other surfaces.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
@@ -185,19 +186,11 @@ def frames_along(sides: Array, normals: Array) -> Array:
 
 def joined(groups: Sequence[Facets]) -> Facets:
     """Return the facets of several tags as one surface."""
-    exact = max(group.offsets.shape[1] for group in groups)
-    padded = [
-        group
-        if group.offsets.shape[1] == exact
-        else replace(group, offsets=np.full((len(group.points), exact, 3), np.nan))
-        for group in groups
-    ]
-    padded = [
-        replace(group, tag_index=np.full(len(group.points), k)) for k, group in enumerate(padded)
-    ]
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(group, name) for group in padded]) for name in FACET_ARRAYS
+        name: np.concatenate([getattr(group, name) for group in groups]) for name in FACET_ARRAYS
     }
+    counts = [len(group.points) for group in groups]
+    arrays["tag_index"] = np.repeat(np.arange(len(groups)), counts)
     bent, plane = any(group.bent for group in groups), all(group.plane for group in groups)
     return replace(groups[0], bent=bent, plane=plane, **arrays)
 
@@ -249,47 +242,6 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
     """Return quadrature points (q, dim) and weights (q,) on a reference cell."""
     points, weights = basix.make_quadrature(basix.CellType[cell], degree)
     return np.asarray(points), np.asarray(weights)
-
-
-def oriented(
-    cell: str,
-    degree: int,
-    nodes: GlobalNumbers,
-    points: Array,
-    free: Mask,
-    file_numbers: GlobalNumbers,
-    middle: Array,
-) -> Facets:
-    """Return facets whose normals point away from their cells.
-
-    Args:
-        cell: type of the facets.
-        degree: polynomial degree of the displacement.
-        nodes: (n, k) global numbers of the displacement's nodes.
-        points: (n, k, 3) positions of the nodes [length].
-        free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
-        file_numbers: (n, corners) numbers of the corners in the mesh file.
-        middle: (n, 3) midpoints of the cells behind the facets [length].
-    """
-    result = Facets(
-        cell,
-        degree,
-        nodes,
-        points,
-        free,
-        file_numbers,
-        np.ones(len(points)),
-        np.zeros((len(points), 0, 3)),
-        np.zeros((len(points), 0)),
-        np.zeros(len(points), dtype=np.intp),
-        bent=False,
-        plane=True,
-    ).moved_to(points)
-    centre, _ = quadrature(cell, 1)
-    ahead = points[:, : result.corners].mean(axis=1) - middle
-    away = np.einsum("ni,ni->n", result.area_vectors(centre)[:, 0], ahead)
-    result.outward[away < 0.0] = -1.0
-    return result
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,8 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
     kept = np.arange(count) * comm.size + comm.rank
     facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
     rows, _ = exchange(comm, records[facet], rank)
-    return replace(owned, **{name: rows[name].copy() for name in FACET_ARRAYS})
+    received: dict[str, Any] = {name: rows[name].copy() for name in FACET_ARRAYS}
+    return replace(owned, **received)
 
 
 def with_neighbours(V: Any, owned: Facets) -> Facets:
