@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfinx_tresca.pairing.search.facets import Facets, quadrature
-from dolfinx_tresca.pairing.search.halo import FACET_ARRAYS
+from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets, quadrature
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from scenes.patches import raised
 

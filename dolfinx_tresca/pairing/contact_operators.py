@@ -276,8 +276,8 @@ class ContactOperators(PetscOwner):
         """Return the matrix C of a flux h (T_s - T_p) [per area] through the contact. Collective.
 
         Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
-        are its values at secondary nodes, T_p its `transfer` from the primary side, and T_p = 0 for
-        a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
+        and T_p are its means over both sides in N and T: inside the contact T_s are the values at
+        secondary nodes, T_p the `transfer` from the primary side, and T_p = 0 for a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
         semidefinite. Between two bodies its rows sum to zero, and the flow out of one side equals
         the flow into the other side, up to rounding.
 
@@ -293,17 +293,12 @@ class ContactOperators(PetscOwner):
             InputError: h is not a scalar Function of degree 1 on the mesh of the displacement.
         """
         Q, values = self._nodal_values(h, scalar=True)
-        nodes, index_map = self._nodes_in(Q), Q.dofmap.index_map
-        count = len(nodes)
-        entries = np.ones(count), index_map.local_to_global(nodes), np.arange(count + 1)
-        rows = csr_array(entries, shape=(count, index_map.size_global))
-        jump, P = as_petsc(index_map, 1, [rows], self.comm), self._projection(Q)
-        jump.axpy(-1.0, P)
+        jump = self._in_space(Q, self._pair.jump)
         weighted, weights = jump.duplicate(copy=True), jump.createVecLeft()
-        weights.array = self._pair.weights * values[nodes, 0]
+        weights.array = self._pair.weights * values[self._nodes_in(Q), 0]
         weighted.diagonalScale(L=weights)
         result = jump.transposeMatMult(weighted)
-        for owned in (jump, P, weighted, weights):
+        for owned in (jump, weighted, weights):
             owned.destroy()
         return result
 
@@ -359,11 +354,15 @@ class ContactOperators(PetscOwner):
         number[dofs[:, : entities_per_cell(self._V, 0)]] = Q.dofmap.list
         return np.asarray(number[self._pair.nodes])
 
-    def _projection(self, Q: Any) -> PETSc.Mat:
-        """Create P (n, nodes of Q) for a scalar space Q of degree 1. Collective.
+    def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
+        """Create the matrix (n, nodes of Q) that does to a field in Q what rows do in V. Collective.
 
         The caller destroys the matrix. At nodes of V on edges and faces a field of degree 1 is
         interpolated from the corners of a cell.
+
+        Args:
+            Q: a space of degree 1.
+            rows: (n, nodes of V) sparse matrix, with global column numbers.
         """
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries
@@ -377,16 +376,17 @@ class ContactOperators(PetscOwner):
         ends = np.arange(owned + 1) * hats.shape[1]
         interpolation = csr_array((*entries, ends), shape=(owned, nodes.size_global))
         interpolation.eliminate_zeros()
-        P = as_petsc(V.dofmap.index_map, 1, [self._pair.primary], self.comm)
+        in_V = as_petsc(V.dofmap.index_map, 1, [rows], self.comm)
         to_Q = as_petsc(nodes, 1, [interpolation], self.comm)
-        result = P.matMult(to_Q)
-        P.destroy()
+        result = in_V.matMult(to_Q)
+        in_V.destroy()
         to_Q.destroy()
         return result
 
     def _multiplied(self, Q: Any, values: Array, *, transposed: bool = False) -> Array:
         """Return P f (n, k) for f (owned nodes of Q, k), or P'f for f (n, k). Collective."""
-        P, columns = self._projection(Q), dense_matrix(values, self.comm)
+        P = self._in_space(Q, self._pair.primary)
+        columns = dense_matrix(values, self.comm)
         product = P.transposeMatMult(columns) if transposed else P.matMult(columns)
         result = product.getDenseArray().copy()
         for matrix in (P, columns, product):

@@ -16,14 +16,17 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange, row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.carriers import nodes_without_multiplier, owned_nodes
-from dolfinx_tresca.pairing.coupling import Coupling, couple
+from dolfinx_tresca.pairing.coupling import (
+    Coupling,
+    couple,
+    nodes_without_multiplier,
+    owned_nodes,
+)
 from dolfinx_tresca.pairing.group import PairGroup, Undeformed
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.pairing.obstacle import couple_to_obstacle
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos, with_neighbours
 from dolfinx_tresca.pairing.search.facets import Facets
-from dolfinx_tresca.pairing.search.halo import at_own_nodes, halos, with_neighbours
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -104,7 +107,13 @@ def _pair(
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
-        coupling = couple_to_obstacle(V, group, pair.primary, nodes, moved)
+        nodes, integrals, carries, normals = obstacle_integrals(
+            comm, str(pair), pair.primary, nodes, moved
+        )
+        shared: Mask = np.zeros(len(normals), dtype=np.bool_)
+        coupling = couple(
+            V, group, nodes, None, integrals, carries, shared, moved, measured=-normals
+        )
     else:
         partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
@@ -123,14 +132,14 @@ def _pair(
             selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
             integrals = MortarIntegrals(nodes, other_nodes, selected, limit, order, may_meet)
-            shared: Mask = np.isin(nodes.numbers, others.nodes)
+            shared = np.isin(nodes.numbers, others.nodes)
             if order is not None:
                 shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
                 bodies = opposite_bodies(nodes, integrals.pairs, order)
         if pair.touches_itself:
             decided = nodes.numbers[shared & owned_nodes(V, nodes)]
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
-        without = nodes_without_multiplier(V, nodes, others, integrals, shared, pair.friction)
+        without = nodes_without_multiplier(V, nodes, integrals, shared)
         carries = ~without[nodes.facet_nodes]
         coupling = couple(V, group, nodes, others, integrals, carries, shared, moved)
         if pair.pairing == "nodes" and not moved:

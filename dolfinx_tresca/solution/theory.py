@@ -19,8 +19,8 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.search.balls import faced_within
 from dolfinx_tresca.pairing.search.facets import Facets
-from dolfinx_tresca.pairing.search.halo import faced_within
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 

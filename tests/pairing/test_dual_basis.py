@@ -13,8 +13,7 @@ from dolfinx_tresca.pairing.coupling import (
     dual_coefficients,
     redistributed,
 )
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.pairing.obstacle import whole_facet_integrals
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, whole_facet_integrals
 from scenes.scene import EPS
 
 ROUNDING = 1e3 * EPS

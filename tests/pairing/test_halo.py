@@ -9,9 +9,13 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.pairing.search.balls import Balls
+from dolfinx_tresca.pairing.search.balls import (
+    Balls,
+    at_own_nodes,
+    facets_at_own_nodes,
+    halos,
+)
 from dolfinx_tresca.pairing.search.facets import Facets, Pieces
-from dolfinx_tresca.pairing.search.halo import at_own_nodes, facets_at_own_nodes, halos
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from scenes.patches import LOWER, UPPER, patch
 

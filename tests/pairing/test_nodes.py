@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
-from dolfinx_tresca.pairing.carriers import owned_nodes
-from dolfinx_tresca.pairing.search.halo import facets_at_own_nodes
+from dolfinx_tresca.pairing.coupling import owned_nodes
+from dolfinx_tresca.pairing.search.balls import facets_at_own_nodes
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, tangents
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -7,8 +7,8 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, part_of, sheet
 
-from dolfinx_tresca.pairing.search.facets import Facets, Pieces
-from dolfinx_tresca.pairing.search.visibility import CREDIBLE_PART, Visibility, distances
+from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, Facets, Pieces
+from dolfinx_tresca.pairing.search.visibility import Visibility
 
 UP, DOWN = True, False
 
@@ -109,7 +109,7 @@ def test_distance_equals_distance_from_nearest_of_many_points(cell):
     shares = rng.dirichlet(np.full(corners.shape[1], 0.3), count)
     cloud = np.einsum("qc,nci->nqi", shares, corners)
     nearest = np.linalg.norm(cloud - points[:, None], axis=2).min(axis=1)
-    found = distances(pieces, chosen, points)
+    found = pieces.distances(chosen, points)
     assert (found <= nearest + 1e-12).all() and (found >= nearest - 0.1).all()
 
 

@@ -45,6 +45,20 @@ MATCHING_DISTANCE = 1e-8
 RIM_PART = 1e-6
 
 
+#: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
+#: degrees). At larger angles the facet's area is more than ten times the area of its projection.
+FACING_COSINE = 0.1
+
+#: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
+#: surfaces penetrate each other by a part of their size.
+SHALLOW_DEPTH = 0.1
+
+#: A point's penetration along the normal counts only if the point's least distance from the other
+#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
+#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
+CREDIBLE_PART = 0.1
+
+
 @dataclass(frozen=True)
 class Facets:
     """The facets with one tag on this rank: curves in 2D, triangles or quadrilaterals in 3D.
@@ -258,6 +272,7 @@ class Pieces:
         centres: (n, 3) means of the corners [length].
         radii: (n,) largest distance of a corner from the centre [length].
         normals: (n, 3) outward unit normals of the (mean) planes.
+        areas: (n,) areas of the pieces, projected onto these planes [length^2, in 2D length].
     """
 
     facet: Indices
@@ -266,6 +281,7 @@ class Pieces:
     centres: Array
     radii: Array
     normals: Array
+    areas: Array
 
     @classmethod
     def of(cls, facets: Facets) -> Pieces:
@@ -279,14 +295,16 @@ class Pieces:
             vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
         else:  # the area vector is half the cross product of the diagonals, or of two sides
             vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
-        vectors = vectors * facets.outward[facet, None]
+            vectors *= 0.5
+        areas = np.linalg.norm(vectors, axis=1)
         return cls(
             facet,
             nodes,
             points,
             centres,
             np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
-            np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None]),
+            np.asarray(vectors / (facets.outward[facet] * areas)[:, None]),
+            np.asarray(areas),
         )
 
     @cached_property
@@ -302,6 +320,22 @@ class Pieces:
         """
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
+
+    def distances(self, chosen: Indices, points: Array) -> Array:
+        """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
+        corners = self.points[chosen] - points[:, None]
+        normals = self.normals[chosen]
+        along = np.roll(corners, -1, axis=1) - corners
+        # parameter in [0, 1] of the nearest point of each side
+        part = -np.einsum("nci,nci->nc", corners, along) / np.einsum("nci,nci->nc", along, along)
+        part = np.clip(part, 0.0, 1.0)
+        result = np.linalg.norm(corners + part[:, :, None] * along, axis=2).min(axis=1)
+        if corners.shape[1] > 2:
+            turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
+            projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
+            height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
+            result = np.where(projects_inside, height, result)
+        return np.asarray(result)
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
