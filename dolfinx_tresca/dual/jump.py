@@ -18,8 +18,8 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
+from dolfinx_tresca.dual.friction_axes import FrictionDiscs, with_tangents_along_axes
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.pairing.friction_axes import FrictionDiscs, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import (
     PairOperators,
     as_petsc,

@@ -276,8 +276,8 @@ class ContactOperators(PetscOwner):
         """Return the matrix C of a flux h (T_s - T_p) [per area] through the contact. Collective.
 
         Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
-        and T_p are its means over both sides in N and T: inside the contact T_s are the values at
-        secondary nodes, T_p the `transfer` from the primary side, and T_p = 0 for a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
+        and T_p are its means over both sides in N and T: inside the contact T_s are its values at
+        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
         semidefinite. Between two bodies its rows sum to zero, and the flow out of one side equals
         the flow into the other side, up to rounding.
 
@@ -355,7 +355,7 @@ class ContactOperators(PetscOwner):
         return np.asarray(number[self._pair.nodes])
 
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
-        """Create the matrix (n, nodes of Q) that does to a field in Q what rows do in V. Collective.
+        """Create the matrix (n, nodes of Q) that acts on Q like `rows` on V. Collective.
 
         The caller destroys the matrix. At nodes of V on edges and faces a field of degree 1 is
         interpolated from the corners of a cell.
