@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import chain, pairwise
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -25,7 +26,6 @@ from dolfinx_tresca.pairing.operators import (
     as_petsc,
     assemble_B,
     joined,
-    multiplier_slices,
 )
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import Curve, FrictionCones, NodalCurves
@@ -91,7 +91,11 @@ class JumpOperator(PetscOwner):
         """Assemble B. Collective."""
         self.system, self.frames = system, frames
         self.comm = self.system.comm
-        self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
+        self.pairs = list(pairs)
+        rows = [(len(pair.normal_node), len(pair.tangent_node)) for pair in pairs]
+        ends = np.cumsum([0, *chain.from_iterable(rows)]).tolist()
+        blocks = [slice(start, end) for start, end in pairwise(ends)]
+        self.slices = list(zip(blocks[::2], blocks[1::2], strict=True))
         self.reductions = RankReductions(system.comm)
         self._of_V = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()

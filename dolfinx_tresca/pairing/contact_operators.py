@@ -277,9 +277,10 @@ class ContactOperators(PetscOwner):
 
         Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
         and T_p are its means over both sides in N and T: inside the contact T_s are its values at
-        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
-        semidefinite. Between two bodies its rows sum to zero, and the flow out of one side equals
-        the flow into the other side, up to rounding.
+        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle. Row
+        i of C T is the flow out of node i. C is symmetric and positive semidefinite. Between two
+        bodies its rows sum to zero, and the flow out of one side equals the flow into the other
+        side, up to rounding.
 
         The caller owns the matrix and may destroy it. Add it to the matrix of a form of T: `K + C`,
         or `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact

@@ -14,11 +14,11 @@ from scipy.sparse import coo_array, csr_array
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.contact_normal import nodal_contact_normals
+from dolfinx_tresca.pairing.contact_normal import CANCELLED
 from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, FacetIntegrals
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, node_sums
+from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, free_normals, node_sums
 from dolfinx_tresca.pairing.search.tagged import any_known_surface
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -143,7 +143,9 @@ def couple(
         rows = mortar_rows(nodes, primary, integrals, columns, carries)
     scale: Array = 1.0 / np.where(rows.weights > 0.0, rows.weights, 1.0)
     means = scale[:, None] * rows.means
-    normals = nodal_contact_normals(means[:, 3:6], nodes)
+    # nodes that face nothing, and those whose contact normals cancel, keep their own normals
+    kept = np.linalg.norm(means[:, 3:6], axis=1) <= CANCELLED
+    normals = free_normals(np.where(kept[:, None], nodes.normals, means[:, 3:6]), nodes.free)
     if measured is not None:
         cosine = np.maximum(np.einsum("ni,ni->n", measured, normals), FACING_COSINE)
         means[:, :3] /= cosine[:, None]

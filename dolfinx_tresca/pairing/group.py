@@ -14,7 +14,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -29,7 +28,7 @@ from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets, joined, tabulate
-from dolfinx_tresca.pairing.search.self_contact import FINER, facet_origins
+from dolfinx_tresca.pairing.search.self_contact import facet_origins
 from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets, with_offsets
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -176,34 +175,30 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     np.fill_diagonal(linked, False)
     if linked.any():
         linked &= _shared(V, pairs, linked.any(axis=0), "secondary", None)
-    some = linked.any(axis=0) & deformable
-    if some.any():
-        linked &= ~deformable | _shared(V, pairs, some, "primary", label_bodies(V))
-    count, group = connected_components(csr_array(linked), directed=False)
-    members = [[k for k in range(len(pairs)) if group[k] == one] for one in range(count)]
-    return [PairGroup.of([pairs[k] for k in some], some) for some in members]
+    compared = linked.any(axis=0) & deformable
+    if compared.any():
+        linked &= ~deformable | _shared(V, pairs, compared, "primary", label_bodies(V))
+    count, group_of_pair = connected_components(csr_array(linked), directed=False)
+    members = [[k for k in range(len(pairs)) if group_of_pair[k] == g] for g in range(count)]
+    return [PairGroup.of([pairs[k] for k in numbers], numbers) for numbers in members]
 
 
 def _shared(
-    V: Any,
-    pairs: Sequence[ContactPair],
-    some: Mask,
-    side: SideName,
-    label: npt.NDArray[np.int64] | None,
+    V: Any, pairs: Sequence[ContactPair], compared: Mask, side: SideName, label: Any | None
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
     Args:
         V: the space of the displacement.
         pairs: the pairs.
-        some: (pairs,) whether a pair is compared.
+        compared: (pairs,) whether a pair is compared.
         side: name of the side, which is deformable.
         label: (nodes of V,) the body of each node on this rank; None: nodes are compared.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
     rows = [np.zeros((0, 2), dtype=np.int64)]
-    for k in (int(number) for number in np.flatnonzero(some)):
+    for k in map(int, np.flatnonzero(compared)):
         facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
         nodes = fem.locate_dofs_topological(V, dim, facets)
         number = V.dofmap.index_map.local_to_global(nodes) if label is None else label[nodes]
@@ -264,15 +259,7 @@ class Undeformed:
         }
         if pair.touches_itself:
             facets = sides[pair.secondary]
-            origins, bodies = facet_origins(V, facets)
-            sides = {pair.secondary: replace(facets, origins=origins)}
-            if bodies > 1:
-                log(
-                    V.mesh.comm,
-                    "pairing: %s, %d bodies: of two, the one with finer facets (by a factor of "
-                    "%.2f) is secondary, else the first one by its least x, y, z",
-                    *(pair, bodies, 1.0 / FINER),
-                )
+            sides = {pair.secondary: replace(facets, origins=facet_origins(V, facets))}
         return cls(group, sides)
 
     def displaced(self, V: Any, u: Array) -> dict[int, Facets]:

@@ -362,14 +362,3 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
     """
     columns = block_size * index_map.size_local, block_size * index_map.size_global
     return sparse_matrix(vstack(blocks, format="csr"), columns, comm)
-
-
-def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:
-    """Return, for each pair, the slices of this rank's rows of B that belong to N and to T."""
-    result, first = [], 0
-    for pair in pairs:
-        middle = first + len(pair.normal_node)
-        last = middle + len(pair.tangent_node)
-        result.append((slice(first, middle), slice(middle, last)))
-        first = last
-    return result

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from dolfinx import fem
 
@@ -19,8 +20,8 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.balls import faced_within
-from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.balls import flattened, near_lines
+from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets, Pieces
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -268,4 +269,12 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     points, normals = np.zeros((2, len(jumps), 3))
     points[:, : jumps.shape[1]] = operators.places + jumps
     normals[:, : jumps.shape[1]] = operators.normals
-    return faced_within(comm, primary, operators.sizes, points, normals)
+    reach = operators.sizes
+    pieces = Pieces.of(near_lines(comm, primary, points, normals, reach, 0.0))
+    lists = cKDTree(pieces.centres).query_ball_point(points, reach + pieces.radii.max(initial=0))
+    point, piece = flattened(lists)
+    opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE
+    point, piece = point[opposed], piece[opposed]
+    result: Mask = np.zeros(len(points), dtype=np.bool_)
+    result[point[pieces.distances(piece, points[point]) <= reach[point]]] = True
+    return result

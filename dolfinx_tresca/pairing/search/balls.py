@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.pairing.search.facets import (
     CREDIBLE_PART,
@@ -66,12 +66,6 @@ def bounding_box(points: Array) -> Array:
     Without points they are infinite and -infinite.
     """
     return np.stack([points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)])
-
-
-def within_reach(box: Array, points: Array, reach: Array) -> Mask:
-    """Return a mask (n,) of the points (n, 3) within a distance `reach` (n,) of a box (2, 3)."""
-    outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=1) <= reach)
 
 
 def line_intervals(
@@ -315,25 +309,3 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
 
 def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
     return float(comm.allreduce(Pieces.of(facets).radii.max(initial=0.0), op=MPI.MAX))
-
-
-def faced_within(
-    comm: MPI.Comm, owned: Facets, reach: Array, points: Array, normals: Array
-) -> Mask:
-    """Return whether points (n,) have an opposed facet of any rank nearby. Collective.
-
-    Args:
-        comm: the communicator.
-        owned: the facets that this rank owns.
-        reach: (n,) distance within which a facet is near [length].
-        points: (n, 3) the points [length].
-        normals: (n, 3) normals of the points; the normal of an opposed facet is against them.
-    """
-    pieces = Pieces.of(near_lines(comm, owned, points, normals, reach, 0.0))
-    lists = cKDTree(pieces.centres).query_ball_point(points, reach + pieces.radii.max(initial=0))
-    point, piece = flattened(lists)
-    opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE
-    point, piece = point[opposed], piece[opposed]
-    result = np.zeros(len(points), dtype=np.bool_)
-    result[point[pieces.distances(piece, points[point]) <= reach[point]]] = True
-    return result

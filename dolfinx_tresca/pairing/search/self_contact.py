@@ -125,11 +125,10 @@ def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) 
     return np.asarray(np.minimum(behind, ahead))
 
 
-def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
-    """Return `Facets.origins` of this rank's facets, and the number of bodies of the surface.
+def facet_origins(V: Any, facets: Facets) -> Array:
+    """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
 
-    The columns of `Facets.origins` are body, size, centre, normal, radius and direction, as in
-    `SelfContact`. The mesh must be undeformed. Collective.
+    The columns are body, size, centre, normal, radius and direction, as in `SelfContact`.
 
     Args:
         V: the space of the displacement.
@@ -160,8 +159,8 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
     np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
     quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
     best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
-    origins = np.column_stack([body, size[body], centre, normals, radius, directions[best][body]])
-    return origins, int(np.count_nonzero(count))
+    direction = directions[best][body]
+    return np.column_stack([body, size[body], centre, normals, radius, direction])
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
