@@ -107,4 +107,4 @@ def part_of(facets: Facets, some: np.ndarray) -> Facets:
 
 def nodes_of(facets: Facets) -> SurfaceNodes:
     """Return the nodes of a surface."""
-    return SurfaceNodes.of(facets)
+    return SurfaceNodes.from_facets(facets)

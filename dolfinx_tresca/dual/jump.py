@@ -146,7 +146,7 @@ class JumpOperator(PetscOwner):
                 one, (n, t) = self.pairs[j], self.slices[j]
                 share = one.shares[:, member]
                 keep = share > 0.0
-                parts.append(dataclasses.replace(one.part(keep), weights=share[keep]))
+                parts.append(dataclasses.replace(one.at_nodes(keep), weights=share[keep]))
                 nodes.append(firsts[j] + np.flatnonzero(keep))
                 normal.append(n.start + np.flatnonzero(keep[one.normal_node]))
                 tangential.append(t.start + np.flatnonzero(keep[one.tangent_node]))

@@ -246,7 +246,7 @@ class SmoothSurface:
         """Return vectors (n, 3) to the fitted surface [length]; see `heights` for the arguments."""
         return np.asarray(self.heights(facet, hats)[:, None] * self._facet_normals[facet])
 
-    def at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
+    def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
 
         Args:

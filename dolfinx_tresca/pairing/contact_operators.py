@@ -98,9 +98,8 @@ class ContactOperators(PetscOwner):
             columns: function that converts a matrix from the columns of V to the columns of K,
                 which differ if V is a component of a mixed space.
         """
-        self._V, self._pair, self._columns = V, pair, columns
-        self.comm = self._V.mesh.comm
-        self._surfaces = surfaces
+        self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
+        self.comm = V.mesh.comm
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"

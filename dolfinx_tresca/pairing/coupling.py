@@ -283,9 +283,9 @@ def dual_coefficients(hats: Array, full: Mask, carries: Mask | None = None) -> A
     result = np.zeros_like(hats)
     plain = full & carries.all(axis=1)
     result[plain] = weights[plain][:, :, None] * np.linalg.inv(hats[plain])
-    rest = ~plain & (weights.sum(axis=1) > 0.0)
-    sums = redistributed(np.broadcast_to(np.eye(corners), hats[rest].shape), carries[rest])
-    result[rest] = _regularised_dual(sums @ hats[rest] @ sums.transpose(0, 2, 1)) @ sums
+    partial = ~plain & (weights.sum(axis=1) > 0.0)
+    sums = redistributed(np.broadcast_to(np.eye(corners), hats[partial].shape), carries[partial])
+    result[partial] = _regularised_dual(sums @ hats[partial] @ sums.transpose(0, 2, 1)) @ sums
     return result
 
 
@@ -315,22 +315,22 @@ def _regularised_dual(masses: Array) -> Array:
     return np.asarray((1.0 + shift) * root[:, :, None] * inverse / root[:, None, :])
 
 
-def redistributed(values: Array, some: Mask) -> Array:
-    """Distribute the values of corners that are not in `some` over the corners in `some`.
+def redistributed(values: Array, receives: Mask) -> Array:
+    """Distribute the values of corners that are not in `receives` over the corners in `receives`.
 
     The sum over the corners of a facet does not change, so that a facet transfers a constant
     pressure even if some of its corners have no multiplier.
 
     Args:
         values: (n, corners, k) values at the corners of facets.
-        some: (n, corners) whether a corner receives values of the other corners, in equal parts.
+        receives: (n, corners) whether a corner receives values of other corners, in equal parts.
 
     Returns:
-        The new values (n, corners, k), zero at corners that are not in `some`.
+        The new values (n, corners, k), zero at corners that are not in `receives`.
     """
-    number = np.maximum(some.sum(axis=1), 1)[:, None, None]
-    lost = np.where(some[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
-    return np.where(some[:, :, None], values + lost / number, 0.0)
+    number = np.maximum(receives.sum(axis=1), 1)[:, None, None]
+    lost = np.where(receives[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
+    return np.where(receives[:, :, None], values + lost / number, 0.0)
 
 
 def assemble_rows(
@@ -398,21 +398,21 @@ def nodes_without_multiplier(
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
     own = owned_nodes(V, nodes)
 
-    def owners_flags(some: Mask) -> Mask:
+    def owners_flags(flags: Mask) -> Mask:
         """Return for each node the flag (n,) on its owner, which has all facets at the node."""
-        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
+        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[flags & own]))
 
-    part = ~integrals.full & (weights.sum(axis=1) > 0.0)
-    at_rim = _corners_of(corners, part, count)
+    partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    at_rim = _corners_of(corners, partial, count)
     without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
     # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
     # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
     # which one of these nodes has a multiplier
     near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
     near = owners_flags(
-        at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))
+        at_rim & (near | _corners_of(corners, partial & near[corners].any(axis=1), count))
     )
-    near = _corners_of(corners, part & (near & ~without)[corners].any(axis=1), count)
+    near = _corners_of(corners, partial & (near & ~without)[corners].any(axis=1), count)
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
     without = owners_flags((covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)

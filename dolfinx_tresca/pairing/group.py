@@ -60,22 +60,22 @@ class PairGroup:
     rank: Indices
 
     @classmethod
-    def of(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
+    def from_pairs(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
         """Return the group of some pairs. Not collective.
 
         Raises:
             InputError: the pairs differ in their `facet_tags`, or in an argument of `COMMON`.
         """
-        first = pairs[0]
+        pattern = pairs[0]
         for pair in pairs[1:]:
-            differ = [name for name in COMMON if getattr(pair, name) != getattr(first, name)]
-            given, others = (one.given_tags("secondary")[0] for one in (first, pair))
-            if given._cpp_object is not others._cpp_object:
+            differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
+            given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
+            if given._cpp_object is not second._cpp_object:
                 differ.append("facet_tags")
             if differ:
                 raise InputError(
-                    f"contact pairs {first} and {pair} are parts of the same surfaces, whose nodes "
-                    f"they share, but differ in {' and '.join(differ)}: give both the same."
+                    f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
+                    f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
                 )
         own = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
         secondary, primary = (
@@ -83,21 +83,21 @@ class PairGroup:
             for both in zip(*own, strict=True)
         )
         pair_of_tags = np.full((len(secondary), max(len(primary), 1)), -1)
-        for k, (some, others) in enumerate(own):
-            columns = [primary.index(tag) for tag in others] or [0]
-            pair_of_tags[np.ix_([secondary.index(tag) for tag in some], columns)] = k
-        alike = [next(k for k, other in enumerate(pairs) if _same(pair, other)) for pair in pairs]
+        for k, (own_tags, tags) in enumerate(own):
+            columns = [primary.index(tag) for tag in tags] or [0]
+            pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+        alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
         strengths = [(_strength(pairs[k].friction), -k) for k in alike]
         rank = np.array([sorted(set(strengths)).index(strength) for strength in strengths])
-        surfaces = first
+        surfaces = pattern
         if len(pairs) > 1:
             dry = [pair.friction for pair in pairs if isinstance(pair.friction, DryFriction)]
             surfaces = replace(
-                first,
-                facet_tags=first.given_tags("secondary")[0],
+                pattern,
+                facet_tags=pattern.given_tags("secondary")[0],
                 secondary=secondary,
-                primary=primary or first.primary,
-                friction=[*dry, first.friction][0],
+                primary=primary or pattern.primary,
+                friction=[*dry, pattern.friction][0],
                 gap=None,
                 name="; ".join(map(str, pairs)),
             )
@@ -131,10 +131,10 @@ class PairGroup:
                 )
 
 
-def _same(pair: ContactPair, other: ContactPair) -> bool:
+def _same(pair: ContactPair, second: ContactPair) -> bool:
     """Return whether two pairs have the same kind of law, its same arguments, and the same gap."""
-    laws = pair.friction, other.friction
-    arguments = [(pair.gap, other.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
+    laws = pair.friction, second.friction
+    arguments = [(pair.gap, second.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
     return type(laws[0]) is type(laws[1]) and all(bool(np.all(a == b)) for a, b in arguments)
 
 
@@ -148,8 +148,8 @@ def _strength(law: Friction) -> tuple[int, float, float]:
     sizes = []
     for bound in (law.terms.coefficient, law.terms.constant):
         values = [
-            real(one.value.item() if isinstance(one, fem.Constant) else one)
-            for one in (bound if isinstance(bound, tuple) else (bound,))
+            real(entry.value.item() if isinstance(entry, fem.Constant) else entry)
+            for entry in (bound if isinstance(bound, tuple) else (bound,))
         ]
         sizes.append(max(value or 0.0 for value in values))
     return 1, sizes[0], sizes[1]
@@ -180,7 +180,7 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
         linked &= ~deformable | _shared(V, pairs, compared, "primary", label_bodies(V))
     count, group_of_pair = connected_components(csr_array(linked), directed=False)
     members = [[k for k in range(len(pairs)) if group_of_pair[k] == g] for g in range(count)]
-    return [PairGroup.of([pairs[k] for k in numbers], numbers) for numbers in members]
+    return [PairGroup.from_pairs([pairs[k] for k in numbers], numbers) for numbers in members]
 
 
 def _shared(
@@ -226,7 +226,7 @@ class Undeformed:
     sides: dict[int, Facets]
 
     @classmethod
-    def of(
+    def from_mesh(
         cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
     ) -> Undeformed:
         """Extract the surfaces from the mesh. Collective.

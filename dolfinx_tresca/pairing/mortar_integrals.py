@@ -126,19 +126,19 @@ class MortarIntegrals(FacetIntegrals):
             may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
                 be paired, (p,); None: all may, or `order` decides.
         """
-        facets, others = self._facets, self._other_facets = secondary.facets, primary.facets
+        facets, partners = self._facets, self._other_facets = secondary.facets, primary.facets
         self._order = order
         self._may_meet = may_meet if order is None else order.may_meet
-        self._pieces, self._others = Pieces.of(facets), Pieces.of(others)
+        self._pieces, self._others = Pieces.from_facets(facets), Pieces.from_facets(partners)
         self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
         self._turns = self._surface.turns_to_ends
         self._other_turns = self._other_surface.turns_to_ends
-        self._known = any_known_surface(facets, others)
+        self._known = any_known_surface(facets, partners)
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._others, body)
         degree = 1 + facets.degree
-        self._polynomial = facets.affine and others.affine and not self._known
-        if not (facets.affine and others.affine):
+        self._polynomial = facets.affine and partners.affine and not self._known
+        if not (facets.affine and partners.affine):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif self._known:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
@@ -171,7 +171,7 @@ class MortarIntegrals(FacetIntegrals):
         missing = self._covered < (1.0 - COVER_ROUNDING) * self._area
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         none: Indices = np.zeros((0, 2), dtype=np.intp)
-        self._overlaps.append((none, np.zeros((0, corners, others.nodes.shape[1])), none))
+        self._overlaps.append((none, np.zeros((0, corners, partners.nodes.shape[1])), none))
         self.pairs, self.partner, self.opposite = map(
             np.concatenate, zip(*self._overlaps, strict=True)
         )
@@ -192,33 +192,33 @@ class MortarIntegrals(FacetIntegrals):
             mine: (m,) indices of the secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
-        pieces, others = self._pieces, self._others
+        pieces, partners = self._pieces, self._others
         for block in blocks(len(mine)):
             own = mine[block]
-            line, other = balls.on_normals(
+            line, partner = balls.on_normals(
                 pieces.centres[own], pieces.normals[own], pieces.radii[own], limit[own]
             )
             piece = own[line]
-            cosine = np.einsum("ni,ni->n", pieces.normals[piece], others.normals[other])
+            cosine = np.einsum("ni,ni->n", pieces.normals[piece], partners.normals[partner])
             opposed = cosine < -FACING_COSINE
             if self._may_meet is not None:
-                facets = pieces.facet[piece[opposed]], others.facet[other[opposed]]
+                facets = pieces.facet[piece[opposed]], partners.facet[partner[opposed]]
                 opposed[opposed] = self._may_meet(*facets)
-            piece, other = piece[opposed], other[opposed]
+            piece, partner = piece[opposed], partner[opposed]
             # a block ends at the first pair of a piece after each `PAIRS_AT_ONCE` pairs
             number = np.searchsorted(piece, piece) // PAIRS_AT_ONCE
             ends = np.flatnonzero(np.diff(number)) + 1
             if len(piece):
-                yield from zip(np.split(piece, ends), np.split(other, ends), strict=True)
+                yield from zip(np.split(piece, ends), np.split(partner, ends), strict=True)
 
     def _integrate(
-        self, first: Indices, second: Indices, limit: Array, *, covered_only: bool = False
+        self, mine: Indices, partners: Indices, limit: Array, *, covered_only: bool = False
     ) -> Mask:
         """Add the integrals over pairs of secondary and primary pieces.
 
         Args:
-            first: (pairs,) secondary pieces, ascending; all pairs of each of them.
-            second: (pairs,) primary pieces.
+            mine: (pairs,) secondary pieces, ascending; all pairs of each of them.
+            partners: (pairs,) primary pieces.
             limit: (pieces,) distance beyond which points are not paired [length].
             covered_only: whether to leave out secondary pieces that are not fully covered.
 
@@ -228,50 +228,52 @@ class MortarIntegrals(FacetIntegrals):
         secondary, primary, dim = self._facets, self._other_facets, self._facets.dim
         pieces = self._pieces
         simplices, size, pair = overlaps(
-            pieces.local_coordinates(first, pieces.points[first])[:, :, :dim],
-            pieces.local_coordinates(first, self._others.points[second])[:, :, :dim],
+            pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
+            pieces.local_coordinates(mine, self._others.points[partners])[:, :, :dim],
             centred=not self._polynomial,
         )
-        large = size > (self._rounding * self._area)[first][pair]
+        large = size > (self._rounding * self._area)[mine][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
         # quadrature points in the planes, (simplices * count, dim), and their weights
         count = len(self._weights)
         places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
         weight = (size[:, None] * self._weights).ravel()
-        facet, other = pieces.facet[first], self._others.facet[second]
+        facet, partner = pieces.facet[mine], self._others.facet[partners]
         point_pair = np.repeat(pair, count)
-        own_facet, their_facet, piece = facet[point_pair], other[point_pair], first[point_pair]
+        own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
 
-        own = pieces.local_coordinates(first, secondary.points[facet])[point_pair]
-        theirs = pieces.local_coordinates(first, primary.points[other])[point_pair]
+        own = pieces.local_coordinates(mine, secondary.points[facet])[point_pair]
+        theirs = pieces.local_coordinates(mine, primary.points[partner])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)
-        values, others = secondary.basis(x_own), primary.basis(x_their)
-        end = np.einsum("nk,nk->n", others, theirs[:, :, dim])
+        values, partner_values = secondary.basis(x_own), primary.basis(x_their)
+        end = np.einsum("nk,nk->n", partner_values, theirs[:, :, dim])
         start = np.einsum("nk,nk->n", values, own[:, :, dim])
         apart = end - start
         hidden = self._visibility.hidden(
-            first[pair],
+            mine[pair],
             simplices.mean(axis=1),
             start.reshape(-1, count) @ self._weights,
             end.reshape(-1, count) @ self._weights,
-            second[pair],
+            partners[pair],
         )
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
         weight = nearest_layer_weights(
-            first, pair, simplices, size, places, apart, weight, self._area
+            mine, pair, simplices, size, places, apart, weight, self._area
         )
-        to_surface, outward = self._surface.at(own_facet, x_own)
-        to_other_surface, their_outward = self._other_surface.at(their_facet, x_their)
+        to_surface, outward = self._surface.offsets_and_normals(own_facet, x_own)
+        to_other_surface, their_outward = self._other_surface.offsets_and_normals(
+            their_facet, x_their
+        )
         normals, opposed = contact_normals(
             *(outward, their_outward), *(self._turns[own_facet], self._other_turns[their_facet])
         )
         weight = weight * opposed
         seen = weight
-        opposite: Mask = np.zeros(len(first), dtype=np.bool_)
+        opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
-            is_primary = ~self._order.is_secondary(facet, other)[point_pair]
+            is_primary = ~self._order.is_secondary(facet, partner)[point_pair]
             opposite[point_pair[is_primary & (weight > 0.0)]] = True
             weight = weight * ~is_primary
         area = weight
@@ -295,7 +297,7 @@ class MortarIntegrals(FacetIntegrals):
         secondary_sagitta: Array = sagitta
         if not self._known:
             # at the rim of one side the fitted surfaces differ, though the facets coincide
-            differ = ~facets_coincide(secondary, facet, primary, other)[point_pair]
+            differ = ~facets_coincide(secondary, facet, primary, partner)[point_pair]
             secondary_sagitta = differ * self._surface.heights(own_facet, hats)
             heights = self._other_surface.heights(their_facet, primary.hats(x_their))
             sagitta = secondary_sagitta + differ * heights
@@ -307,7 +309,7 @@ class MortarIntegrals(FacetIntegrals):
         # at the corners of the simplices: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
-        piece = first[kept]
+        piece = mine[kept]
         seen = np.add.reduceat(seen, simplex_starts * count)
         covered: Mask = np.bincount(piece, seen, minlength=len(limit)) >= (
             (1.0 - COVER_ROUNDING) * self._area
@@ -320,9 +322,11 @@ class MortarIntegrals(FacetIntegrals):
         np.minimum.at(self.least, facet[kept][add], least[add])
         sizes = np.add.reduceat(weight, simplex_starts * count)
         np.add.at(self._covered, piece[add], sizes[add])
-        both: Indices = np.column_stack([facet, other])[kept]
+        both: Indices = np.column_stack([facet, partner])[kept]
         paired = add & (sizes > 0.0)
-        self._overlaps.append((both[paired], products(others)[paired], both[add & opposite[kept]]))
+        self._overlaps.append(
+            (both[paired], products(partner_values)[paired], both[add & opposite[kept]])
+        )
         return covered
 
 
@@ -351,8 +355,8 @@ def obstacle_integrals(
     Returns:
         The nodes, with the facets of all patches at one entry of each node, since the patches share
         the normal of the obstacle; the integrals, with distances along the obstacle's normals;
-        whether a facet faces the obstacle at its corners (n, corners); and the obstacle's normals
-        at the nodes (nodes, 3).
+        whether a facet faces the obstacle at its corners (n, corners); and the reversed normals of
+        the obstacle at the nodes (nodes, 3).
 
     Raises:
         InputError: the signed distance does not return distances and unit normals.
@@ -430,7 +434,7 @@ def obstacle_integrals(
                 level=logging.WARNING,
                 about=pair,
             )
-    return replace(nodes, facet_nodes=corners), integrals, faces, obstacle_normals
+    return replace(nodes, facet_nodes=corners), integrals, faces, -obstacle_normals
 
 
 def whole_facet_integrals(facets: Facets) -> tuple[Array, Array]:

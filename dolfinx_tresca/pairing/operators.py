@@ -97,7 +97,7 @@ class PairOperators:
     undeformed: Undeformed
 
     @classmethod
-    def of(
+    def from_coupling(
         cls,
         V: Any,
         coupling: Coupling,
@@ -133,7 +133,7 @@ class PairOperators:
         prescribed = ~moves
         numbers = nodes.numbers[coupling.position]
         pair = undeformed.group.owners(coupling.shares)
-        laws = [one.friction for one in undeformed.group.pairs]
+        laws = [single.friction for single in undeformed.group.pairs]
         bonded = np.array([isinstance(law, Bonded) for law in laws])[pair]
         smooth = np.array([isinstance(law, Frictionless) for law in laws])[pair]
         friction_acts = free
@@ -148,10 +148,10 @@ class PairOperators:
         along, tangent_node = along[rubs], tangent_node[rubs]
         distance = coupling.gap.copy()
         distance[np.abs(distance) <= rounding] = 0.0
-        first = V.dofmap.index_map.local_range[0]
+        lowest = V.dofmap.index_map.local_range[0]
         together = cls(
             bonded=False,
-            nodes=(numbers - first).astype(np.int32),
+            nodes=(numbers - lowest).astype(np.int32),
             weights=coupling.weights,
             shares=coupling.shares,
             areas=nodes.weights[coupling.position],
@@ -170,11 +170,11 @@ class PairOperators:
             undeformed=undeformed,
         )
         return [
-            replace(together.part(pair == k), bonded=isinstance(law, Bonded))
+            replace(together.at_nodes(pair == k), bonded=isinstance(law, Bonded))
             for k, law in enumerate(laws)
         ]
 
-    def part(self, keep: Mask) -> PairOperators:
+    def at_nodes(self, keep: Mask) -> PairOperators:
         """Return the operators at the nodes in a mask (n,). Not collective."""
         if keep.all():
             return self
@@ -231,22 +231,22 @@ class PairOperators:
         return result
 
 
-def joined(parts: Sequence[PairOperators]) -> PairOperators:
+def joined(operators: Sequence[PairOperators]) -> PairOperators:
     """Return the operators at the nodes of several parts of one group. Not collective."""
-    if len(parts) == 1:
-        return parts[0]
-    firsts = np.cumsum([0, *(len(part.nodes) for part in parts[:-1])], dtype=np.int32)
+    if len(operators) == 1:
+        return operators[0]
+    starts = np.cumsum([0, *(len(pair.nodes) for pair in operators[:-1])], dtype=np.int32)
     changes: dict[str, Any] = {
         node: np.concatenate(
-            [first + getattr(part, node) for first, part in zip(firsts, parts, strict=True)]
+            [start + getattr(pair, node) for start, pair in zip(starts, operators, strict=True)]
         )
         for node in ROW_ARRAYS
     }
     for name in (*NODE_ARRAYS, *(name for names in ROW_ARRAYS.values() for name in names)):
-        arrays = [getattr(part, name) for part in parts]
+        arrays = [getattr(pair, name) for pair in operators]
         is_sparse = name in ("jump", "primary")
         changes[name] = vstack(arrays, format="csr") if is_sparse else np.concatenate(arrays)
-    return replace(parts[0], bonded=all(part.bonded for part in parts), **changes)
+    return replace(operators[0], bonded=all(pair.bonded for pair in operators), **changes)
 
 
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
@@ -305,8 +305,8 @@ def _tangential_projections(
     """
     room = free[:, :, None] * np.eye(free.shape[1])
     ascending = np.argsort(owners, kind="stable")
-    _, first, count = np.unique(owners[ascending], return_index=True, return_counts=True)
-    for start, end in zip(first[count > 1], (first + count)[count > 1], strict=True):
+    _, starts, count = np.unique(owners[ascending], return_index=True, return_counts=True)
+    for start, end in zip(starts[count > 1], (starts + count)[count > 1], strict=True):
         heaviest = ascending[end - 1]
         left = room[heaviest].copy()
         for i in reversed(ascending[start:end]):
@@ -328,13 +328,13 @@ def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
         room: (n, d, d) projections onto the available directions.
     """
     along = tangents(normals)
-    some = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
+    limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
     # if not all directions are available, rotate the tangents to eigenvectors of the projection
-    mobility = np.einsum("nai,nij,nbj->nab", along[some], room[some], along[some])
+    mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
     values, vectors = np.linalg.eigh(mobility)
-    along[some] = np.einsum("nba,nbi->nai", vectors, along[some])
-    keep[some] = values > FREE_PART
+    along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
+    keep[limited] = values > FREE_PART
     return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 

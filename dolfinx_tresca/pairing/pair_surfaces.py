@@ -50,7 +50,7 @@ def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
 ) -> PairOperators:
     """Compute N, T and the gap of a single pair; see `pair_group`. Collective."""
-    return pair_group(V, prescribed, PairGroup.of([pair]), axisymmetric=axisymmetric)[0]
+    return pair_group(V, prescribed, PairGroup.from_pairs([pair]), axisymmetric=axisymmetric)[0]
 
 
 def pair_group(
@@ -71,7 +71,7 @@ def pair_group(
         PairingError: the surfaces cannot be paired in the requested way or do not face each other,
             or all secondary nodes are prescribed.
     """
-    undeformed = Undeformed.of(V, prescribed, group, axisymmetric=axisymmetric)
+    undeformed = Undeformed.from_mesh(V, prescribed, group, axisymmetric=axisymmetric)
     return _pair(V, undeformed, undeformed.sides, moved=False)
 
 
@@ -104,16 +104,13 @@ def _pair(
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
     owned = sides[pair.secondary]
-    others, bodies = None, None
+    primary, bodies, measured = None, None, None
     if isinstance(pair.primary, RigidObstacle):
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
-        nodes, integrals, carries, normals = obstacle_integrals(
+        nodes, integrals, carries, measured = obstacle_integrals(
             comm, str(pair), pair.primary, nodes, moved
         )
-        shared: Mask = np.zeros(len(normals), dtype=np.bool_)
-        coupling = couple(
-            V, group, nodes, None, integrals, carries, shared, moved, measured=-normals
-        )
+        shared: Mask = np.zeros(len(measured), dtype=np.bool_)
     else:
         partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
@@ -122,28 +119,28 @@ def _pair(
         else:
             nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
             other_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
-        facets, others = nodes.facets, other_nodes.facets
+        facets, primary = nodes.facets, other_nodes.facets
 
-        def may_meet(facet: Indices, other: Indices) -> Mask:
-            tags = facets.tag_index[facet], others.tag_index[other]
+        def may_meet(facet: Indices, partner: Indices) -> Mask:
+            tags = facets.tag_index[facet], primary.tag_index[partner]
             return np.asarray(group.pair_of_tags[tags] >= 0)
 
         with errors_on_all_ranks(comm):
             selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
-            integrals = MortarIntegrals(nodes, other_nodes, selected, limit, order, may_meet)
-            shared = np.isin(nodes.numbers, others.nodes)
+            overlap = MortarIntegrals(nodes, other_nodes, selected, limit, order, may_meet)
+            integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
             if order is not None:
-                shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
-                bodies = opposite_bodies(nodes, integrals.pairs, order)
+                shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
+                bodies = opposite_bodies(nodes, overlap.pairs, order)
         if pair.touches_itself:
             decided = nodes.numbers[shared & owned_nodes(V, nodes)]
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
         without = nodes_without_multiplier(V, nodes, integrals, shared)
         carries = ~without[nodes.facet_nodes]
-        coupling = couple(V, group, nodes, others, integrals, carries, shared, moved)
-        if pair.pairing == "nodes" and not moved:
-            _check_meshes_match(V, pair, coupling, nodes)
+    coupling = couple(V, group, nodes, primary, integrals, carries, shared, moved, measured)
+    if pair.pairing == "nodes" and primary is not None and not moved:
+        _check_meshes_match(V, pair, coupling, nodes)
     if not moved and len(group.pairs) > 1:
         areas = reduce_array(comm, coupling.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
@@ -153,8 +150,8 @@ def _pair(
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
         group.say_laws(comm, coupling.shares)
-    largest = float(reduce_array(comm, np.abs(owned.points).max(initial=0.0), MPI.MAX))
-    return PairOperators.of(V, coupling, nodes, ROUNDING * largest, undeformed, others, bodies)
+    rounding = ROUNDING * float(reduce_array(comm, np.abs(owned.points).max(initial=0.0), MPI.MAX))
+    return PairOperators.from_coupling(V, coupling, nodes, rounding, undeformed, primary, bodies)
 
 
 def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: SurfaceNodes) -> None:
@@ -204,7 +201,7 @@ def _surface_nodes(
     """
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):
-        nodes = SurfaceNodes.of(halo)
+        nodes = SurfaceNodes.from_facets(halo)
         own = owned_nodes(V, nodes)
         has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():

@@ -270,7 +270,7 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     points[:, : jumps.shape[1]] = operators.places + jumps
     normals[:, : jumps.shape[1]] = operators.normals
     reach = operators.sizes
-    pieces = Pieces.of(near_lines(comm, primary, points, normals, reach, 0.0))
+    pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
     lists = cKDTree(pieces.centres).query_ball_point(points, reach + pieces.radii.max(initial=0))
     point, piece = flattened(lists)
     opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE

@@ -103,9 +103,10 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     places = V.tabulate_dof_coordinates()
     reach = comm.allreduce(_longest_edge(places[V.dofmap.list]), op=MPI.MAX)
     boxes = comm.allgather(bounding_box(places))
-    near = [
-        np.flatnonzero(_within_reach(box, points, np.full(len(points), reach))) for box in boxes
-    ]
+    near = []
+    for box in boxes:
+        outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
+        near.append(np.flatnonzero(np.linalg.norm(outside, axis=1) <= reach))
     asked = np.concatenate(near)
     ranks = np.repeat(np.arange(comm.size), [len(some) for some in near])
     questions, source = exchange(comm, points[asked], ranks)
@@ -175,9 +176,3 @@ def _nearest_places(
     best = distance.argmin(axis=1)
     row = np.arange(len(points))
     return nodes[row, best], weights[row, best], distance[row, best]
-
-
-def _within_reach(box: Array, points: Array, reach: Array) -> Mask:
-    """Return a mask (n,) of the points (n, 3) within a distance `reach` (n,) of a box (2, 3)."""
-    outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=1) <= reach)

@@ -63,12 +63,12 @@ def test_halo_contains_all_facets_along_the_normals(comm, kind, limit):
     sides = owned_sides(scene)
     whole = [comm.allgather(owned) for owned in sides]
     secondary, primary = halos(scene.V, *sides, limit)
-    mine = Pieces.of(secondary)
+    mine = Pieces.from_facets(secondary)
     some = np.isin(mine.facet, at_own_nodes(scene.V, secondary))
     for halo, parts in zip((secondary, primary), whole, strict=True):
         found = keys(comm, halo)
         for facets in parts:
-            pieces = Pieces.of(facets)
+            pieces = Pieces.from_facets(facets)
             _, second = Balls(pieces.centres, pieces.radii).on_normals(
                 mine.centres[some], mine.normals[some], mine.radii[some], limit
             )

@@ -22,7 +22,7 @@ def nodes_of(scene, name: str) -> SurfaceNodes:
     tag = scene.tags[name]
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         facets = tagged_facets(scene.V, system.prescribed, scene.facet_tags, tag, "secondary")
-    return SurfaceNodes.of(facets_at_own_nodes(scene.V, facets))
+    return SurfaceNodes.from_facets(facets_at_own_nodes(scene.V, facets))
 
 
 AREAS = {

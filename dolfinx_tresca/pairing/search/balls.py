@@ -43,8 +43,8 @@ def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices
         The index i (m,) of the range of each member, and the members (m,).
     """
     owner = np.repeat(np.arange(len(numbers)), numbers)
-    first = np.cumsum(numbers) - numbers
-    return owner, np.arange(len(owner)) + (starts - first)[owner]
+    offsets = np.cumsum(numbers) - numbers
+    return owner, np.arange(len(owner)) + (starts - offsets)[owner]
 
 
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
@@ -209,7 +209,7 @@ def near_lines(
     """
     if comm.size == 1:
         return owned
-    pieces = Pieces.of(owned)
+    pieces = Pieces.from_facets(owned)
     box = comm.allgather((bounding_box(pieces.centres), pieces.radii.max(initial=0.0)))
     length = np.broadcast_to(length, len(points))
     chosen = []
@@ -256,7 +256,7 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 
     A ring are all facets at the corners of facets: `SmoothSurface` depends on two of them.
     """
-    mine = Pieces.of(facets_at_own_nodes(V, owned))
+    mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
     reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
     return near_lines(V.mesh.comm, owned, mine.centres, mine.normals, reach, 0.0)
 
@@ -277,13 +277,13 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     comm = V.mesh.comm
     if comm.size == 1:
         return secondary, primary
-    mine = Pieces.of(facets_at_own_nodes(V, secondary))
+    mine = Pieces.from_facets(facets_at_own_nodes(V, secondary))
     rings = TWO_RINGS * max(_largest_radius(comm, side) for side in (secondary, primary))
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far, reach = limit + mine.radii + rings, mine.radii + rings
     lines = mine.centres, mine.normals, reach, far
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
-    partners = Pieces.of(across)
+    partners = Pieces.from_facets(across)
     balls = Balls(partners.centres, partners.radii)
     depth: Array = np.zeros(len(far))
     for block in blocks(len(far)):
@@ -308,4 +308,4 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
 
 
 def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
-    return float(comm.allreduce(Pieces.of(facets).radii.max(initial=0.0), op=MPI.MAX))
+    return float(comm.allreduce(Pieces.from_facets(facets).radii.max(initial=0.0), op=MPI.MAX))

@@ -193,9 +193,9 @@ def frames_along(sides: Array, normals: Array) -> Array:
         sides: (n, 3) vectors, which are projected onto the planes of the normals.
         normals: (n, 3) unit normals.
     """
-    first = sides - np.einsum("ni,ni->n", sides, normals)[:, None] * normals
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, cross(normals, first), normals], axis=1)
+    along = sides - np.einsum("ni,ni->n", sides, normals)[:, None] * normals
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    return np.stack([along, cross(normals, along), normals], axis=1)
 
 
 def joined(groups: Sequence[Facets]) -> Facets:
@@ -229,12 +229,8 @@ def cross_products(along: Array) -> Array:
 @cache
 def _element(cell: str, degree: int) -> Any:
     """Return the Lagrange element of a reference cell."""
-    return basix.create_element(
-        basix.ElementFamily.P,
-        basix.CellType[cell],
-        degree,
-        basix.LagrangeVariant.gll_warped if degree > 0 else basix.LagrangeVariant.unset,
-    )
+    variant = basix.LagrangeVariant.gll_warped
+    return basix.create_element(basix.ElementFamily.P, basix.CellType[cell], degree, variant)
 
 
 def lagrange_points(cell: str, degree: int) -> Array:
@@ -284,7 +280,7 @@ class Pieces:
     areas: Array
 
     @classmethod
-    def of(cls, facets: Facets) -> Pieces:
+    def from_facets(cls, facets: Facets) -> Pieces:
         """Cut facets into pieces."""
         corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
         points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
@@ -327,9 +323,9 @@ class Pieces:
         normals = self.normals[chosen]
         along = np.roll(corners, -1, axis=1) - corners
         # parameter in [0, 1] of the nearest point of each side
-        part = -np.einsum("nci,nci->nc", corners, along) / np.einsum("nci,nci->nc", along, along)
-        part = np.clip(part, 0.0, 1.0)
-        result = np.linalg.norm(corners + part[:, :, None] * along, axis=2).min(axis=1)
+        share = -np.einsum("nci,nci->nc", corners, along) / np.square(along).sum(axis=2)
+        share = np.clip(share, 0.0, 1.0)
+        result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
         if corners.shape[1] > 2:
             turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
             projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
@@ -374,17 +370,17 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, other: Indices) -> Mask:
+def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, partner: Indices) -> Mask:
     """Return whether each pair (p,) of a secondary and a primary facet has the same corners.
 
     Args:
         secondary: facets of the secondary side.
         facet: (p,) secondary facet of each pair.
         primary: facets of the primary side.
-        other: (p,) primary facet of each pair.
+        partner: (p,) primary facet of each pair.
     """
     corners = secondary.points[facet, : secondary.corners]
-    offset = primary.points[other, None, : primary.corners] - corners[:, :, None]
+    offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
     size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
     allowed = (MATCHING_DISTANCE + secondary.rounding[facet]) * size
     nearest = np.linalg.norm(offset, axis=3).min(axis=2)

@@ -70,7 +70,7 @@ class SurfaceNodes:
     has_no_normal: Mask
 
     @classmethod
-    def of(cls, facets: Facets) -> SurfaceNodes:
+    def from_facets(cls, facets: Facets) -> SurfaceNodes:
         """Return the corners of facets, with their weights and normals."""
         corners = facets.corners
         unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
@@ -89,9 +89,9 @@ class SurfaceNodes:
         position = position.reshape(-1, corners)
         vectors = node_sums(position, spread[:, :, None] * normals, len(numbers))
         lengths = node_sums(position, spread, len(numbers))
-        first = np.unique(position, return_index=True)[1]
-        points = facets.points[:, :corners].reshape(-1, 3)[first]
-        free = facets.free.reshape(-1, facets.free.shape[2])[first]
+        corner = np.unique(position, return_index=True)[1]
+        points = facets.points[:, :corners].reshape(-1, 3)[corner]
+        free = facets.free.reshape(-1, facets.free.shape[2])[corner]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
         return cls(
             facets,
@@ -139,8 +139,8 @@ def free_normals(vectors: Array, free: Mask) -> Array:
     movable = normals.copy()
     movable[:, : free.shape[1]][~free] = 0.0
     length = np.linalg.norm(movable, axis=1)
-    some = (length > FREE_PART) & ~free.all(axis=1)
-    normals[some] = movable[some] / length[some, None]
+    turned = (length > FREE_PART) & ~free.all(axis=1)
+    normals[turned] = movable[turned] / length[turned, None]
     return normals
 
 

@@ -64,12 +64,12 @@ class SelfContact:
         self.place = facets.points[:, : facets.corners].mean(axis=1)
         self.present_normal = facets.mean_normals
 
-    def _facing_before(self, first: Indices, second: Indices) -> Mask:
+    def _facing_before(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
-        cosine = np.einsum("ni,ni->n", self.normal[first], self.normal[second])
+        cosine = np.einsum("ni,ni->n", self.normal[facet], self.normal[partner])
         return np.asarray(cosine < -FACING_COSINE)
 
-    def may_meet(self, first: Indices, second: Indices) -> Mask:
+    def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of one body may not meet if they are neighbours, or if they are the two faces of a
@@ -81,20 +81,20 @@ class SelfContact:
         present configuration, and the present depth must exceed `WALL_PART` of the undeformed
         depth.
         """
-        result = np.ones(len(first), dtype=np.bool_)
-        some = np.flatnonzero(self.body[first] == self.body[second])
-        f, g = first[some], second[some]
+        result = np.ones(len(facet), dtype=np.bool_)
+        in_one_body = np.flatnonzero(self.body[facet] == self.body[partner])
+        f, g = facet[in_one_body], partner[in_one_body]
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
         shallow = np.where(common, TOUCHING_DISTANCE, SHALLOW_DEPTH)
         shallow = shallow * (self.radius[f] + self.radius[g])
-        was = _least_depth(self.centre, self.normal, f, g)
-        now = _least_depth(self.place, self.present_normal, f, g)
-        wall = (was > shallow) & (now > np.maximum(shallow, WALL_PART * was))
-        result[some] = ~(neighbours | wall)
+        undeformed = _least_depth(self.centre, self.normal, f, g)
+        present = _least_depth(self.place, self.present_normal, f, g)
+        wall = (undeformed > shallow) & (present > np.maximum(shallow, WALL_PART * undeformed))
+        result[in_one_body] = ~(neighbours | wall)
         return result
 
-    def is_secondary(self, first: Indices, second: Indices) -> Mask:
+    def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
@@ -103,7 +103,7 @@ class SelfContact:
         ring, the facet whose normal points along the direction is secondary; otherwise, as on a
         folded sheet, the facet that comes first in this direction is secondary.
         """
-        f, g = first, second
+        f, g = facet, partner
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
             self.size[f], self.size[g]
         )
@@ -117,11 +117,11 @@ class SelfContact:
         return np.where(self.body[f] == self.body[g], in_body, of_bodies)
 
 
-def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
+def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:
     """Return the smaller depth (m,) of two facets' centres, each behind the other facet's plane."""
-    offset = centre[second] - centre[first]
-    behind = -np.einsum("ni,ni->n", offset, normal[first])
-    ahead = np.einsum("ni,ni->n", offset, normal[second])
+    offset = centre[partner] - centre[facet]
+    behind = -np.einsum("ni,ni->n", offset, normal[facet])
+    ahead = np.einsum("ni,ni->n", offset, normal[partner])
     return np.asarray(np.minimum(behind, ahead))
 
 

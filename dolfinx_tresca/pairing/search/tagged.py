@@ -75,16 +75,16 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
             raise InputError(
                 f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
             )
-    for first, second in ((dim, dim + 1), (dim + 1, dim)):
-        mesh.topology.create_connectivity(first, second)
+    for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
+        mesh.topology.create_connectivity(entity, neighbour)
     facets = facet_tags.find(tag)
     facets = facets[facets < mesh.topology.index_map(dim).size_local]
     exterior = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
     number, outside = comm.allreduce(np.array([len(facets), exterior.sum()]))
     if number == 0:
-        known = sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist()))))
+        in_use = sorted(set().union(*comm.allgather(np.unique(facet_tags.values).tolist())))
         raise InputError(
-            f"no facet has the tag {tag} of the {side} side; the tags in use are {known}."
+            f"no facet has the tag {tag} of the {side} side; the tags in use are {in_use}."
         )
     if outside < number:
         raise PairingError(

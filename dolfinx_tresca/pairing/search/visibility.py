@@ -55,7 +55,7 @@ class Visibility:
     search/clipping.py.
     """
 
-    def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
+    def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
         """Keep the pieces of both sides, and find the primary pieces that may hide points.
 
         Only primary pieces that are turned away from a secondary piece may hide points from it
@@ -63,27 +63,27 @@ class Visibility:
 
         Args:
             pieces: pieces of the secondary side.
-            others: pieces of the primary side.
-            body: (n,) the body of each piece of a surface that touches itself, where `others` are
+            partners: pieces of the primary side.
+            body: (n,) the body of each piece of a surface that touches itself, where `partners` are
                 the same pieces; None for two surfaces.
         """
-        self._pieces, self._others, self._body = pieces, others, body
+        self._pieces, self._others, self._body = pieces, partners, body
         # `least` bounds the angles between the normals of secondary pieces and their mean. By this
         # bound only the primary pieces in `may` can have a normal at less than a right angle to the
         # normal of a secondary piece.
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
-        may = (least <= 0.0) | (others.normals @ mean > -sine - PARALLEL_COSINE)
+        may = (least <= 0.0) | (partners.normals @ mean > -sine - PARALLEL_COSINE)
         #: indices of the primary pieces that may be turned away from a secondary piece
         self._facing_away = np.flatnonzero(may)
 
     @cached_property
     def _balls(self) -> tuple[Balls, Balls]:
         """The enclosing balls of the primary and of the secondary pieces that may be occluders."""
-        others, away = self._others, self._facing_away
+        partners, away = self._others, self._facing_away
         own = Balls(self._pieces.centres, self._pieces.radii)
-        return Balls(others.centres[away], others.radii[away]), own
+        return Balls(partners.centres[away], partners.radii[away]), own
 
     def hidden(
         self,
@@ -91,7 +91,7 @@ class Visibility:
         places: Array,
         start: Array,
         end: Array,
-        other: Indices | None = None,
+        partner: Indices | None = None,
     ) -> Mask:
         """Return whether each primary point is hidden from the opposite secondary point, (n,).
 
@@ -101,19 +101,19 @@ class Visibility:
                 of the piece [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
-            other: (n,) the primary piece of each point; needed on a surface that touches itself.
+            partner: (n,) the primary piece of each point; needed on a surface that touches itself.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         in_one_body = np.zeros(len(piece), dtype=np.bool_)
         # the piece of the primary point, if it may be on `own`
         end_piece: Indices = np.full(len(piece), -1)
-        if self._body is not None and other is not None:
-            in_one_body, end_piece = self._body[piece] == self._body[other], other
+        if self._body is not None and partner is not None:
+            in_one_body, end_piece = self._body[piece] == self._body[partner], partner
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
-        targets, first, target = np.unique(piece[apart], return_index=True, return_inverse=True)
-        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
+        targets, starts, target = np.unique(piece[apart], return_index=True, return_inverse=True)
+        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], starts)
         for own in (True, False):
             occluders, occluder_target, corners, height, slope = self._occluders(
                 own, targets, reach
@@ -121,10 +121,10 @@ class Visibility:
             begin = np.searchsorted(occluder_target, target)
             numbers = np.searchsorted(occluder_target, target, side="right") - begin
             block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
-            for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
+            for chunk in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
-                owner, occluder = expanded_ranges(begin[some], numbers[some])
-                place = apart[some[owner]]
+                owner, occluder = expanded_ranges(begin[chunk], numbers[chunk])
+                place = apart[chunk[owner]]
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
                     passed = occluders[occluder] != end_piece[place]
                     occluder, place = occluder[passed], place[passed]
@@ -139,9 +139,9 @@ class Visibility:
                 matters = leaves | gap if own else leaves == gap
                 distance = (crossing - start[place]) * np.where(gap, 1.0, -1.0)
                 touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
-                at = np.where(leaves, distance - touch, distance + touch)
+                place_on_line = np.where(leaves, distance - touch, distance + touch)
                 length = np.abs(end - start)[place]
-                between = (at > 0.0) & (at <= length)
+                between = (place_on_line > 0.0) & (place_on_line <= length)
                 result[place[matters & between]] = True
         apart = apart[~in_one_body[apart]]
         result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
@@ -165,11 +165,11 @@ class Visibility:
         near = cKDTree(self._others.centres).query_ball_point(
             points, limit + self._others.radii.max()
         )
-        point, other = flattened(near)
+        point, partner = flattened(near)
         if self._body is not None:
-            elsewhere = self._body[other] != self._body[piece[deep]][point]
-            point, other = point[elsewhere], other[elsewhere]
-        within = self._others.distances(other, points[point]) < limit[point]
+            elsewhere = self._body[partner] != self._body[piece[deep]][point]
+            point, partner = point[elsewhere], partner[elsewhere]
+        within = self._others.distances(partner, points[point]) < limit[point]
         result[deep[point[within]]] = True
         return result
 
@@ -198,12 +198,12 @@ class Visibility:
             reach + pieces.radii[targets],
         )  # fmt: skip
         occluder, piece = occluder if own else self._facing_away[occluder], targets[target]
-        normal, other = pieces.normals[piece], side.normals[occluder]
-        cosine = np.einsum("ni,ni->n", normal, other)
+        normal, their_normal = pieces.normals[piece], side.normals[occluder]
+        cosine = np.einsum("ni,ni->n", normal, their_normal)
         if own:
             offset = side.centres[occluder] - pieces.centres[piece]
             height = np.abs(np.einsum("ni,ni->n", offset, normal))
-            height += side.radii[occluder] * np.linalg.norm(normal - other, axis=1)
+            height += side.radii[occluder] * np.linalg.norm(normal - their_normal, axis=1)
             apart = height > TOUCHING_DISTANCE * pieces.radii[piece]
             keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
@@ -240,13 +240,13 @@ def _around_origin(corners: Array) -> Mask:
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
 
-def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
+def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
     Args:
-        first: (n, a, d) corners of the first segments (d = 1, a = 2) or convex polygons (d = 2),
+        own: (n, a, d) corners of the first segments (d = 1, a = 2) or convex polygons (d = 2),
             clockwise or counter-clockwise.
-        second: (n, b, d) corners of the second segments or polygons, in either order.
+        partners: (n, b, d) corners of the second segments or polygons, in either order.
         centred: whether polygons are cut into triangles round their centroid, instead of a fan of
             triangles from one of their corners. This gives more triangles, but they do not depend
             on rounding or on the order of the corners.
@@ -255,19 +255,18 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
         The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
         ascending. Pairs with an empty intersection have no simplices.
     """
-    if first.shape[2] == 1:
-        low = np.maximum(first.min(axis=1), second.min(axis=1))
-        high = np.minimum(first.max(axis=1), second.max(axis=1))
+    low = np.maximum(own.min(axis=1), partners.min(axis=1))
+    high = np.minimum(own.max(axis=1), partners.max(axis=1))
+    if own.shape[2] == 1:
         size = (high - low)[:, 0]
         pair = np.flatnonzero(size > 0.0)
         return np.stack([low, high], axis=1)[pair], size[pair], pair
-    low, high = np.maximum(first.min(1), second.min(1)), np.minimum(first.max(1), second.max(1))
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
-    windows = first[near]
+    windows = own[near]
     sides = windows - windows[:, :1]
     clockwise = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1) < 0.0
     windows[clockwise] = windows[clockwise, ::-1]
-    polygons = clip(second[near], windows)
+    polygons = clip(partners[near], windows)
     fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
     if centred:
         total = areas.sum(axis=1)
