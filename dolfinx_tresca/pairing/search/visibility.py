@@ -52,7 +52,7 @@ class Visibility:
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
-    search/clipping.py.
+    `nearest_layer_weights`.
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
