@@ -1,4 +1,4 @@
-"""What a facet sees along its normal: overlaps, the nearest of them, nothing behind a body."""
+"""Overlaps of facets along a normal: the nearest of them, and nothing behind a body."""
 
 from __future__ import annotations
 
