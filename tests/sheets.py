@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfinx_tresca.pairing.search.facets import Facets, oriented
-from dolfinx_tresca.pairing.search.halo import FACET_ARRAYS
+from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets, quadrature
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from scenes.patches import raised
 
@@ -73,7 +72,23 @@ def sheet(
     inside = middle - (normal if away is None else away(middle))
     free = np.ones((len(facets), count, dim + 1), dtype=bool)
     numbers = first + facets.astype(np.int64)
-    return oriented(cell, degree, numbers, x[facets], free, numbers[:, :count], inside)
+    result = Facets(
+        cell,
+        degree,
+        numbers,
+        x[facets],
+        free,
+        numbers[:, :count],
+        outward=np.ones(len(facets)),
+        offsets=np.zeros((len(facets), 0, 3)),
+        origins=np.zeros((len(facets), 0)),
+        tag_index=np.zeros(len(facets), dtype=np.intp),
+        bent=False,
+        plane=True,
+    ).moved_to(x[facets])
+    vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
+    result.outward[np.einsum("ni,ni->n", vectors, middle - inside) < 0.0] = -1.0
+    return result
 
 
 def joined(*parts: Facets) -> Facets:
@@ -92,4 +107,4 @@ def part_of(facets: Facets, some: np.ndarray) -> Facets:
 
 def nodes_of(facets: Facets) -> SurfaceNodes:
     """Return the nodes of a surface."""
-    return SurfaceNodes.of(facets)
+    return SurfaceNodes.from_facets(facets)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import chain, pairwise
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,14 +19,13 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
+from dolfinx_tresca.dual.friction_axes import FrictionDiscs, with_tangents_along_axes
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.pairing.friction_axes import FrictionDiscs, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import (
     PairOperators,
     as_petsc,
     assemble_B,
     joined,
-    multiplier_slices,
 )
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import Curve, FrictionCones, NodalCurves
@@ -91,7 +91,11 @@ class JumpOperator(PetscOwner):
         """Assemble B. Collective."""
         self.system, self.frames = system, frames
         self.comm = self.system.comm
-        self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
+        self.pairs = list(pairs)
+        rows = [(len(pair.normal_node), len(pair.tangent_node)) for pair in pairs]
+        ends = np.cumsum([0, *chain.from_iterable(rows)]).tolist()
+        blocks = [slice(start, end) for start, end in pairwise(ends)]
+        self.slices = list(zip(blocks[::2], blocks[1::2], strict=True))
         self.reductions = RankReductions(system.comm)
         self._of_V = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()
@@ -142,7 +146,7 @@ class JumpOperator(PetscOwner):
                 one, (n, t) = self.pairs[j], self.slices[j]
                 share = one.shares[:, member]
                 keep = share > 0.0
-                parts.append(dataclasses.replace(one.part(keep), weights=share[keep]))
+                parts.append(dataclasses.replace(one.at_nodes(keep), weights=share[keep]))
                 nodes.append(firsts[j] + np.flatnonzero(keep))
                 normal.append(n.start + np.flatnonzero(keep[one.normal_node]))
                 tangential.append(t.start + np.flatnonzero(keep[one.tangent_node]))
@@ -310,7 +314,7 @@ class JumpOperator(PetscOwner):
         """The rows of all components of the jumps at all nodes. Collective."""
         dofmap = self.system.V.dofmap
         axes = np.eye(dofmap.index_map_bs)
-        rows = [kron(pair.secondary - pair.primary, axes, format="csr") for pair in self.pairs]
+        rows = [kron(pair.jump, axes, format="csr") for pair in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def of_values(self, u: Array) -> Array:

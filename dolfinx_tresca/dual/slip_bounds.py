@@ -12,9 +12,9 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.dual.friction_axes import NodalEllipses
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.scene.friction import (
     COEFFICIENT_ROUNDING,
     DIRECTION_NAMES,

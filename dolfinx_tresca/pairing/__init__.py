@@ -8,11 +8,12 @@ Nouns:
 
 - `PairGroup`: pairs whose sides are parts of the same surfaces, so that a node has one multiplier.
 - `Undeformed`: the group with the facets of both sides, which are displaced for each later pairing.
-- `Facets`, `SurfaceNodes`: a surface on this rank, and its corners, which may carry multipliers; a
-  `Halo` adds the facets of other ranks that these depend on (all three in `search/`).
+- `Facets`, `SurfaceNodes`: a surface on this rank, and its corners, which may carry multipliers;
+  `halos` adds the facets of other ranks that these depend on (all three in `search/`).
 - `SmoothSurface`: the surface that facets approximate; the contact normal follows from how both
   sides turn (`contact_normal.py`, which derives the rule).
-- `MortarIntegrals`: integrals over the overlap of both surfaces, facet by facet.
+- `FacetIntegrals`: integrals over the parts of facets that face the other side: `MortarIntegrals`
+  over the overlap of both surfaces, `obstacle_integrals` over facets that face an obstacle.
 - `Coupling`: the jump at the nodes that carry multipliers, with gap and contact normal.
 - `PairOperators`: N, T, gaps and areas of one pair; `ContactOperators` shows them to users, and
   transfers fields and loads between the sides.
@@ -24,5 +25,5 @@ minus primary, the gap is positive if open.
 All that is computed here follows from the positions of nodes: the only state is `Undeformed`, which
 `PairOperators` carries from one pairing to the next and which is never changed.
 
-Read first: `pair_surfaces._pair`, `mortar.couple`, `mortar_integrals.MortarIntegrals`.
+Read first: `pair_surfaces._pair`, `coupling.couple`, `mortar_integrals.MortarIntegrals`.
 """

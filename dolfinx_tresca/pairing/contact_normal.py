@@ -12,7 +12,7 @@ contact normal is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction, so that the rows of N are its variation.
-A rigid obstacle that the mesh resolves keeps its exact normal (`obstacle.RESOLVED_ANGLES`).
+A rigid obstacle that the mesh resolves keeps its exact normal (`mortar_integrals.RESOLVED_ANGLES`).
 """
 
 from __future__ import annotations
@@ -20,12 +20,8 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.pairing.search.nodes import (
-    NEIGHBOURS,
-    REFERENCE_CORNERS,
-    SurfaceNodes,
-    free_normals,
-)
+from dolfinx_tresca.pairing.search.facets import lagrange_points
+from dolfinx_tresca.pairing.search.nodes import NEIGHBOURS, SurfaceNodes
 from dolfinx_tresca.pairing.search.tagged import normals_at, offsets_at
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
@@ -93,18 +89,6 @@ def contact_normals(
     return normals, np.asarray(angle <= OPPOSED_ANGLE + own_turn + partner_turn)
 
 
-def nodal_contact_normals(means: Array, nodes: SurfaceNodes) -> Array:
-    """Return unit contact normals (n, 3) at nodes, without prescribed components. Not collective.
-
-    Args:
-        means: (n, 3) means of the contact normals around each node; zero at nodes that face
-            nothing, which keep their own normals.
-        nodes: the nodes of the secondary side.
-    """
-    kept = np.linalg.norm(means, axis=1) <= CANCELLED
-    return free_normals(np.where(kept[:, None], nodes.normals, means), nodes.free)
-
-
 class SmoothSurface:
     """The smooth surface that facets approximate: exact where its geometry is given, else fitted.
 
@@ -124,6 +108,12 @@ class SmoothSurface:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans.
+        turning: whether normals of this rank's facets turn, or facets have a height.
+        turns_to_ends: (n,) the `turns`, at least a right angle where the smooth surface ends [rad].
+            It ends at sharp edges and at rims, in 3D only if it is curved there, so that normals at
+            the rim are less accurate.
+        corner_normals: (n, corners, 3) outward unit normals of the fitted surface at the corners of
+            facets.
     """
 
     def __init__(self, nodes: SurfaceNodes) -> None:
@@ -146,6 +136,7 @@ class SmoothSurface:
         curved = np.clip((least - EDGE_COSINE) / (SMOOTH_COSINE - EDGE_COSINE), 0.0, 1.0)
         self._mean = (1.0 - curved)[:, None] * self._facet_normals
         self._normals *= curved[:, None, None]
+        self.corner_normals = self._normals + self._mean[:, None]
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
@@ -160,16 +151,18 @@ class SmoothSurface:
         sharp = (patches > 1)[number][corner_nodes].any(axis=1)
         # in 3D flat slabs of one layer of cells have no facets but at the rim
         uncertain = (self.turns > FLAT_ANGLE) | (facets.dim == 1)
-        self._ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
+        ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
         self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
-            x = np.tile(REFERENCE_CORNERS[facets.cell], (len(facet) // facets.corners, 1))
+            x = np.tile(lagrange_points(facets.cell, 1), (len(facet) // facets.corners, 1))
             normals = normals_at(facets, facet, x)
             cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
             self.turns[self._exact] = turned_angles(cosines.reshape(-1, facets.corners))
-            self._ends &= sharp | ~self._exact
+            ends &= sharp | ~self._exact
+        self.turning = self.nonzero or bool((self.turns > FLAT_ANGLE).any())
+        self.turns_to_ends = np.where(ends, np.maximum(self.turns, 0.5 * np.pi), self.turns)
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
@@ -253,26 +246,7 @@ class SmoothSurface:
         """Return vectors (n, 3) to the fitted surface [length]; see `heights` for the arguments."""
         return np.asarray(self.heights(facet, hats)[:, None] * self._facet_normals[facet])
 
-    @property
-    def turns_to_ends(self) -> Array:
-        """The `turns` (n,), at least a right angle where the smooth surface ends [rad].
-
-        It ends at sharp edges and at rims, in 3D only if it is curved there, so that normals at the
-        rim are less accurate.
-        """
-        return np.where(self._ends, np.maximum(self.turns, 0.5 * np.pi), self.turns)
-
-    @property
-    def turning(self) -> bool:
-        """Whether normals of this rank's facets turn, or facets have a height."""
-        return self.nonzero or bool((self.turns > FLAT_ANGLE).any())
-
-    @property
-    def corner_normals(self) -> Array:
-        """Outward unit normals (n, corners, 3) of the fitted surface at the corners of facets."""
-        return np.asarray(self._normals + self._mean[:, None])
-
-    def at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
+    def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
 
         Args:

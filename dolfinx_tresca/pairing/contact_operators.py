@@ -15,7 +15,7 @@ exact for constants and conserves the sum of densities times areas.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Literal
 
@@ -25,6 +25,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array
 
+import basix.ufl
 import dolfinx
 import ufl
 from dolfinx import fem
@@ -45,10 +46,6 @@ from dolfinx_tresca.scene.pair import ContactPair
 #: Covered area of a primary node, relative to the largest one, that counts as rounding: densities
 #: are zero at such a node.
 AREA_PART = 1e-10
-
-#: Quadrature at the corners of facets, which lumps integrals: only values at a node contribute to
-#: the node's integral.
-AT_CORNERS = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
 
 def _space(operators: ContactOperators) -> dict[str, Any]:
@@ -101,9 +98,8 @@ class ContactOperators(PetscOwner):
             columns: function that converts a matrix from the columns of V to the columns of K,
                 which differ if V is a component of a mixed space.
         """
-        self._V, self._pair, self._columns = V, pair, columns
-        self.comm = self._V.mesh.comm
-        self._surfaces = surfaces
+        self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
+        self.comm = V.mesh.comm
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
@@ -182,29 +178,6 @@ class ContactOperators(PetscOwner):
         """(rows of T,) index in `nodes` of each row of T; nodes have up to two rows in 3D."""
         return self._pair.tangent_node
 
-    @cached_property
-    def _scalar(self) -> Any:
-        """The scalar space of degree 1 of transferred fields. Collective."""
-        return fem.functionspace(self._V.mesh, ("Lagrange", 1))
-
-    @cached_property
-    def _vector(self) -> Any:
-        """The vector space of degree 1. Collective."""
-        V = self._V
-        if V.element.basix_element.degree == 1:
-            return V
-        return fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
-
-    @cached_property
-    def _nodes(self) -> LocalNumbers:
-        """(n,) numbers of the contact nodes in `_scalar`."""
-        return _numbers_in(self._scalar, self._V)[self._pair.nodes]
-
-    @cached_property
-    def _vector_nodes(self) -> LocalNumbers:
-        """(nodes of `_scalar`,) the node of `_vector` at each node of `_scalar`."""
-        return _numbers_in(self._vector, self._scalar)
-
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
 
@@ -212,11 +185,11 @@ class ContactOperators(PetscOwner):
         primary side; both sides have the same total area. The Function is a scalar of degree 1 on
         the mesh of the displacement.
         """
-        result, weights = fem.Function(self._scalar, name="areas"), self._pair.weights
-        np.add.at(result.x.array, self._nodes, weights)
-        result.x.scatter_forward()
-        result.x.array[:] += self._transposed(weights[:, None])[:, 0]
-        return result
+        Q = fem.functionspace(self._V.mesh, ("Lagrange", 1))
+        weights = self._pair.weights[:, None]
+        areas = self._multiplied(Q, weights, transposed=True)
+        np.add.at(areas, self._nodes_in(Q), weights)
+        return _function(Q, "areas", areas)
 
     def area_fraction(self) -> fem.Function:
         """Return the covered fraction of each node's area as a Function. Collective.
@@ -234,13 +207,18 @@ class ContactOperators(PetscOwner):
         `solution.on_mesh("pressure")` this integral is the contact force, whether the meshes match
         or not.
         """
-        surfaces, areas, Q = self._surfaces, self.areas(), self._scalar
-        sides = (surfaces.secondary, surfaces.primary)
-        tags = [side for side in sides if not isinstance(side, RigidObstacle)]
+        areas, tags = self.areas(), self._surfaces.facet_tags
+        Q, sides = areas.function_space, (self._surfaces.secondary, self._surfaces.primary)
+        chosen = [side for side in sides if not isinstance(side, RigidObstacle)]
+        facets = tags.indices[np.isin(tags.values, chosen)]
+        # all these facets get one new tag, so that a form is compiled only once, whatever the tags
+        marked = dolfinx.mesh.meshtags(
+            Q.mesh, tags.dim, facets, np.ones(len(facets), dtype=np.int32)
+        )
+        ds = ufl.Measure("ds", domain=Q.mesh, subdomain_data=marked, subdomain_id=1)
         radius = ufl.SpatialCoordinate(Q.mesh)[0]
         size = 2.0 * np.pi * radius if self._pair.axisymmetric else ufl.as_ufl(1.0)
-        form = size * ufl.TestFunction(Q) * _tagged_measure(Q, surfaces.facet_tags, tags)
-        whole = assembled(form, Q).x.array
+        whole = assembled(size * ufl.TestFunction(Q) * ds, Q).x.array
         areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
         areas.name = "area_fraction"
         return areas
@@ -257,12 +235,9 @@ class ContactOperators(PetscOwner):
         and conserves the sum of values times `areas`. This sum is the integral over the primary
         facets only if the secondary side covers all primary facets.
 
-        On a facet, a discontinuous field, such as a field of degree 0, has the value of the facet's
-        cell; its value at a node is the mean over the facets at the node, weighted by area.
-
         Args:
-            function: a scalar or vector on the mesh of the displacement; it is interpolated in
-                degree 1.
+            function: a scalar or vector of Lagrange elements of degree 1 on the mesh of the
+                displacement. Interpolate or project other fields into such a space.
             to: the side that receives the values.
 
         Raises:
@@ -270,18 +245,12 @@ class ContactOperators(PetscOwner):
         """
         if to not in ("secondary", "primary"):
             raise InputError(f'to must be "secondary" or "primary", found {shown(to)}.')
-        surfaces = self._surfaces
+        Q, values = self._nodal_values(function)
         if to == "primary":
-            field = self._nodal_values(function, surfaces.secondary)
-            return self._as_function(function, self._transferred_density(field[self._nodes]))
-        P, Q = self._projection(self._scalar), self._scalar.dofmap.index_map
-        owned = self._nodal_values(function, surfaces.primary)[: Q.size_local]
-        columns = dense_matrix(owned, self.comm)
-        product = P.matMult(columns)
-        values = product.getDenseArray().copy()
-        for matrix in (P, columns, product):
-            matrix.destroy()
-        return self._as_function(function, self._at_contact_nodes(values))
+            return _function(Q, function.name, self._density(Q, values[self._nodes_in(Q)]))
+        result = np.zeros_like(values)
+        result[self._nodes_in(Q)] = self._multiplied(Q, values)
+        return _function(Q, function.name, result)
 
     @collective(comm_of_self, extra_values=_space)
     def transfer_loads(self, function: fem.Function) -> fem.Function:
@@ -297,26 +266,20 @@ class ContactOperators(PetscOwner):
         Raises:
             InputError: `function` is not such a Function.
         """
-        nodal = [space.ufl_element() for space in (self._scalar, self._vector)]
-        with errors_on_all_ranks(self.comm):
-            if isinstance(function, fem.Function) and function.ufl_element() not in nodal:
-                raise InputError(
-                    "loads of nodes must be a Function of Lagrange elements of degree 1, assembled "
-                    f"with their test functions, found {shown(function)}. Densities are "
-                    'transferred by transfer(q, to="primary").'
-                )
-        loads = self._nodal_values(function, self._surfaces.secondary)[self._nodes]
-        return self._as_function(function, self._transposed(loads))
+        Q, values = self._nodal_values(function)
+        loads = self._multiplied(Q, values[self._nodes_in(Q)], transposed=True)
+        return _function(Q, function.name, loads)
 
     @collective(comm_of_self, extra_values=_space)
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
         """Return the matrix C of a flux h (T_s - T_p) [per area] through the contact. Collective.
 
         Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
-        are its values at secondary nodes, T_p its `transfer` from the primary side, and T_p = 0 for
-        a rigid obstacle. Row i of C T is the flow out of node i. C is symmetric and positive
-        semidefinite. Between two bodies its rows sum to zero, and the flow out of one side equals
-        the flow into the other side, up to rounding.
+        and T_p are its means over both sides in N and T: inside the contact T_s are its values at
+        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle. Row
+        i of C T is the flow out of node i. C is symmetric and positive semidefinite. Between two
+        bodies its rows sum to zero, and the flow out of one side equals the flow into the other
+        side, up to rounding.
 
         The caller owns the matrix and may destroy it. Add it to the matrix of a form of T: `K + C`,
         or `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact
@@ -329,30 +292,13 @@ class ContactOperators(PetscOwner):
         Raises:
             InputError: h is not a scalar Function of degree 1 on the mesh of the displacement.
         """
-        mesh = self._V.mesh
-        with errors_on_all_ranks(self.comm):
-            if (
-                not isinstance(h, fem.Function)
-                or h.function_space.mesh != mesh
-                or h.function_space.ufl_element() != self._scalar.ufl_element()
-            ):
-                raise InputError(
-                    "a conductance must be a scalar Function of degree 1 in the space of the "
-                    "temperature, on the mesh of the displacement: of "
-                    f'fem.functionspace(mesh, ("Lagrange", 1)), found {shown(h)}.'
-                )
-        Q = h.function_space
-        nodes, index_map = _numbers_in(Q, self._V)[self._pair.nodes], Q.dofmap.index_map
-        count = len(nodes)
-        entries = np.ones(count), index_map.local_to_global(nodes), np.arange(count + 1)
-        rows = csr_array(entries, shape=(count, index_map.size_global))
-        jump, P = as_petsc(index_map, 1, [rows], self.comm), self._projection(Q)
-        jump.axpy(-1.0, P)
+        Q, values = self._nodal_values(h, scalar=True)
+        jump = self._in_space(Q, self._pair.jump)
         weighted, weights = jump.duplicate(copy=True), jump.createVecLeft()
-        weights.array = self._pair.weights * h.x.array[nodes]
+        weights.array = self._pair.weights * values[self._nodes_in(Q), 0]
         weighted.diagonalScale(L=weights)
         result = jump.transposeMatMult(weighted)
-        for owned in (jump, P, weighted, weights):
+        for owned in (jump, weighted, weights):
             owned.destroy()
         return result
 
@@ -366,49 +312,57 @@ class ContactOperators(PetscOwner):
             name: name of the Function.
             scalar: whether the density is a scalar.
         """
-        whole, across = self._at_contact_nodes(density), self._transferred_density(density)
-        nowhere = ~whole.any(axis=1)
-        whole[nowhere] = across[nowhere]
-        like = fem.Function(self._scalar if scalar else self._vector, name=name)
-        return self._as_function(like, whole)
+        shape = () if scalar else (self._V.dofmap.index_map_bs,)
+        Q = fem.functionspace(self._V.mesh, ("Lagrange", 1, shape))
+        density = density[:, : Q.dofmap.index_map_bs]
+        result = self._density(Q, density)
+        secondary = density.any(axis=1)
+        result[self._nodes_in(Q)[secondary]] = density[secondary]
+        return _function(Q, name, result)
 
-    def _nodal_values(self, function: fem.Function, side: int | RigidObstacle) -> Array:
-        """Return the values (nodes of `_scalar`, 1 or d) of a field in degree 1. Collective.
-
-        Args:
-            function: a scalar or vector field.
-            side: tag of the side from which a discontinuous field takes its values, or an obstacle.
+    def _nodal_values(self, function: fem.Function, *, scalar: bool = False) -> tuple[Any, Array]:
+        """Return the space of a field, and its values (owned nodes, 1 or d). Collective.
 
         Raises:
-            InputError: `function` is not a scalar or vector Function on the mesh.
+            InputError: `function` is not of degree 1 on the mesh, or no scalar.
         """
-        dim, mesh = self._V.dofmap.index_map_bs, self._V.mesh
+        mesh, dim = self._V.mesh, self._V.dofmap.index_map_bs
         with errors_on_all_ranks(self.comm):
+            elements = [
+                basix.ufl.element("Lagrange", mesh.basix_cell(), 1, shape=shape)
+                for shape in ([()] if scalar else [(), (dim,)])
+            ]
             if (
                 not isinstance(function, fem.Function)
                 or function.function_space.mesh != mesh
-                or function.ufl_shape not in ((), (dim,))
-                or function.ufl_element().family_name == "quadrature"
+                or function.ufl_element() not in elements
             ):
+                vector = "" if scalar else f" or a vector of {dim} components"
                 raise InputError(
-                    "a transferred field must be a Function on the mesh of the displacement, a "
-                    f"scalar or a vector of {dim} components, found {shown(function)}."
+                    "the field must be a Function of Lagrange elements of degree 1 on the mesh of "
+                    f"the displacement, a scalar{vector}, found {shown(function)}. Interpolate or "
+                    "project it into such a space."
                 )
-        scalar = function.ufl_shape == ()
-        space = self._scalar if scalar else self._vector
-        if function.ufl_element() in ufl.H1 or isinstance(side, RigidObstacle):
-            nodal = fem.Function(space)
-            nodal.interpolate(function)
-        else:
-            nodal = facet_means(function, space, self._surfaces.facet_tags, side)
-        values: Array = nodal.x.array.reshape(-1, 1 if scalar else dim)
-        return values if scalar else values[self._vector_nodes]
+        dofmap = function.function_space.dofmap
+        values = function.x.array.reshape(-1, dofmap.index_map_bs)
+        return function.function_space, values[: dofmap.index_map.size_local]
 
-    def _projection(self, Q: Any) -> PETSc.Mat:
-        """Create P (n, nodes of Q) for a scalar space Q of degree 1. Collective.
+    def _nodes_in(self, Q: Any) -> LocalNumbers:
+        """Return the numbers (n,) of the contact nodes in a space Q of degree 1."""
+        dofs = self._V.dofmap.list
+        number = np.zeros(dofs.max(initial=-1) + 1, dtype=np.int32)
+        number[dofs[:, : entities_per_cell(self._V, 0)]] = Q.dofmap.list
+        return np.asarray(number[self._pair.nodes])
+
+    def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
+        """Create the matrix (n, nodes of Q) that acts on Q like `rows` on V. Collective.
 
         The caller destroys the matrix. At nodes of V on edges and faces a field of degree 1 is
         interpolated from the corners of a cell.
+
+        Args:
+            Q: a space of degree 1.
+            rows: (n, nodes of V) sparse matrix, with global column numbers.
         """
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries
@@ -422,94 +376,37 @@ class ContactOperators(PetscOwner):
         ends = np.arange(owned + 1) * hats.shape[1]
         interpolation = csr_array((*entries, ends), shape=(owned, nodes.size_global))
         interpolation.eliminate_zeros()
-        P = as_petsc(V.dofmap.index_map, 1, [self._pair.primary], self.comm)
+        in_V = as_petsc(V.dofmap.index_map, 1, [rows], self.comm)
         to_Q = as_petsc(nodes, 1, [interpolation], self.comm)
-        result = P.matMult(to_Q)
-        P.destroy()
+        result = in_V.matMult(to_Q)
+        in_V.destroy()
         to_Q.destroy()
         return result
 
-    def _transposed(self, loads: Array) -> Array:
-        """Return P'F (nodes of `_scalar` with ghosts, d) for loads F (n, d). Collective."""
-        P, rows = self._projection(self._scalar), dense_matrix(loads, self.comm)
-        product = P.transposeMatMult(rows)
-        result = self._with_ghosts(product.getDenseArray())
-        for matrix in (P, rows, product):
+    def _multiplied(self, Q: Any, values: Array, *, transposed: bool = False) -> Array:
+        """Return P f (n, k) for f (owned nodes of Q, k), or P'f for f (n, k). Collective."""
+        P = self._in_space(Q, self._pair.primary)
+        columns = dense_matrix(values, self.comm)
+        product = P.transposeMatMult(columns) if transposed else P.matMult(columns)
+        result = product.getDenseArray().copy()
+        for matrix in (P, columns, product):
             matrix.destroy()
-        return result
+        return np.asarray(result)
 
-    def _transferred_density(self, values: Array) -> Array:
-        """Return P'(w f) / P'w (nodes of `_scalar` with ghosts, d) for f (n, d). Collective."""
+    def _density(self, Q: Any, values: Array) -> Array:
+        """Return P'(w f) / P'w (owned nodes of Q, k) for a density f (n, k). Collective."""
         weights = self._pair.weights[:, None]
-        sums = self._transposed(np.hstack([weights * values, weights]))
+        sums = self._multiplied(Q, np.hstack([weights * values, weights]), transposed=True)
         loads, areas = sums[:, :-1], sums[:, -1:]
         largest = self.comm.allreduce(areas.max(initial=0.0), op=MPI.MAX)
         # zero at nodes whose covered area is only rounding
         covered = np.broadcast_to(areas > AREA_PART * largest, loads.shape)
         return np.divide(loads, areas, out=np.zeros_like(loads), where=covered)
 
-    def _at_contact_nodes(self, values: Array) -> Array:
-        """Put values (n, d) at contact nodes into an array (nodes of `_scalar` with ghosts, d).
 
-        Values at other nodes are zero. Collective.
-        """
-        owned = np.zeros((self._scalar.dofmap.index_map.size_local, values.shape[1]))
-        owned[self._nodes] = values
-        return self._with_ghosts(owned)
-
-    def _with_ghosts(self, values: Array) -> Array:
-        """Return values (owned nodes of `_scalar`, d) followed by those at ghosts. Collective."""
-        vector = dolfinx.la.vector(self._scalar.dofmap.index_map, values.shape[1], np.float64)
-        vector.array[: values.size] = values.ravel()
-        vector.scatter_forward()
-        return np.array(vector.array).reshape(-1, values.shape[1])
-
-    def _as_function(self, like: fem.Function, values: Array) -> fem.Function:
-        """Return values (nodes of `_scalar`, d) as a Function with the shape and name of `like`."""
-        if like.ufl_shape == ():
-            result = fem.Function(self._scalar, name=like.name)
-            result.x.array[:] = values[:, 0]
-            return result
-        result = fem.Function(self._vector, name=like.name)
-        result.x.array.reshape(-1, values.shape[1])[self._vector_nodes] = values
-        return result
-
-
-def _numbers_in(Q: Any, V: Any) -> LocalNumbers:
-    """Return the node of a space Q of degree 1 at each node of V; 0 at nodes off the corners."""
-    number = np.zeros(V.dofmap.list.max(initial=-1) + 1, dtype=np.int32)
-    number[V.dofmap.list[:, : entities_per_cell(V, 0)]] = Q.dofmap.list
-    return number
-
-
-def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
-    """Average a field over the tagged facets at each node. Collective.
-
-    On a boundary facet the field has the values of the facet's cell. The result at a node is the
-    mean over its tagged facets, weighted by area; it is zero at nodes without tagged facets.
-
-    Args:
-        function: a scalar or vector field of any element with values at the corners of facets.
-        space: space of degree 1 for the result, with as many components as the field.
-        facet_tags: tags of boundary facets of the mesh.
-        tag: the tag of the facets.
-    """
-    ds = _tagged_measure(space, facet_tags, (tag,))(metadata=AT_CORNERS)
-    test = ufl.TestFunction(space)
-    one = ufl.as_ufl(1.0) if test.ufl_shape == () else ufl.as_vector([1.0] * len(test))
-    total, areas = (assembled(ufl.inner(of, test) * ds, space).x.array for of in (function, one))
-    result = fem.Function(space)
-    np.divide(total, areas, out=result.x.array, where=areas > 0.0)
+def _function(Q: Any, name: str, values: Array) -> fem.Function:
+    """Return a Function with values (owned nodes of Q, k). Collective."""
+    result = fem.Function(Q, name=name)
+    result.x.array[: values.size] = values.ravel()
+    result.x.scatter_forward()
     return result
-
-
-def _tagged_measure(space: Any, facet_tags: Any, tags: Collection[int]) -> Any:
-    """Return the measure of all facets with any of the tags.
-
-    All these facets get one new tag, so that a form is compiled only once, whatever the tags are.
-    """
-    facets = facet_tags.indices[np.isin(facet_tags.values, list(tags))]
-    numbered = dolfinx.mesh.meshtags(
-        space.mesh, facet_tags.dim, facets, np.ones(len(facets), dtype=np.int32)
-    )
-    return ufl.Measure("ds", domain=space.mesh, subdomain_data=numbered, subdomain_id=1)

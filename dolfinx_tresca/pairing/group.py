@@ -14,7 +14,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -29,7 +28,7 @@ from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.vertices import entities_per_cell
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets, joined, tabulate
-from dolfinx_tresca.pairing.search.self_contact import FINER, facet_origins
+from dolfinx_tresca.pairing.search.self_contact import facet_origins
 from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets, with_offsets
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -61,22 +60,22 @@ class PairGroup:
     rank: Indices
 
     @classmethod
-    def of(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
+    def from_pairs(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
         """Return the group of some pairs. Not collective.
 
         Raises:
             InputError: the pairs differ in their `facet_tags`, or in an argument of `COMMON`.
         """
-        first = pairs[0]
+        pattern = pairs[0]
         for pair in pairs[1:]:
-            differ = [name for name in COMMON if getattr(pair, name) != getattr(first, name)]
-            given, others = (one.given_tags("secondary")[0] for one in (first, pair))
-            if given._cpp_object is not others._cpp_object:
+            differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
+            given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
+            if given._cpp_object is not second._cpp_object:
                 differ.append("facet_tags")
             if differ:
                 raise InputError(
-                    f"contact pairs {first} and {pair} are parts of the same surfaces, whose nodes "
-                    f"they share, but differ in {' and '.join(differ)}: give both the same."
+                    f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
+                    f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
                 )
         own = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
         secondary, primary = (
@@ -84,21 +83,21 @@ class PairGroup:
             for both in zip(*own, strict=True)
         )
         pair_of_tags = np.full((len(secondary), max(len(primary), 1)), -1)
-        for k, (some, others) in enumerate(own):
-            columns = [primary.index(tag) for tag in others] or [0]
-            pair_of_tags[np.ix_([secondary.index(tag) for tag in some], columns)] = k
-        alike = [next(k for k, other in enumerate(pairs) if _same(pair, other)) for pair in pairs]
+        for k, (own_tags, tags) in enumerate(own):
+            columns = [primary.index(tag) for tag in tags] or [0]
+            pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+        alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
         strengths = [(_strength(pairs[k].friction), -k) for k in alike]
         rank = np.array([sorted(set(strengths)).index(strength) for strength in strengths])
-        surfaces = first
+        surfaces = pattern
         if len(pairs) > 1:
             dry = [pair.friction for pair in pairs if isinstance(pair.friction, DryFriction)]
             surfaces = replace(
-                first,
-                facet_tags=first.given_tags("secondary")[0],
+                pattern,
+                facet_tags=pattern.given_tags("secondary")[0],
                 secondary=secondary,
-                primary=primary or first.primary,
-                friction=[*dry, first.friction][0],
+                primary=primary or pattern.primary,
+                friction=[*dry, pattern.friction][0],
                 gap=None,
                 name="; ".join(map(str, pairs)),
             )
@@ -132,10 +131,10 @@ class PairGroup:
                 )
 
 
-def _same(pair: ContactPair, other: ContactPair) -> bool:
+def _same(pair: ContactPair, second: ContactPair) -> bool:
     """Return whether two pairs have the same kind of law, its same arguments, and the same gap."""
-    laws = pair.friction, other.friction
-    arguments = [(pair.gap, other.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
+    laws = pair.friction, second.friction
+    arguments = [(pair.gap, second.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
     return type(laws[0]) is type(laws[1]) and all(bool(np.all(a == b)) for a, b in arguments)
 
 
@@ -149,8 +148,8 @@ def _strength(law: Friction) -> tuple[int, float, float]:
     sizes = []
     for bound in (law.terms.coefficient, law.terms.constant):
         values = [
-            real(one.value.item() if isinstance(one, fem.Constant) else one)
-            for one in (bound if isinstance(bound, tuple) else (bound,))
+            real(entry.value.item() if isinstance(entry, fem.Constant) else entry)
+            for entry in (bound if isinstance(bound, tuple) else (bound,))
         ]
         sizes.append(max(value or 0.0 for value in values))
     return 1, sizes[0], sizes[1]
@@ -176,34 +175,30 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     np.fill_diagonal(linked, False)
     if linked.any():
         linked &= _shared(V, pairs, linked.any(axis=0), "secondary", None)
-    some = linked.any(axis=0) & deformable
-    if some.any():
-        linked &= ~deformable | _shared(V, pairs, some, "primary", label_bodies(V))
-    count, group = connected_components(csr_array(linked), directed=False)
-    members = [[k for k in range(len(pairs)) if group[k] == one] for one in range(count)]
-    return [PairGroup.of([pairs[k] for k in some], some) for some in members]
+    compared = linked.any(axis=0) & deformable
+    if compared.any():
+        linked &= ~deformable | _shared(V, pairs, compared, "primary", label_bodies(V))
+    count, group_of_pair = connected_components(csr_array(linked), directed=False)
+    members = [[k for k in range(len(pairs)) if group_of_pair[k] == g] for g in range(count)]
+    return [PairGroup.from_pairs([pairs[k] for k in numbers], numbers) for numbers in members]
 
 
 def _shared(
-    V: Any,
-    pairs: Sequence[ContactPair],
-    some: Mask,
-    side: SideName,
-    label: npt.NDArray[np.int64] | None,
+    V: Any, pairs: Sequence[ContactPair], compared: Mask, side: SideName, label: Any | None
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
     Args:
         V: the space of the displacement.
         pairs: the pairs.
-        some: (pairs,) whether a pair is compared.
+        compared: (pairs,) whether a pair is compared.
         side: name of the side, which is deformable.
         label: (nodes of V,) the body of each node on this rank; None: nodes are compared.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
     rows = [np.zeros((0, 2), dtype=np.int64)]
-    for k in (int(number) for number in np.flatnonzero(some)):
+    for k in map(int, np.flatnonzero(compared)):
         facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
         nodes = fem.locate_dofs_topological(V, dim, facets)
         number = V.dofmap.index_map.local_to_global(nodes) if label is None else label[nodes]
@@ -231,7 +226,7 @@ class Undeformed:
     sides: dict[int, Facets]
 
     @classmethod
-    def of(
+    def from_mesh(
         cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
     ) -> Undeformed:
         """Extract the surfaces from the mesh. Collective.
@@ -264,15 +259,7 @@ class Undeformed:
         }
         if pair.touches_itself:
             facets = sides[pair.secondary]
-            origins, bodies = facet_origins(V, facets)
-            sides = {pair.secondary: replace(facets, origins=origins)}
-            if bodies > 1:
-                log(
-                    V.mesh.comm,
-                    "pairing: %s, %d bodies: of two, the one with finer facets (by a factor of "
-                    "%.2f) is secondary, else the first one by its least x, y, z",
-                    *(pair, bodies, 1.0 / FINER),
-                )
+            sides = {pair.secondary: replace(facets, origins=facet_origins(V, facets))}
         return cls(group, sides)
 
     def displaced(self, V: Any, u: Array) -> dict[int, Facets]:

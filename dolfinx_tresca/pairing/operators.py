@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -29,11 +30,14 @@ from dolfinx_tresca.scene.friction import Bonded, Frictionless
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (
     *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
-    *("secondary_sagitta", "secondary", "primary", "prescribed"),
+    *("secondary_sagitta", "jump", "primary", "prescribed"),
 )
 
 #: The indices of nodes of each row of N and of T, and the attributes that have these rows.
-ROW_ARRAYS = {"normal_node": ("N",), "tangent_node": ("T", "tangents", "semi_axes")}
+ROW_ARRAYS: dict[str, tuple[str, ...]] = {
+    "normal_node": (),
+    "tangent_node": ("tangents", "semi_axes"),
+}
 
 
 @dataclass(frozen=True)
@@ -60,15 +64,13 @@ class PairOperators:
         added_gap: (n,) present value of `ContactPair.gap` at each node [length].
         secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
             which reduces the gap [length]; zero for degree 1.
-        secondary: (n, nodes of V) sparse matrix of the weighted means over the secondary side that
-            are part of N and T, with global column numbers.
+        jump: (n, nodes of V) sparse matrix of the jump, the weighted means over the secondary side
+            minus those over the primary side, with global column numbers.
         primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
             empty for an obstacle.
         prescribed: (n,) whether the displacement of the node is prescribed along the normal.
-        N: (n_normal, dofs of V) sparse matrix, with global column numbers.
         normal_node: (n_normal,) index in `nodes` of each row of N.
-        T: (n_tangential, dofs of V) sparse matrix; without rows if there is no friction.
-        tangents: (n_tangential, d) unit vector along each row of T.
+        tangents: (n_tangential, d) unit vector along each row of T; none if there is no friction.
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
             the node; 1 for circles.
@@ -85,19 +87,17 @@ class PairOperators:
     distance: Array
     added_gap: Array
     secondary_sagitta: Array
-    secondary: Any
+    jump: Any
     primary: Any
     prescribed: Mask
-    N: Any
     normal_node: LocalNumbers
-    T: Any
     tangents: Array
     tangent_node: LocalNumbers
     semi_axes: Array
     undeformed: Undeformed
 
     @classmethod
-    def of(
+    def from_coupling(
         cls,
         V: Any,
         coupling: Coupling,
@@ -133,7 +133,7 @@ class PairOperators:
         prescribed = ~moves
         numbers = nodes.numbers[coupling.position]
         pair = undeformed.group.owners(coupling.shares)
-        laws = [one.friction for one in undeformed.group.pairs]
+        laws = [single.friction for single in undeformed.group.pairs]
         bonded = np.array([isinstance(law, Bonded) for law in laws])[pair]
         smooth = np.array([isinstance(law, Frictionless) for law in laws])[pair]
         friction_acts = free
@@ -148,10 +148,10 @@ class PairOperators:
         along, tangent_node = along[rubs], tangent_node[rubs]
         distance = coupling.gap.copy()
         distance[np.abs(distance) <= rounding] = 0.0
-        first = V.dofmap.index_map.local_range[0]
+        lowest = V.dofmap.index_map.local_range[0]
         together = cls(
             bonded=False,
-            nodes=(numbers - first).astype(np.int32),
+            nodes=(numbers - lowest).astype(np.int32),
             weights=coupling.weights,
             shares=coupling.shares,
             areas=nodes.weights[coupling.position],
@@ -160,23 +160,21 @@ class PairOperators:
             distance=np.where(bonded, 0.0, distance),
             added_gap=np.zeros_like(distance),
             secondary_sagitta=coupling.secondary_sagitta,
-            secondary=coupling.jump + coupling.primary,
+            jump=coupling.jump,
             primary=coupling.primary,
             prescribed=prescribed,
-            N=_directional_rows(coupling.jump, normal_node, normals[normal_node]),
             normal_node=normal_node,
-            T=_directional_rows(coupling.jump, tangent_node, along),
             tangents=along,
             tangent_node=tangent_node,
             semi_axes=np.ones(len(tangent_node)),
             undeformed=undeformed,
         )
         return [
-            replace(together.part(pair == k), bonded=isinstance(law, Bonded))
+            replace(together.at_nodes(pair == k), bonded=isinstance(law, Bonded))
             for k, law in enumerate(laws)
         ]
 
-    def part(self, keep: Mask) -> PairOperators:
+    def at_nodes(self, keep: Mask) -> PairOperators:
         """Return the operators at the nodes in a mask (n,). Not collective."""
         if keep.all():
             return self
@@ -187,6 +185,21 @@ class PairOperators:
             changes[node] = number[getattr(self, node)[rows]]
             changes |= {name: getattr(self, name)[rows] for name in arrays}
         return replace(self, **changes)
+
+    @cached_property
+    def N(self) -> Any:
+        """Sparse matrix (n_normal, dofs of V) of normal jumps, with global column numbers."""
+        return _directional_rows(self.jump, self.normal_node, self.normals[self.normal_node])
+
+    @cached_property
+    def T(self) -> Any:
+        """Sparse matrix (n_tangential, dofs of V) of the jumps along `tangents`."""
+        return _directional_rows(self.jump, self.tangent_node, self.tangents)
+
+    @property
+    def secondary(self) -> Any:
+        """Sparse matrix (n, nodes of V) of the weighted means over the secondary side."""
+        return self.jump + self.primary
 
     @property
     def gap(self) -> Array:
@@ -218,22 +231,22 @@ class PairOperators:
         return result
 
 
-def joined(parts: Sequence[PairOperators]) -> PairOperators:
+def joined(operators: Sequence[PairOperators]) -> PairOperators:
     """Return the operators at the nodes of several parts of one group. Not collective."""
-    if len(parts) == 1:
-        return parts[0]
-    firsts = np.cumsum([0, *(len(part.nodes) for part in parts[:-1])], dtype=np.int32)
+    if len(operators) == 1:
+        return operators[0]
+    starts = np.cumsum([0, *(len(pair.nodes) for pair in operators[:-1])], dtype=np.int32)
     changes: dict[str, Any] = {
         node: np.concatenate(
-            [first + getattr(part, node) for first, part in zip(firsts, parts, strict=True)]
+            [start + getattr(pair, node) for start, pair in zip(starts, operators, strict=True)]
         )
         for node in ROW_ARRAYS
     }
     for name in (*NODE_ARRAYS, *(name for names in ROW_ARRAYS.values() for name in names)):
-        arrays = [getattr(part, name) for part in parts]
-        is_sparse = name in ("N", "T", "secondary", "primary")
+        arrays = [getattr(pair, name) for pair in operators]
+        is_sparse = name in ("jump", "primary")
         changes[name] = vstack(arrays, format="csr") if is_sparse else np.concatenate(arrays)
-    return replace(parts[0], bonded=all(part.bonded for part in parts), **changes)
+    return replace(operators[0], bonded=all(pair.bonded for pair in operators), **changes)
 
 
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
@@ -292,8 +305,8 @@ def _tangential_projections(
     """
     room = free[:, :, None] * np.eye(free.shape[1])
     ascending = np.argsort(owners, kind="stable")
-    _, first, count = np.unique(owners[ascending], return_index=True, return_counts=True)
-    for start, end in zip(first[count > 1], (first + count)[count > 1], strict=True):
+    _, starts, count = np.unique(owners[ascending], return_index=True, return_counts=True)
+    for start, end in zip(starts[count > 1], (starts + count)[count > 1], strict=True):
         heaviest = ascending[end - 1]
         left = room[heaviest].copy()
         for i in reversed(ascending[start:end]):
@@ -315,13 +328,13 @@ def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
         room: (n, d, d) projections onto the available directions.
     """
     along = tangents(normals)
-    some = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
+    limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
     # if not all directions are available, rotate the tangents to eigenvectors of the projection
-    mobility = np.einsum("nai,nij,nbj->nab", along[some], room[some], along[some])
+    mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
     values, vectors = np.linalg.eigh(mobility)
-    along[some] = np.einsum("nba,nbi->nai", vectors, along[some])
-    keep[some] = values > FREE_PART
+    along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
+    keep[limited] = values > FREE_PART
     return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 
@@ -349,14 +362,3 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
     """
     columns = block_size * index_map.size_local, block_size * index_map.size_global
     return sparse_matrix(vstack(blocks, format="csr"), columns, comm)
-
-
-def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:
-    """Return, for each pair, the slices of this rank's rows of B that belong to N and to T."""
-    result, first = [], 0
-    for pair in pairs:
-        middle = first + len(pair.normal_node)
-        last = middle + len(pair.tangent_node)
-        result.append((slice(first, middle), slice(middle, last)))
-        first = last
-    return result

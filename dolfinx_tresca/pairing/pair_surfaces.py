@@ -16,13 +16,17 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange, row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing import mortar, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
+from dolfinx_tresca.pairing.coupling import (
+    Coupling,
+    couple,
+    nodes_without_multiplier,
+    owned_nodes,
+)
 from dolfinx_tresca.pairing.group import PairGroup, Undeformed
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos, with_neighbours
 from dolfinx_tresca.pairing.search.facets import Facets
-from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -46,7 +50,7 @@ def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
 ) -> PairOperators:
     """Compute N, T and the gap of a single pair; see `pair_group`. Collective."""
-    return pair_group(V, prescribed, PairGroup.of([pair]), axisymmetric=axisymmetric)[0]
+    return pair_group(V, prescribed, PairGroup.from_pairs([pair]), axisymmetric=axisymmetric)[0]
 
 
 def pair_group(
@@ -67,7 +71,7 @@ def pair_group(
         PairingError: the surfaces cannot be paired in the requested way or do not face each other,
             or all secondary nodes are prescribed.
     """
-    undeformed = Undeformed.of(V, prescribed, group, axisymmetric=axisymmetric)
+    undeformed = Undeformed.from_mesh(V, prescribed, group, axisymmetric=axisymmetric)
     return _pair(V, undeformed, undeformed.sides, moved=False)
 
 
@@ -99,39 +103,44 @@ def _pair(
     """
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
-    halo = Halo(V, sides[pair.secondary])
-    others, bodies = None, None
+    owned = sides[pair.secondary]
+    primary, bodies, measured = None, None, None
     if isinstance(pair.primary, RigidObstacle):
-        if comm.size > 1:  # `SmoothSurface` depends on two rings of neighbours
-            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
-        nodes = _surface_nodes(V, pair, "secondary", halo, moved)
-        coupling = obstacle.couple(V, group, pair.primary, nodes, moved)
+        nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
+        nodes, integrals, carries, measured = obstacle_integrals(
+            comm, str(pair), pair.primary, nodes, moved
+        )
+        shared: Mask = np.zeros(len(measured), dtype=np.bool_)
     else:
-        primary = halo if pair.touches_itself else Halo(V, sides[pair.primary])
-        extend_halos(halo, primary, pair.search_limit)
-        nodes = other_nodes = _surface_nodes(V, pair, "secondary", halo, moved)
-        if not pair.touches_itself:
-            other_nodes = _surface_nodes(V, pair, "primary", primary, moved)
-        facets, others = nodes.facets, other_nodes.facets
+        partners = owned if pair.touches_itself else sides[pair.primary]
+        around, across = halos(V, owned, partners, pair.search_limit)
+        if pair.touches_itself:
+            nodes = other_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
+        else:
+            nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
+            other_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
+        facets, primary = nodes.facets, other_nodes.facets
 
-        def may_meet(facet: Indices, other: Indices) -> Mask:
-            tags = facets.tag_index[facet], primary.facets.tag_index[other]
+        def may_meet(facet: Indices, partner: Indices) -> Mask:
+            tags = facets.tag_index[facet], primary.tag_index[partner]
             return np.asarray(group.pair_of_tags[tags] >= 0)
 
         with errors_on_all_ranks(comm):
-            around, limit = halo.facets_at_own_nodes(), pair.search_limit
+            selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
-            integrals = MortarIntegrals(nodes, other_nodes, around, limit, order, may_meet)
-            shared: Mask = np.isin(nodes.numbers, others.nodes)
+            overlap = MortarIntegrals(nodes, other_nodes, selected, limit, order, may_meet)
+            integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
             if order is not None:
-                shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
-                bodies = opposite_bodies(nodes, integrals.pairs, order)
+                shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
+                bodies = opposite_bodies(nodes, overlap.pairs, order)
         if pair.touches_itself:
             decided = nodes.numbers[shared & owned_nodes(V, nodes)]
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
-        coupling = mortar.couple(V, group, nodes, other_nodes, integrals, shared, moved)
-        if pair.pairing == "nodes" and not moved:
-            _check_meshes_match(V, pair, coupling, nodes)
+        without = nodes_without_multiplier(V, nodes, integrals, shared)
+        carries = ~without[nodes.facet_nodes]
+    coupling = couple(V, group, nodes, primary, integrals, carries, shared, moved, measured)
+    if pair.pairing == "nodes" and primary is not None and not moved:
+        _check_meshes_match(V, pair, coupling, nodes)
     if not moved and len(group.pairs) > 1:
         areas = reduce_array(comm, coupling.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
@@ -141,8 +150,8 @@ def _pair(
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
         group.say_laws(comm, coupling.shares)
-    largest = float(reduce_array(comm, np.abs(halo.owned.points).max(initial=0.0), MPI.MAX))
-    return PairOperators.of(V, coupling, nodes, ROUNDING * largest, undeformed, others, bodies)
+    rounding = ROUNDING * float(reduce_array(comm, np.abs(owned.points).max(initial=0.0), MPI.MAX))
+    return PairOperators.from_coupling(V, coupling, nodes, rounding, undeformed, primary, bodies)
 
 
 def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: SurfaceNodes) -> None:
@@ -170,7 +179,7 @@ def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: Su
 
 
 def _surface_nodes(
-    V: Any, pair: ContactPair, side: SideName, halo: Halo, moved: bool
+    V: Any, pair: ContactPair, side: SideName, owned: Facets, halo: Facets, moved: bool
 ) -> SurfaceNodes:
     """Return the nodes of this rank's facets on one side. Collective.
 
@@ -183,7 +192,8 @@ def _surface_nodes(
         V: the space of the displacement.
         pair: the contact pair.
         side: "secondary" or "primary".
-        halo: the facets of the side.
+        owned: the facets of the side that this rank owns.
+        halo: these facets, and those of other ranks that the pairing depends on.
         moved: whether the surface is displaced.
 
     Raises:
@@ -191,7 +201,7 @@ def _surface_nodes(
     """
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):
-        nodes = SurfaceNodes.of(halo.facets)
+        nodes = SurfaceNodes.from_facets(halo)
         own = owned_nodes(V, nodes)
         has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():
@@ -202,7 +212,7 @@ def _surface_nodes(
             )
     if moved or pair.touches_itself:
         return nodes
-    size = np.linalg.norm(np.ptp(halo.owned.points, axis=1), axis=1)
+    size = np.linalg.norm(np.ptp(owned.points, axis=1), axis=1)
     smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
     tags = pair.facet_tags
     outside = tags.indices[tags.values != getattr(pair, side)]

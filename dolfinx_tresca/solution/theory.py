@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from dolfinx import fem
 
@@ -19,7 +20,8 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.halo import Halo
+from dolfinx_tresca.pairing.search.balls import flattened, near_lines
+from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets, Pieces
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -238,7 +240,7 @@ def _motions_of_pair(
     if in_facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
         undeformed = operators.undeformed
         facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
-        beyond = ~_lies_over(Halo(V, facets), operators, jumps)
+        beyond = ~_lies_over(comm, facets, operators, jumps)
         part = float(reduce_array(comm, force @ beyond)) / total
         of_force = f"{text}, and {100.0 * part:.0f} % of the contact force is at nodes that have "
         of_force += "left the other side, but keep their normals and partners"
@@ -259,7 +261,7 @@ def _motions_of_pair(
         yield Departure(in_facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
 
 
-def _lies_over(primary: Halo, operators: PairOperators, jumps: Array) -> Mask:
+def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
     """Return whether nodes (n,) displaced by jumps (n, d) lie over the primary side. Collective.
 
     An opposed primary facet is then not farther from the node than the size of the node's area.
@@ -267,4 +269,12 @@ def _lies_over(primary: Halo, operators: PairOperators, jumps: Array) -> Mask:
     points, normals = np.zeros((2, len(jumps), 3))
     points[:, : jumps.shape[1]] = operators.places + jumps
     normals[:, : jumps.shape[1]] = operators.normals
-    return primary.faced_within(operators.sizes, points, normals)
+    reach = operators.sizes
+    pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
+    lists = cKDTree(pieces.centres).query_ball_point(points, reach + pieces.radii.max(initial=0))
+    point, piece = flattened(lists)
+    opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE
+    point, piece = point[opposed], piece[opposed]
+    result: Mask = np.zeros(len(points), dtype=np.bool_)
+    result[point[pieces.distances(piece, points[point]) <= reach[point]]] = True
+    return result

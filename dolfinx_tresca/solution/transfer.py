@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.search.balls import bounding_box, within_reach
+from dolfinx_tresca.pairing.search.balls import bounding_box
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 
 #: Maps the number of corners of a facet to the simplices into which the facet is divided.
@@ -103,7 +103,10 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     places = V.tabulate_dof_coordinates()
     reach = comm.allreduce(_longest_edge(places[V.dofmap.list]), op=MPI.MAX)
     boxes = comm.allgather(bounding_box(places))
-    near = [np.flatnonzero(within_reach(box, points, np.full(len(points), reach))) for box in boxes]
+    near = []
+    for box in boxes:
+        outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
+        near.append(np.flatnonzero(np.linalg.norm(outside, axis=1) <= reach))
     asked = np.concatenate(near)
     ranks = np.repeat(np.arange(comm.size), [len(some) for some in near])
     questions, source = exchange(comm, points[asked], ranks)

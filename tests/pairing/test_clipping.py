@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
-from dolfinx_tresca.pairing.search.clipping import clip, overlaps
+from dolfinx_tresca.pairing.search.visibility import clip, overlaps
 from scenes.scene import EPS
 
 SEEDS = settings(max_examples=60)

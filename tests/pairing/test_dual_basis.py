@@ -12,9 +12,8 @@ from dolfinx_tresca.pairing.coupling import (
     drop_rounding,
     dual_coefficients,
     redistributed,
-    whole_facet_integrals,
 )
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, whole_facet_integrals
 from scenes.scene import EPS
 
 ROUNDING = 1e3 * EPS

@@ -107,10 +107,9 @@ def test_error_names_a_node_whose_normals_cancel():
     assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
     assert np.isfinite(nodes.normals).all()
     pair = SimpleNamespace(side=lambda name: "tag 1")
-    halo = SimpleNamespace(facets=needle)
     space = SimpleNamespace(
         mesh=SimpleNamespace(comm=MPI.COMM_SELF),
         dofmap=SimpleNamespace(index_map=SimpleNamespace(local_range=(1, count + 2))),
     )
     with pytest.raises(PairingError, match=r"no normal at \[0\. 0\. 1\.\].*Repair the mesh"):
-        _surface_nodes(space, pair, "secondary", halo, moved=False)
+        _surface_nodes(space, pair, "secondary", needle, needle, moved=False)

@@ -9,18 +9,22 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.pairing.search.balls import Balls
-from dolfinx_tresca.pairing.search.facets import Pieces
-from dolfinx_tresca.pairing.search.halo import Halo, extend_halos
+from dolfinx_tresca.pairing.search.balls import (
+    Balls,
+    at_own_nodes,
+    facets_at_own_nodes,
+    halos,
+)
+from dolfinx_tresca.pairing.search.facets import Facets, Pieces
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from scenes.patches import LOWER, UPPER, patch
 
 
-def halos(scene: Any) -> tuple[Halo, Halo]:
-    """Return the halos of both sides before any extension."""
+def owned_sides(scene: Any) -> tuple[Facets, Facets]:
+    """Return the facets of both sides that this rank owns."""
     prescribed = np.zeros(scene.V.dofmap.index_map.size_local * scene.V.dofmap.bs, dtype=bool)
     return tuple(
-        Halo(scene.V, tagged_facets(scene.V, prescribed, scene.facet_tags, tag, "secondary"))
+        tagged_facets(scene.V, prescribed, scene.facet_tags, tag, "secondary")
         for tag in (UPPER, LOWER)
     )
 
@@ -44,13 +48,10 @@ def ring(x: np.ndarray) -> np.ndarray:
 def test_owner_of_a_node_has_all_facets_at_the_node(comm, kind):
     scene = patch(comm, kind, split=True)
     low, high = scene.V.dofmap.index_map.local_range
-    for halo in halos(scene):
-        everywhere = keys(comm, halo.facets, everywhere=True)
+    for owned in owned_sides(scene):
+        everywhere = keys(comm, owned, everywhere=True)
         wanted = {facet for facet in everywhere if any(low <= node < high for node in facet)}
-        found = keys(comm, halo.facets)
-        assert wanted <= found
-        some = halo.facets.nodes[halo.facets_at_own_nodes()]
-        assert set(map(tuple, np.sort(some, axis=1).tolist())) == wanted
+        assert keys(comm, facets_at_own_nodes(scene.V, owned)) == wanted
 
 
 @pytest.mark.parallel
@@ -59,26 +60,26 @@ def test_owner_of_a_node_has_all_facets_at_the_node(comm, kind):
 def test_halo_contains_all_facets_along_the_normals(comm, kind, limit):
     """One ring is inside another; normals also meet the opposite side unless the limit is small."""
     scene = patch(comm, kind, upper=(7, 2), lower=(5, 2), warp=ring, gap=0.1)
-    secondary, primary = halos(scene)
-    whole = [comm.allgather(halo.owned) for halo in (secondary, primary)]
-    extend_halos(secondary, primary, limit)
-    mine = Pieces.of(secondary.facets)
-    some = np.isin(mine.facet, secondary.facets_at_own_nodes())
+    sides = owned_sides(scene)
+    whole = [comm.allgather(owned) for owned in sides]
+    secondary, primary = halos(scene.V, *sides, limit)
+    mine = Pieces.from_facets(secondary)
+    some = np.isin(mine.facet, at_own_nodes(scene.V, secondary))
     for halo, parts in zip((secondary, primary), whole, strict=True):
-        found = keys(comm, halo.facets)
+        found = keys(comm, halo)
         for facets in parts:
-            pieces = Pieces.of(facets)
+            pieces = Pieces.from_facets(facets)
             _, second = Balls(pieces.centres, pieces.radii).on_normals(
                 mine.centres[some], mine.normals[some], mine.radii[some], limit
             )
             needed = np.sort(facets.nodes[pieces.facet[second]], axis=1)
             assert set(map(tuple, needed.tolist())) <= found
     # all facets at the corners of these facets, which their normals need
-    corners = np.unique(secondary.facets.nodes[secondary.facets_at_own_nodes()])
+    corners = np.unique(secondary.nodes[at_own_nodes(scene.V, secondary)])
     for facets in whole[0]:
         beside = np.isin(facets.nodes, corners).any(axis=1)
         assert set(map(tuple, np.sort(facets.nodes[beside], axis=1).tolist())) <= keys(
-            comm, secondary.facets
+            comm, secondary
         )
 
 
@@ -87,12 +88,12 @@ def test_halo_contains_no_distant_facets(comm):
     """All facets of other ranks are within a few facets of this rank's facets on a line."""
     n = 60
     scene = patch(comm, "triangle", upper=(n, 1), lower=(n - 7, 1))
-    secondary, primary = halos(scene)
-    extend_halos(secondary, primary, np.inf)
-    treated = secondary.facets.points[secondary.facets_at_own_nodes()][..., 0].ravel()
-    for halo in (secondary, primary):
-        owned = keys(comm, halo.owned)
-        for nodes, points in zip(halo.facets.nodes, halo.facets.points, strict=True):
+    sides = owned_sides(scene)
+    secondary, primary = halos(scene.V, *sides, np.inf)
+    treated = secondary.points[at_own_nodes(scene.V, secondary)][..., 0].ravel()
+    for halo, owned_facets in zip((secondary, primary), sides, strict=True):
+        owned = keys(comm, owned_facets)
+        for nodes, points in zip(halo.nodes, halo.points, strict=True):
             if tuple(sorted(nodes.tolist())) not in owned:
                 low = scene.V.dofmap.index_map.local_range
                 of_node = ((nodes >= low[0]) & (nodes < low[1])).any()

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from rotations import rotation
 from sheets import CELLS, joined, nodes_of, part_of, sheet
 
-from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, _blocks_of_pairs
+from dolfinx_tresca.pairing.coupling import MortarRows, mortar_rows
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets
 from scenes.scene import EPS
 
@@ -260,11 +259,6 @@ def test_blocks_of_pairs_do_not_change_the_result(monkeypatch):
     parts = pair_of(secondary, primary)
     assert np.allclose(parts.weights, whole.weights, rtol=ROUNDING)
     assert np.abs(parts.jump - whole.jump).max() <= ROUNDING
-    first = np.repeat(np.arange(9), [3, 1, 7, 4, 4, 2, 10, 1, 1])
-    blocks = [block for block, _ in _blocks_of_pairs(first, np.arange(len(first)))]
-    assert np.array_equal(np.concatenate(blocks), first)
-    assert max(map(len, blocks)) <= 10
-    assert all(before[-1] < after[0] for before, after in pairwise(blocks))
 
 
 def test_primary_side_in_two_parts():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sheets import CELLS, joined, nodes_of, part_of, sheet
 
-from dolfinx_tresca.pairing.mortar import mortar_rows
+from dolfinx_tresca.pairing.coupling import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets
 from scenes.scene import EPS

@@ -10,7 +10,7 @@ from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
 from dolfinx_tresca.pairing.coupling import owned_nodes
-from dolfinx_tresca.pairing.search.halo import Halo
+from dolfinx_tresca.pairing.search.balls import facets_at_own_nodes
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, tangents
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -22,7 +22,7 @@ def nodes_of(scene, name: str) -> SurfaceNodes:
     tag = scene.tags[name]
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         facets = tagged_facets(scene.V, system.prescribed, scene.facet_tags, tag, "secondary")
-    return SurfaceNodes.of(Halo(scene.V, facets).facets)
+    return SurfaceNodes.from_facets(facets_at_own_nodes(scene.V, facets))
 
 
 AREAS = {

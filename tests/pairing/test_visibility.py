@@ -7,8 +7,8 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, part_of, sheet
 
-from dolfinx_tresca.pairing.search.facets import Facets, Pieces
-from dolfinx_tresca.pairing.search.visibility import CREDIBLE_PART, Visibility, distances
+from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, Facets, Pieces
+from dolfinx_tresca.pairing.search.visibility import Visibility
 
 UP, DOWN = True, False
 
@@ -37,11 +37,13 @@ def hidden(cell: str, own, other, target: float) -> np.ndarray:
     first = layer(cell, 0.0, DOWN)
     mine = joined(first, *(layer(cell, *one) for one in own))
     theirs = joined(layer(cell, target, UP, 3), *(layer(cell, *one, 3) for one in other))
-    pieces = Pieces.of(mine)
+    pieces = Pieces.from_facets(mine)
     piece = np.flatnonzero(pieces.facet < len(first.points))
     places = np.zeros((len(piece), first.dim))
     start = np.zeros(len(piece))
-    return Visibility(pieces, Pieces.of(theirs)).hidden(piece, places, start, start - target)
+    return Visibility(pieces, Pieces.from_facets(theirs)).hidden(
+        piece, places, start, start - target
+    )
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -87,18 +89,18 @@ def test_layer_hides_only_points_behind_it(cell):
     for part in plate:
         left = (part.points.mean(axis=1) @ inverse)[:, 0] < 0.5
         half.append(part_of(part, left))
-    pieces = Pieces.of(joined(first, *half))
+    pieces = Pieces.from_facets(joined(first, *half))
     piece = np.arange(len(first.points))
     x = (pieces.centres[piece] @ inverse)[:, 0]
     places, start = np.zeros((len(piece), first.dim)), np.zeros(len(piece))
-    found = Visibility(pieces, Pieces.of(far)).hidden(piece, places, start, start + 0.5)
+    found = Visibility(pieces, Pieces.from_facets(far)).hidden(piece, places, start, start + 0.5)
     assert np.array_equal(found, x < 0.5)
 
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_distance_equals_distance_from_nearest_of_many_points(cell):
     facets = layer(cell, 0.3, UP, 2)
-    pieces = Pieces.of(facets)
+    pieces = Pieces.from_facets(facets)
     rng = np.random.default_rng(3)
     points = 2.0 * rng.standard_normal((200, 3))
     if cell == "interval":
@@ -109,7 +111,7 @@ def test_distance_equals_distance_from_nearest_of_many_points(cell):
     shares = rng.dirichlet(np.full(corners.shape[1], 0.3), count)
     cloud = np.einsum("qc,nci->nqi", shares, corners)
     nearest = np.linalg.norm(cloud - points[:, None], axis=2).min(axis=1)
-    found = distances(pieces, chosen, points)
+    found = pieces.distances(chosen, points)
     assert (found <= nearest + 1e-12).all() and (found >= nearest - 0.1).all()
 
 
@@ -120,13 +122,13 @@ def test_deep_penetration_beside_a_near_surface_is_hidden(cell, shallow):
     depth = 0.4
     side = (1.0 if shallow else 0.1) * CREDIBLE_PART * 1.01 * depth
     own, target = layer(cell, 0.0, DOWN), layer(cell, depth, UP, 3)
-    pieces = Pieces.of(own)
+    pieces = Pieces.from_facets(own)
     # a sheet that ends at the distance `side` from the line
     axes = np.zeros((3, 3))
     axes[: own.dim] = pieces.frames[0, :-1]
     near = pieces.centres[0] + side * axes[0]
     beside = sheet(cell, 1, first=9000, move=lambda x: near + x @ axes)
-    others = Pieces.of(joined(target, beside))
+    others = Pieces.from_facets(joined(target, beside))
     zero = np.zeros((1, own.dim)), np.zeros(1)
     found = Visibility(pieces, others).hidden(np.array([0]), *zero, np.array([-depth]))
     assert found[0] == (not shallow)

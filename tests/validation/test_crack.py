@@ -150,7 +150,7 @@ def test_a_curved_lip_is_not_hidden_by_its_own_facets(comm, kind, height):
     sums = []
     for secondary, primary in ((sides, sides), (LOWER, UPPER), (UPPER, LOWER)):
         pair = ContactPair(scene.tags, secondary, primary, Coulomb(0.3), sliding="finite")
-        undeformed = Undeformed.of(V, free, PairGroup.of([pair]))
+        undeformed = Undeformed.from_mesh(V, free, PairGroup.from_pairs([pair]))
         k = pair_displaced_surfaces(V, undeformed, u.x.array.reshape(-1, 2))[0]
         own = [k.weights.sum(), (k.weights * k.distance).sum() / height]
         sums.append([comm.allreduce(value) for value in own])

@@ -151,7 +151,7 @@ def test_a_folded_strip(comm):
     by_hand = ContactPair(tags, left, right, Frictionless(), sliding="finite")
     one, other = (
         pair_displaced_surfaces(
-            V, Undeformed.of(V, free, PairGroup.of([pair])), u.x.array.reshape(-1, 2)
+            V, Undeformed.from_mesh(V, free, PairGroup.from_pairs([pair])), u.x.array.reshape(-1, 2)
         )[0]
         for pair in (by_hand, itself(comm, tags, Frictionless(), sliding="finite"))
     )

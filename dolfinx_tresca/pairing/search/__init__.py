@@ -3,10 +3,10 @@
 - `tagged.py`: facets are taken from a mesh, with the vectors to their exact surfaces; `facets.py`:
   their shape functions, and the straight `Pieces` into which curved facets are cut for the search.
 - `nodes.py`: the corners of facets, with weights and normals; an entry for each smooth patch.
-- `balls.py`: `Balls` finds the facets along normals; `halo.py`: those of other ranks, too.
-- `clipping.py`: overlaps of facets in a plane, and the nearest of several layers.
-- `visibility.py`: facets are not paired through a body; `self_contact.py`: on a surface that
-  touches itself, which facets may meet, and which of two is secondary.
+- `balls.py`: `Balls` finds the facets along normals, `halos` those of other ranks, too.
+- `visibility.py`: overlaps of facets in a plane, the nearest of several layers, and what is hidden
+  by a body; `self_contact.py`: on a surface that touches itself, which facets may meet, and which
+  of two is secondary.
 
-Read first: `facets.Facets`, `nodes.SurfaceNodes`, `halo.extend_halos`.
+Read first: `facets.Facets`, `nodes.SurfaceNodes`, `balls.halos`.
 """

@@ -1,14 +1,32 @@
-"""Search for facets along the normals of other facets, by enclosing boxes and balls."""
+"""Search for facets along lines, by enclosing boxes and balls, and among the facets of all ranks.
+
+The halo of a side are the facets that a rank needs: its own and copies of those of other ranks.
+They are requested only from ranks that may have them, judged by the bounding box of the facets that
+each rank owns, and are in the order of the ranks that own them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
+from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca.pairing.search.facets import (
+    CREDIBLE_PART,
+    FACET_ARRAYS,
+    FACING_COSINE,
+    SHALLOW_DEPTH,
+    Facets,
+    Pieces,
+)
 
 #: Number of lines in a block that is searched at once, which bounds the memory.
 LINES_AT_ONCE = 2048
@@ -25,8 +43,8 @@ def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices
         The index i (m,) of the range of each member, and the members (m,).
     """
     owner = np.repeat(np.arange(len(numbers)), numbers)
-    first = np.cumsum(numbers) - numbers
-    return owner, np.arange(len(owner)) + (starts - first)[owner]
+    offsets = np.cumsum(numbers) - numbers
+    return owner, np.arange(len(owner)) + (starts - offsets)[owner]
 
 
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
@@ -48,12 +66,6 @@ def bounding_box(points: Array) -> Array:
     Without points they are infinite and -infinite.
     """
     return np.stack([points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)])
-
-
-def within_reach(box: Array, points: Array, reach: Array) -> Mask:
-    """Return a mask (n,) of the points (n, 3) within a distance `reach` (n,) of a box (2, 3)."""
-    outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=1) <= reach)
 
 
 def line_intervals(
@@ -144,3 +156,156 @@ class Balls:
         across = np.linalg.norm(offset - along[:, None] * normals[moving], axis=1)
         meet = across <= (radii[moving] + self._radii[met]) * (1.0 + 1e-9)
         return moving[meet], met[meet]
+
+
+#: Distance from a piece, relative to the radius of the largest piece, within which the second ring
+#: of its neighbours begins: the width of a facet that is cut into pieces (`Pieces`). With half of
+#: it, curved facets at the end of the halo would have other normals than on their own rank.
+TWO_RINGS = 4.0
+
+
+def at_own_nodes(V: Any, facets: Facets) -> Indices:
+    """Return the indices of the facets with a corner that this rank owns. Not collective."""
+    low, high = V.dofmap.index_map.local_range
+    corners = facets.nodes[:, : facets.corners]
+    return np.flatnonzero(((corners >= low) & (corners < high)).any(axis=1))
+
+
+def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
+    """Return all facets with a corner that this rank owns. Collective.
+
+    Args:
+        V: the space of the displacement.
+        owned: the facets that this rank owns.
+    """
+    ends = V.mesh.comm.allgather(V.dofmap.index_map.local_range[1])
+    ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
+    facet = np.repeat(np.arange(len(ranks)), owned.corners)
+    result = _sent(V.mesh.comm, owned, facet, ranks.ravel())
+    mine = at_own_nodes(V, result)
+    return replace(result, **{name: getattr(result, name)[mine] for name in FACET_ARRAYS})
+
+
+def near_lines(
+    comm: MPI.Comm,
+    owned: Facets,
+    points: Array,
+    directions: Array,
+    reach: Array,
+    length: Array | float,
+) -> Facets:
+    """Return this rank's facets and those of all ranks that are close to lines. Collective.
+
+    See `Balls.on_normals`. Lines without length are points.
+
+    Args:
+        comm: the communicator.
+        owned: the facets that this rank owns.
+        points: (n, 3) a point of each line [length].
+        directions: (n, 3) unit vectors along the lines.
+        reach: (n,) distance within which facets are close [length].
+        length: length of the lines in both directions from their points [length]; a number, or an
+            array (n,).
+    """
+    if comm.size == 1:
+        return owned
+    pieces = Pieces.from_facets(owned)
+    box = comm.allgather((bounding_box(pieces.centres), pieces.radii.max(initial=0.0)))
+    length = np.broadcast_to(length, len(points))
+    chosen = []
+    for rank, (corners, radius) in enumerate(box):
+        enter, leave = line_intervals(corners, points, directions, reach + radius)
+        far = length + reach + radius
+        near = np.maximum(enter, -far) <= np.minimum(leave, far)
+        chosen.append(np.flatnonzero(near & (rank != comm.rank)))
+    ranks = np.repeat(np.arange(comm.size), [len(indices) for indices in chosen])
+    lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
+    lines, source = exchange(comm, lines, ranks)
+    balls = Balls(pieces.centres, pieces.radii)
+    pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
+    for block in blocks(len(lines)):
+        line, piece = balls.on_normals(
+            lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
+        )
+        facet = pieces.facet[piece]
+        pairs.append(np.unique(np.column_stack([facet, source[block][line]]), axis=0))
+    return _sent(comm, owned, *np.concatenate(pairs).T)
+
+
+def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
+    """Send facets (n,) of those that a rank owns to ranks (n,). Collective.
+
+    Returns:
+        The facets that this rank owns, and those that were sent to it.
+    """
+    arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
+    count = len(owned.points)
+    kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
+    records = np.empty(count, dtype=kinds)
+    for name, array in arrays.items():
+        records[name] = array
+    kept = np.arange(count) * comm.size + comm.rank
+    facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
+    rows, _ = exchange(comm, records[facet], rank)
+    received: dict[str, Any] = {name: rows[name].copy() for name in FACET_ARRAYS}
+    return replace(owned, **received)
+
+
+def with_neighbours(V: Any, owned: Facets) -> Facets:
+    """Return all facets at this rank's nodes and two rings around them. Collective.
+
+    A ring are all facets at the corners of facets: `SmoothSurface` depends on two of them.
+    """
+    mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
+    reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
+    return near_lines(V.mesh.comm, owned, mine.centres, mine.normals, reach, 0.0)
+
+
+def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
+    """Return all facets that the pairing of the facets at this rank's nodes depends on. Collective.
+
+    These are the facets of both sides that lie along the normals of the rank's facets; if facets of
+    the rank penetrate the primary side, the primary facets near them; and two rings of facets
+    around paired facets, see `with_neighbours`.
+
+    Args:
+        V: the space of the displacement.
+        secondary: facets of the secondary side that this rank owns.
+        primary: facets of the primary side that this rank owns.
+        limit: search distance, beyond which no points are paired [length].
+    """
+    comm = V.mesh.comm
+    if comm.size == 1:
+        return secondary, primary
+    mine = Pieces.from_facets(facets_at_own_nodes(V, secondary))
+    rings = TWO_RINGS * max(_largest_radius(comm, side) for side in (secondary, primary))
+    # a facet whose centre is beyond the limit may have a part within it, or hide such a part
+    far, reach = limit + mine.radii + rings, mine.radii + rings
+    lines = mine.centres, mine.normals, reach, far
+    around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
+    partners = Pieces.from_facets(across)
+    balls = Balls(partners.centres, partners.radii)
+    depth: Array = np.zeros(len(far))
+    for block in blocks(len(far)):
+        own, partner = balls.on_normals(
+            mine.centres[block], mine.normals[block], mine.radii[block], far[block]
+        )
+        own += block.start
+        cosine = np.einsum("ni,ni->n", mine.normals[own], partners.normals[partner])
+        own, partner = own[cosine < -FACING_COSINE], partner[cosine < -FACING_COSINE]
+        corners = partners.points[partner] - mine.centres[own][:, None]
+        heights = np.einsum("nci,ni->nc", corners, mine.normals[own]).min(axis=1)
+        np.maximum.at(depth, own, -heights)
+    flat = secondary.plane and primary.plane
+    depth = np.minimum(depth + (0.0 if flat else mine.radii), far)
+    deep = depth > 0.5 * SHALLOW_DEPTH * mine.radii
+    if comm.allreduce(int(deep.sum())):
+        near = np.maximum(reach, 2.0 * mine.radii + CREDIBLE_PART * depth)
+        points = mine.centres[deep], mine.normals[deep], near[deep], np.zeros(deep.sum())
+        both = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
+        across = near_lines(comm, primary, *both)
+    return around, across
+
+
+def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
+    return float(comm.allreduce(Pieces.from_facets(facets).radii.max(initial=0.0), op=MPI.MAX))

@@ -45,6 +45,20 @@ MATCHING_DISTANCE = 1e-8
 RIM_PART = 1e-6
 
 
+#: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
+#: degrees). At larger angles the facet's area is more than ten times the area of its projection.
+FACING_COSINE = 0.1
+
+#: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
+#: surfaces penetrate each other by a part of their size.
+SHALLOW_DEPTH = 0.1
+
+#: A point's penetration along the normal counts only if the point's least distance from the other
+#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
+#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
+CREDIBLE_PART = 0.1
+
+
 @dataclass(frozen=True)
 class Facets:
     """The facets with one tag on this rank: curves in 2D, triangles or quadrilaterals in 3D.
@@ -63,7 +77,8 @@ class Facets:
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            search/tagged.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if all are.
+            search/tagged.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if those of
+            both sides are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see search/self_contact.py; (n, 0) on other surfaces.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
@@ -178,26 +193,18 @@ def frames_along(sides: Array, normals: Array) -> Array:
         sides: (n, 3) vectors, which are projected onto the planes of the normals.
         normals: (n, 3) unit normals.
     """
-    first = sides - np.einsum("ni,ni->n", sides, normals)[:, None] * normals
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, cross(normals, first), normals], axis=1)
+    along = sides - np.einsum("ni,ni->n", sides, normals)[:, None] * normals
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    return np.stack([along, cross(normals, along), normals], axis=1)
 
 
 def joined(groups: Sequence[Facets]) -> Facets:
     """Return the facets of several tags as one surface."""
-    exact = max(group.offsets.shape[1] for group in groups)
-    padded = [
-        group
-        if group.offsets.shape[1] == exact
-        else replace(group, offsets=np.full((len(group.points), exact, 3), np.nan))
-        for group in groups
-    ]
-    padded = [
-        replace(group, tag_index=np.full(len(group.points), k)) for k, group in enumerate(padded)
-    ]
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(group, name) for group in padded]) for name in FACET_ARRAYS
+        name: np.concatenate([getattr(group, name) for group in groups]) for name in FACET_ARRAYS
     }
+    counts = [len(group.points) for group in groups]
+    arrays["tag_index"] = np.repeat(np.arange(len(groups)), counts)
     bent, plane = any(group.bent for group in groups), all(group.plane for group in groups)
     return replace(groups[0], bent=bent, plane=plane, **arrays)
 
@@ -222,12 +229,8 @@ def cross_products(along: Array) -> Array:
 @cache
 def _element(cell: str, degree: int) -> Any:
     """Return the Lagrange element of a reference cell."""
-    return basix.create_element(
-        basix.ElementFamily.P,
-        basix.CellType[cell],
-        degree,
-        basix.LagrangeVariant.gll_warped if degree > 0 else basix.LagrangeVariant.unset,
-    )
+    variant = basix.LagrangeVariant.gll_warped
+    return basix.create_element(basix.ElementFamily.P, basix.CellType[cell], degree, variant)
 
 
 def lagrange_points(cell: str, degree: int) -> Array:
@@ -251,47 +254,6 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
     return np.asarray(points), np.asarray(weights)
 
 
-def oriented(
-    cell: str,
-    degree: int,
-    nodes: GlobalNumbers,
-    points: Array,
-    free: Mask,
-    file_numbers: GlobalNumbers,
-    middle: Array,
-) -> Facets:
-    """Return facets whose normals point away from their cells.
-
-    Args:
-        cell: type of the facets.
-        degree: polynomial degree of the displacement.
-        nodes: (n, k) global numbers of the displacement's nodes.
-        points: (n, k, 3) positions of the nodes [length].
-        free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
-        file_numbers: (n, corners) numbers of the corners in the mesh file.
-        middle: (n, 3) midpoints of the cells behind the facets [length].
-    """
-    result = Facets(
-        cell,
-        degree,
-        nodes,
-        points,
-        free,
-        file_numbers,
-        np.ones(len(points)),
-        np.zeros((len(points), 0, 3)),
-        np.zeros((len(points), 0)),
-        np.zeros(len(points), dtype=np.intp),
-        bent=False,
-        plane=True,
-    ).moved_to(points)
-    centre, _ = quadrature(cell, 1)
-    ahead = points[:, : result.corners].mean(axis=1) - middle
-    away = np.einsum("ni,ni->n", result.area_vectors(centre)[:, 0], ahead)
-    result.outward[away < 0.0] = -1.0
-    return result
-
-
 @dataclass(frozen=True)
 class Pieces:
     """Segments, triangles or quadrilaterals that approximate facets.
@@ -306,6 +268,7 @@ class Pieces:
         centres: (n, 3) means of the corners [length].
         radii: (n,) largest distance of a corner from the centre [length].
         normals: (n, 3) outward unit normals of the (mean) planes.
+        areas: (n,) areas of the pieces, projected onto these planes [length^2, in 2D length].
     """
 
     facet: Indices
@@ -314,9 +277,10 @@ class Pieces:
     centres: Array
     radii: Array
     normals: Array
+    areas: Array
 
     @classmethod
-    def of(cls, facets: Facets) -> Pieces:
+    def from_facets(cls, facets: Facets) -> Pieces:
         """Cut facets into pieces."""
         corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
         points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
@@ -327,14 +291,16 @@ class Pieces:
             vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
         else:  # the area vector is half the cross product of the diagonals, or of two sides
             vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
-        vectors = vectors * facets.outward[facet, None]
+            vectors *= 0.5
+        areas = np.linalg.norm(vectors, axis=1)
         return cls(
             facet,
             nodes,
             points,
             centres,
             np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
-            np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None]),
+            np.asarray(vectors / (facets.outward[facet] * areas)[:, None]),
+            np.asarray(areas),
         )
 
     @cached_property
@@ -350,6 +316,22 @@ class Pieces:
         """
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
+
+    def distances(self, chosen: Indices, points: Array) -> Array:
+        """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
+        corners = self.points[chosen] - points[:, None]
+        normals = self.normals[chosen]
+        along = np.roll(corners, -1, axis=1) - corners
+        # parameter in [0, 1] of the nearest point of each side
+        share = -np.einsum("nci,nci->nc", corners, along) / np.square(along).sum(axis=2)
+        share = np.clip(share, 0.0, 1.0)
+        result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
+        if corners.shape[1] > 2:
+            turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
+            projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
+            height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
+            result = np.where(projects_inside, height, result)
+        return np.asarray(result)
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
@@ -388,17 +370,17 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, other: Indices) -> Mask:
+def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, partner: Indices) -> Mask:
     """Return whether each pair (p,) of a secondary and a primary facet has the same corners.
 
     Args:
         secondary: facets of the secondary side.
         facet: (p,) secondary facet of each pair.
         primary: facets of the primary side.
-        other: (p,) primary facet of each pair.
+        partner: (p,) primary facet of each pair.
     """
     corners = secondary.points[facet, : secondary.corners]
-    offset = primary.points[other, None, : primary.corners] - corners[:, :, None]
+    offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
     size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
     allowed = (MATCHING_DISTANCE + secondary.rounding[facet]) * size
     nearest = np.linalg.norm(offset, axis=3).min(axis=2)

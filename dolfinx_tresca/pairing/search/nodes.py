@@ -10,8 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross
-from dolfinx_tresca.pairing.search.balls import expanded_ranges
-from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.facets import Facets, lagrange_points, quadrature
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
 #: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
@@ -24,12 +23,6 @@ NORMAL_ROUNDING = 1e-6
 
 #: Placeholder for the normal of a node without normal; it is an error if a rank owns the node.
 NO_NORMAL = np.array([1.0, 0.0, 0.0])
-
-REFERENCE_CORNERS = {
-    "interval": np.array([[0.0], [1.0]]),
-    "triangle": np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
-    "quadrilateral": np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]),
-}
 
 #: The corners before and after each corner, in the order round the facet.
 NEIGHBOURS = {
@@ -77,7 +70,7 @@ class SurfaceNodes:
     has_no_normal: Mask
 
     @classmethod
-    def of(cls, facets: Facets) -> SurfaceNodes:
+    def from_facets(cls, facets: Facets) -> SurfaceNodes:
         """Return the corners of facets, with their weights and normals."""
         corners = facets.corners
         unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
@@ -93,15 +86,12 @@ class SurfaceNodes:
         position[order] = np.arange(len(order))
         position = position[patch]
 
-        def summed(values: Array) -> Array:
-            sums = np.bincount(position, values.ravel(), minlength=len(numbers))
-            return sums.astype(np.float64)
-
-        vectors = np.stack([summed(spread * normals[:, :, i]) for i in range(3)], axis=1)
-        lengths = summed(spread)
-        first = np.unique(position, return_index=True)[1]
-        points = facets.points[:, :corners].reshape(-1, 3)[first]
-        free = facets.free.reshape(-1, facets.free.shape[2])[first]
+        position = position.reshape(-1, corners)
+        vectors = node_sums(position, spread[:, :, None] * normals, len(numbers))
+        lengths = node_sums(position, spread, len(numbers))
+        corner = np.unique(position, return_index=True)[1]
+        points = facets.points[:, :corners].reshape(-1, 3)[corner]
+        free = facets.free.reshape(-1, facets.free.shape[2])[corner]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
         return cls(
             facets,
@@ -111,7 +101,7 @@ class SurfaceNodes:
             corner_weights,
             free_normals(np.where(has_no_normal[:, None], NO_NORMAL, vectors), free),
             free,
-            position.reshape(-1, corners),
+            position,
             has_no_normal,
         )
 
@@ -125,7 +115,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     Weights for computing vertex normals from facet normals).
     """
     corners = facets.points[:, : facets.corners]
-    normals = facets.area_vectors(REFERENCE_CORNERS[facets.cell])
+    normals = facets.area_vectors(lagrange_points(facets.cell, 1))
     normals = normals / np.linalg.norm(normals, axis=2)[:, :, None]
     before, after = (corners[:, list(order)] - corners for order in NEIGHBOURS[facets.cell])
     squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
@@ -149,8 +139,8 @@ def free_normals(vectors: Array, free: Mask) -> Array:
     movable = normals.copy()
     movable[:, : free.shape[1]][~free] = 0.0
     length = np.linalg.norm(movable, axis=1)
-    some = (length > FREE_PART) & ~free.all(axis=1)
-    normals[some] = movable[some] / length[some, None]
+    turned = (length > FREE_PART) & ~free.all(axis=1)
+    normals[turned] = movable[turned] / length[turned, None]
     return normals
 
 
@@ -176,16 +166,13 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
     corners = np.flatnonzero(np.isin(node, node[leans <= limit[node]]))
     if len(corners) == 0:
         return node, np.arange(count)
-    own = node[corners]
-    order = np.argsort(own, kind="stable")
-    starts = np.searchsorted(own[order], own)
-    counts = np.searchsorted(own[order], own, side="right") - starts
-    corner, place = expanded_ranges(starts, counts)
-    partner = order[place]
+    rows = np.arange(len(corners))
+    at_node = coo_array((np.ones(len(corners)), (rows, node[corners])))
+    corner, partner = (at_node @ at_node.T).nonzero()
     cosine = np.einsum("ni,ni->n", normals[corners[corner]], normals[corners[partner]])
     near = cosine >= math.cos(math.radians(EDGE_ANGLE))
     links = np.ones(near.sum()), (corner[near], partner[near])
-    graph = coo_array(links, shape=(len(own), len(own)))
+    graph = coo_array(links, shape=(len(corners), len(corners)))
     component = np.zeros(len(node), dtype=np.intp)
     component[corners] = connected_components(graph, directed=False)[1]
     number = int(component.max()) + 1

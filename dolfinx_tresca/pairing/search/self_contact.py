@@ -18,9 +18,9 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.pairing.search.facets import Facets, quadrature
+from dolfinx_tresca.pairing.search.facets import FACING_COSINE, SHALLOW_DEPTH, Facets, quadrature
 from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
-from dolfinx_tresca.pairing.search.visibility import FACING_COSINE, SHALLOW_DEPTH, TOUCHING_DISTANCE
+from dolfinx_tresca.pairing.search.visibility import TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
 #: 1, slight differences in size would decide, and between equal bricks rounding.
@@ -64,12 +64,12 @@ class SelfContact:
         self.place = facets.points[:, : facets.corners].mean(axis=1)
         self.present_normal = facets.mean_normals
 
-    def _facing_before(self, first: Indices, second: Indices) -> Mask:
+    def _facing_before(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
-        cosine = np.einsum("ni,ni->n", self.normal[first], self.normal[second])
+        cosine = np.einsum("ni,ni->n", self.normal[facet], self.normal[partner])
         return np.asarray(cosine < -FACING_COSINE)
 
-    def may_meet(self, first: Indices, second: Indices) -> Mask:
+    def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of one body may not meet if they are neighbours, or if they are the two faces of a
@@ -81,20 +81,20 @@ class SelfContact:
         present configuration, and the present depth must exceed `WALL_PART` of the undeformed
         depth.
         """
-        result = np.ones(len(first), dtype=np.bool_)
-        some = np.flatnonzero(self.body[first] == self.body[second])
-        f, g = first[some], second[some]
+        result = np.ones(len(facet), dtype=np.bool_)
+        in_one_body = np.flatnonzero(self.body[facet] == self.body[partner])
+        f, g = facet[in_one_body], partner[in_one_body]
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
         shallow = np.where(common, TOUCHING_DISTANCE, SHALLOW_DEPTH)
         shallow = shallow * (self.radius[f] + self.radius[g])
-        was = _least_depth(self.centre, self.normal, f, g)
-        now = _least_depth(self.place, self.present_normal, f, g)
-        wall = (was > shallow) & (now > np.maximum(shallow, WALL_PART * was))
-        result[some] = ~(neighbours | wall)
+        undeformed = _least_depth(self.centre, self.normal, f, g)
+        present = _least_depth(self.place, self.present_normal, f, g)
+        wall = (undeformed > shallow) & (present > np.maximum(shallow, WALL_PART * undeformed))
+        result[in_one_body] = ~(neighbours | wall)
         return result
 
-    def is_secondary(self, first: Indices, second: Indices) -> Mask:
+    def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
@@ -103,7 +103,7 @@ class SelfContact:
         ring, the facet whose normal points along the direction is secondary; otherwise, as on a
         folded sheet, the facet that comes first in this direction is secondary.
         """
-        f, g = first, second
+        f, g = facet, partner
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
             self.size[f], self.size[g]
         )
@@ -117,19 +117,18 @@ class SelfContact:
         return np.where(self.body[f] == self.body[g], in_body, of_bodies)
 
 
-def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
+def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:
     """Return the smaller depth (m,) of two facets' centres, each behind the other facet's plane."""
-    offset = centre[second] - centre[first]
-    behind = -np.einsum("ni,ni->n", offset, normal[first])
-    ahead = np.einsum("ni,ni->n", offset, normal[second])
+    offset = centre[partner] - centre[facet]
+    behind = -np.einsum("ni,ni->n", offset, normal[facet])
+    ahead = np.einsum("ni,ni->n", offset, normal[partner])
     return np.asarray(np.minimum(behind, ahead))
 
 
-def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
-    """Return `Facets.origins` of this rank's facets, and the number of bodies of the surface.
+def facet_origins(V: Any, facets: Facets) -> Array:
+    """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
 
-    The columns of `Facets.origins` are body, size, centre, normal, radius and direction, as in
-    `SelfContact`. The mesh must be undeformed. Collective.
+    The columns are body, size, centre, normal, radius and direction, as in `SelfContact`.
 
     Args:
         V: the space of the displacement.
@@ -160,8 +159,8 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
     np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
     quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
     best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
-    origins = np.column_stack([body, size[body], centre, normals, radius, directions[best][body]])
-    return origins, int(np.count_nonzero(count))
+    direction = directions[best][body]
+    return np.column_stack([body, size[body], centre, normals, radius, direction])
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:

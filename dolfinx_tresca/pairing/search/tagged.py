@@ -23,7 +23,6 @@ from dolfinx_tresca.pairing.search.facets import (
     Facets,
     cross_products,
     lagrange_points,
-    oriented,
     quadrature,
     tabulate,
 )
@@ -76,16 +75,16 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
             raise InputError(
                 f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
             )
-    for first, second in ((dim, dim + 1), (dim + 1, dim)):
-        mesh.topology.create_connectivity(first, second)
+    for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
+        mesh.topology.create_connectivity(entity, neighbour)
     facets = facet_tags.find(tag)
     facets = facets[facets < mesh.topology.index_map(dim).size_local]
     exterior = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
     number, outside = comm.allreduce(np.array([len(facets), exterior.sum()]))
     if number == 0:
-        known = sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist()))))
+        in_use = sorted(set().union(*comm.allgather(np.unique(facet_tags.values).tolist())))
         raise InputError(
-            f"no facet has the tag {tag} of the {side} side; the tags in use are {known}."
+            f"no facet has the tag {tag} of the {side} side; the tags in use are {in_use}."
         )
     if outside < number:
         raise PairingError(
@@ -119,15 +118,23 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
     free.scatter_forward()
     is_free = free.array.reshape(-1, dofmap.index_map_bs) > 0.5
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
-    result = oriented(
+    result = Facets(
         cell,
         V.element.basix_element.degree,
         np.asarray(numbers, dtype=np.int64),
         points,
         is_free[nodes[:, :corners]],
         numbers_in_file(V)[nodes[:, :corners]],
-        middle,
-    )
+        outward=np.ones(len(facets)),
+        offsets=np.zeros((len(facets), 0, 3)),
+        origins=np.zeros((len(facets), 0)),
+        tag_index=np.zeros(len(facets), dtype=np.intp),
+        bent=False,
+        plane=True,
+    ).moved_to(points)
+    ahead = points[:, :corners].mean(axis=1) - middle
+    vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
+    result.outward[np.einsum("ni,ni->n", vectors, ahead) < 0.0] = -1.0
     return checked(comm, result, f"tag {tag}", side)
 
 
@@ -233,10 +240,15 @@ def _offset_sides(
     """
     comm, result = V.mesh.comm, dict(sides)
     with errors_on_all_ranks(comm), open_pieces(geometry) as surfaces:
-        for tag in sides.keys() & surfaces.keys():
-            offsets = _offsets(sides[tag], tag, surfaces[tag], V.mesh.geometry.dim)
-            result[tag] = replace(sides[tag], offsets=offsets)
-    for tag, facets in result.items():
+        known_tags = sorted(sides.keys() & surfaces.keys())
+        for tag, facets in sides.items() if known_tags else ():
+            count = len(lagrange_points(facets.cell, OFFSET_DEGREE))
+            offsets: Array = np.full((len(facets.points), count, 3), np.nan)
+            if tag in known_tags:
+                offsets = _offsets(facets, tag, surfaces[tag], V.mesh.geometry.dim)
+            result[tag] = replace(facets, offsets=offsets)
+    for tag in known_tags:
+        facets = result[tag]
         size = np.ptp(facets.points, axis=1).max(axis=1)
         off = np.linalg.norm(facets.offsets[:, : facets.corners], axis=2).max(axis=1, initial=0.0)
         of_rank = [(off / size).max(initial=0.0), off.max(initial=0.0)]

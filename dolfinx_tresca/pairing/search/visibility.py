@@ -1,4 +1,4 @@
-"""Visibility: facets are not paired through a body."""
+"""Overlaps of facets along a normal: the nearest of them, and nothing behind a body."""
 
 from __future__ import annotations
 
@@ -7,26 +7,17 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.pairing.search.balls import Balls, expanded_ranges, flattened
-from dolfinx_tresca.pairing.search.facets import Pieces
+from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, SHALLOW_DEPTH, Pieces
 
-#: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
-#: degrees). At larger angles the facet's area is more than ten times the area of its projection.
-FACING_COSINE = 0.1
+#: The overlaps of a piece are taken not to cover each other if their total area is at most this
+#: times the area of the piece: 1 plus rounding.
+COVERED_ONCE = 1.0 + 1e-8
 
 #: Distance of surfaces, relative to the radius of a facet, up to which they touch: above rounding,
 #: and far below the resolution of a mesh.
 TOUCHING_DISTANCE = 1e-6
-
-#: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
-#: surfaces penetrate each other by a part of their size.
-SHALLOW_DEPTH = 0.1
-
-#: A point's penetration along the normal counts only if the point's least distance from the other
-#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
-#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
-CREDIBLE_PART = 0.1
 
 #: Cosine between a line and the normal of a facet up to which the line is parallel to the facet.
 PARALLEL_COSINE = 1e-6
@@ -61,10 +52,10 @@ class Visibility:
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
-    search/clipping.py.
+    `nearest_layer_weights`.
     """
 
-    def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
+    def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
         """Keep the pieces of both sides, and find the primary pieces that may hide points.
 
         Only primary pieces that are turned away from a secondary piece may hide points from it
@@ -72,27 +63,27 @@ class Visibility:
 
         Args:
             pieces: pieces of the secondary side.
-            others: pieces of the primary side.
-            body: (n,) the body of each piece of a surface that touches itself, where `others` are
+            partners: pieces of the primary side.
+            body: (n,) the body of each piece of a surface that touches itself, where `partners` are
                 the same pieces; None for two surfaces.
         """
-        self._pieces, self._others, self._body = pieces, others, body
+        self._pieces, self._others, self._body = pieces, partners, body
         # `least` bounds the angles between the normals of secondary pieces and their mean. By this
         # bound only the primary pieces in `may` can have a normal at less than a right angle to the
         # normal of a secondary piece.
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
-        may = (least <= 0.0) | (others.normals @ mean > -sine - PARALLEL_COSINE)
+        may = (least <= 0.0) | (partners.normals @ mean > -sine - PARALLEL_COSINE)
         #: indices of the primary pieces that may be turned away from a secondary piece
         self._facing_away = np.flatnonzero(may)
 
     @cached_property
     def _balls(self) -> tuple[Balls, Balls]:
         """The enclosing balls of the primary and of the secondary pieces that may be occluders."""
-        others, away = self._others, self._facing_away
+        partners, away = self._others, self._facing_away
         own = Balls(self._pieces.centres, self._pieces.radii)
-        return Balls(others.centres[away], others.radii[away]), own
+        return Balls(partners.centres[away], partners.radii[away]), own
 
     def hidden(
         self,
@@ -100,7 +91,7 @@ class Visibility:
         places: Array,
         start: Array,
         end: Array,
-        other: Indices | None = None,
+        partner: Indices | None = None,
     ) -> Mask:
         """Return whether each primary point is hidden from the opposite secondary point, (n,).
 
@@ -110,19 +101,19 @@ class Visibility:
                 of the piece [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
-            other: (n,) the primary piece of each point; needed on a surface that touches itself.
+            partner: (n,) the primary piece of each point; needed on a surface that touches itself.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         in_one_body = np.zeros(len(piece), dtype=np.bool_)
         # the piece of the primary point, if it may be on `own`
         end_piece: Indices = np.full(len(piece), -1)
-        if self._body is not None and other is not None:
-            in_one_body, end_piece = self._body[piece] == self._body[other], other
+        if self._body is not None and partner is not None:
+            in_one_body, end_piece = self._body[piece] == self._body[partner], partner
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
-        targets, first, target = np.unique(piece[apart], return_index=True, return_inverse=True)
-        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
+        targets, starts, target = np.unique(piece[apart], return_index=True, return_inverse=True)
+        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], starts)
         for own in (True, False):
             occluders, occluder_target, corners, height, slope = self._occluders(
                 own, targets, reach
@@ -130,10 +121,10 @@ class Visibility:
             begin = np.searchsorted(occluder_target, target)
             numbers = np.searchsorted(occluder_target, target, side="right") - begin
             block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
-            for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
+            for chunk in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
-                owner, occluder = expanded_ranges(begin[some], numbers[some])
-                place = apart[some[owner]]
+                owner, occluder = expanded_ranges(begin[chunk], numbers[chunk])
+                place = apart[chunk[owner]]
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
                     passed = occluders[occluder] != end_piece[place]
                     occluder, place = occluder[passed], place[passed]
@@ -148,9 +139,9 @@ class Visibility:
                 matters = leaves | gap if own else leaves == gap
                 distance = (crossing - start[place]) * np.where(gap, 1.0, -1.0)
                 touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
-                at = np.where(leaves, distance - touch, distance + touch)
+                place_on_line = np.where(leaves, distance - touch, distance + touch)
                 length = np.abs(end - start)[place]
-                between = (at > 0.0) & (at <= length)
+                between = (place_on_line > 0.0) & (place_on_line <= length)
                 result[place[matters & between]] = True
         apart = apart[~in_one_body[apart]]
         result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
@@ -174,11 +165,11 @@ class Visibility:
         near = cKDTree(self._others.centres).query_ball_point(
             points, limit + self._others.radii.max()
         )
-        point, other = flattened(near)
+        point, partner = flattened(near)
         if self._body is not None:
-            elsewhere = self._body[other] != self._body[piece[deep]][point]
-            point, other = point[elsewhere], other[elsewhere]
-        within = distances(self._others, other, points[point]) < limit[point]
+            elsewhere = self._body[partner] != self._body[piece[deep]][point]
+            point, partner = point[elsewhere], partner[elsewhere]
+        within = self._others.distances(partner, points[point]) < limit[point]
         result[deep[point[within]]] = True
         return result
 
@@ -207,12 +198,12 @@ class Visibility:
             reach + pieces.radii[targets],
         )  # fmt: skip
         occluder, piece = occluder if own else self._facing_away[occluder], targets[target]
-        normal, other = pieces.normals[piece], side.normals[occluder]
-        cosine = np.einsum("ni,ni->n", normal, other)
+        normal, their_normal = pieces.normals[piece], side.normals[occluder]
+        cosine = np.einsum("ni,ni->n", normal, their_normal)
         if own:
             offset = side.centres[occluder] - pieces.centres[piece]
             height = np.abs(np.einsum("ni,ni->n", offset, normal))
-            height += side.radii[occluder] * np.linalg.norm(normal - other, axis=1)
+            height += side.radii[occluder] * np.linalg.norm(normal - their_normal, axis=1)
             apart = height > TOUCHING_DISTANCE * pieces.radii[piece]
             keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
@@ -249,18 +240,160 @@ def _around_origin(corners: Array) -> Mask:
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
 
-def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
-    """Return the distance (n,) of each point (n, 3) from its flat piece `chosen` (n,) [length]."""
-    corners = pieces.points[chosen] - points[:, None]
-    normals = pieces.normals[chosen]
-    along = np.roll(corners, -1, axis=1) - corners
-    # parameter in [0, 1] of the nearest point of each side
-    part = -np.einsum("nci,nci->nc", corners, along) / np.einsum("nci,nci->nc", along, along)
-    part = np.clip(part, 0.0, 1.0)
-    result = np.linalg.norm(corners + part[:, :, None] * along, axis=2).min(axis=1)
-    if corners.shape[1] > 2:
-        turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
-        projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
-        height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
-        result = np.where(projects_inside, height, result)
-    return np.asarray(result)
+def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
+    """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
+
+    Args:
+        own: (n, a, d) corners of the first segments (d = 1, a = 2) or convex polygons (d = 2),
+            clockwise or counter-clockwise.
+        partners: (n, b, d) corners of the second segments or polygons, in either order.
+        centred: whether polygons are cut into triangles round their centroid, instead of a fan of
+            triangles from one of their corners. This gives more triangles, but they do not depend
+            on rounding or on the order of the corners.
+
+    Returns:
+        The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
+        ascending. Pairs with an empty intersection have no simplices.
+    """
+    low = np.maximum(own.min(axis=1), partners.min(axis=1))
+    high = np.minimum(own.max(axis=1), partners.max(axis=1))
+    if own.shape[2] == 1:
+        size = (high - low)[:, 0]
+        pair = np.flatnonzero(size > 0.0)
+        return np.stack([low, high], axis=1)[pair], size[pair], pair
+    near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
+    windows = own[near]
+    sides = windows - windows[:, :1]
+    clockwise = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1) < 0.0
+    windows[clockwise] = windows[clockwise, ::-1]
+    polygons = clip(partners[near], windows)
+    fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
+    if centred:
+        total = areas.sum(axis=1)
+        moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
+        # the centroid of a polygon without area is undefined: take its first corner
+        centroid = np.where(total[:, None] > 0.0, moment, polygons[:, 0])
+        centroid = centroid / np.where(total > 0.0, total, 1.0)[:, None]
+        fans, areas = _triangle_fan(centroid, polygons, np.roll(polygons, -1, axis=1))
+    pair, place = np.nonzero(areas > 0.0)
+    return fans[pair, place], areas[pair, place], near[pair]
+
+
+def _triangle_fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
+    """Return triangles (n, t, 3, 2) between `tip` (n, 2) and sides, and their areas (n, t).
+
+    The sides lead from `start` to `end`, (n, t, 2).
+    """
+    fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
+    areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
+    return fans, areas
+
+
+def clip(polygons: Array, windows: Array) -> Array:
+    """Clip convex polygons by convex windows (Sutherland and Hodgman 1974).
+
+    Args:
+        polygons: (n, a, 2) corners of the polygons.
+        windows: (n, b, 2) corners of the windows, counter-clockwise.
+
+    Returns:
+        Polygons (n, c, 2), where c is the largest number of corners. Polygons with fewer corners
+        repeat their last corner; all corners of an empty polygon are equal.
+    """
+    for corner in range(windows.shape[1]):
+        start = windows[:, corner]
+        along = windows[:, (corner + 1) % windows.shape[1]] - start
+        polygons = _clip_by_line(polygons, start, along)
+    return polygons
+
+
+def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
+    """Return the part (n, c, 2) of each polygon on the left of its line.
+
+    The line of each polygon goes through a point `start` (n, 2) in the direction `along` (n, 2). A
+    convex polygon gains at most one corner. If corners coincide up to rounding, a polygon may cross
+    its line more than twice; all crossings are kept.
+    """
+    n, a, _ = polygons.shape
+    following = np.roll(polygons, -1, axis=1)
+    height = _cross(along[:, None], polygons - start[:, None])
+    next_height = np.roll(height, -1, axis=1)
+    inside = height >= 0.0
+    crosses = inside != (next_height >= 0.0)
+    share = np.divide(height, height - next_height, out=np.zeros_like(height), where=crosses)
+    crossing = polygons + share[:, :, None] * (following - polygons)
+    # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
+    points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
+    kept = np.stack([inside, crosses], axis=2).reshape(n, 2 * a)
+    place = np.cumsum(kept, axis=1)
+    number = place[:, -1]
+    row, column = np.nonzero(kept)
+    count = max(int(number.max(initial=1)), 1)
+    result = np.zeros((n, count, 2))
+    result[row, place[row, column] - 1] = points[row, column]
+    slot = np.minimum(np.arange(count), np.maximum(number - 1, 0)[:, None])
+    return np.take_along_axis(result, slot[:, :, None], axis=1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products (...) of plane vectors (..., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def nearest_layer_weights(
+    piece: Indices,
+    pair: Indices,
+    simplices: Array,
+    size: Array,
+    places: Array,
+    gap: Array,
+    weight: Array,
+    piece_area: Array,
+) -> Array:
+    """Set the weights of quadrature points to zero where a nearer simplex covers the point.
+
+    The overlap of each pair of pieces is cut into simplices, each with the same number of
+    quadrature points. Where simplices of two pairs overlap, the simplex with the smaller mean |gap|
+    counts.
+
+    Args:
+        piece: (pairs,) the secondary piece of each pair, ascending.
+        pair: (simplices,) the pair of each simplex, ascending.
+        simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
+        size: (simplices,) sizes of the simplices [length^d].
+        places: (points, d) quadrature points in the plane of the secondary piece [length].
+        gap: (points,) gap along the normal [length], positive if open.
+        weight: (points,) quadrature weights, 0 for points that are already excluded.
+        piece_area: (pieces,) sizes of all secondary pieces [length^d].
+
+    Returns:
+        The new weights (points,).
+    """
+    if len(pair) == 0:
+        return weight
+    count = len(places) // len(pair)
+    counts = weight.reshape(-1, count).any(axis=1)
+    covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
+    overlaid = (covered > COVERED_ONCE * piece_area)[piece[pair]]
+    crowded = np.flatnonzero(overlaid & counts)
+    if len(crowded) == 0:
+        return weight
+    inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
+    # a tree for the planes of all pieces, far apart along one more axis
+    middles = simplices[crowded].mean(axis=1)
+    reach = np.linalg.norm(simplices[crowded] - middles[:, None], axis=2).max()
+    plane = 4.0 * reach * piece[pair[crowded]]
+    tree = cKDTree(np.column_stack([middles, plane]))
+    points = np.column_stack([inner, np.repeat(plane, count)])
+    point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
+    a, b, place = crowded[point // count], crowded[b], inner[point]
+    # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
+    distance = np.abs(gap).reshape(-1, count).mean(axis=1)
+    nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
+    point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
+    sides = np.swapaxes(simplices[b, 1:] - simplices[b, :1], 1, 2)
+    reference = np.linalg.solve(sides, (place - simplices[b, 0])[..., None])[..., 0]
+    inside = (reference > 0.0).all(axis=1) & (reference.sum(axis=1) < 1.0)
+    result = weight.reshape(-1, count).copy()
+    result[a[inside], point[inside] % count] = 0.0
+    return result.ravel()

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, cross
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -65,19 +64,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
     )
     if change <= ROUNDING:  # the vectors and semi-axes are of order 1
         return pair
-    blocks = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
-    kept = np.setdiff1d(np.arange(len(node)), rows)
-    rotation = csr_array(
-        (
-            np.append(blocks.ravel(), np.ones(len(kept))),
-            (
-                np.append(np.repeat(rows, 2, axis=1).ravel(), kept),
-                np.append(np.tile(rows, (1, 2)).ravel(), kept),
-            ),
-        ),
-        shape=(len(node), len(node)),
-    )
-    return replace(pair, T=rotation @ pair.T, tangents=tangents, semi_axes=semi_axes)
+    return replace(pair, tangents=tangents, semi_axes=semi_axes)
 
 
 def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Array:
