@@ -143,17 +143,16 @@ def compose(
     from matplotlib.figure import Figure
 
     count = len(contacts)
-    size = (WIDTH, HEIGHT if count < 2 else ROW * count)
-    figure = Figure(figsize=size, facecolor="white")
+    figure = Figure(figsize=(WIDTH, ROW * count if count > 1 else HEIGHT), facecolor="white")
     halves: Any = figure.subfigures(1, 2, width_ratios=(SPLIT, 1.0 - SPLIT))
     left, right = halves
     if count > 2:
         left = left.subfigures(2, 1, height_ratios=(2, count - 2), squeeze=False)[0, 0]
-    bodies = left if contacts else figure
-    views.draw_bodies(bodies, volume, contacts, scale, units.length if units else "")
+    views.draw_bodies(left, volume, contacts, scale, units.length if units else "")
     draw = draw_curve if volume.dim == 2 else views.draw_surface
-    rows = right.subfigures(max(count, 1), 1, squeeze=False)
-    for panel, contact in zip(rows[:, 0], contacts, strict=False):
+    for panel, contact in zip(
+        right.subfigures(count, 1, squeeze=False)[:, 0], contacts, strict=True
+    ):
         draw(panel, contact, units)
     return figure
 
@@ -172,8 +171,8 @@ def display_for_pictures() -> Iterator[None]:
     with ExitStack() as stack:
         linux = sys.platform.startswith("linux")
         if linux and not os.environ.get("DISPLAY") and WINDOW not in os.environ:
-            if window := window_off_screen():
-                variable, value = WINDOW, window
+            if renders_off_screen():
+                variable, value = WINDOW, "vtkEGLRenderWindow"
             else:
                 variable, value = "DISPLAY", stack.enter_context(x_server())
             os.environ[variable] = value
@@ -181,15 +180,15 @@ def display_for_pictures() -> Iterator[None]:
         yield
 
 
-def window_off_screen() -> str | None:
-    """Return a kind of window of VTK that needs no X server; None if no such kind can be used."""
+def renders_off_screen() -> bool:
+    """Return whether VTK can render through EGL, without an X server."""
     import pyvista
 
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError:
-        return None
-    return "vtkEGLRenderWindow" if pyvista.vtk_version_info >= (9, 5) else None
+        return False
+    return tuple(pyvista.vtk_version_info) >= (9, 5)
 
 
 @contextmanager

@@ -42,8 +42,7 @@ FACING = 0.15
 def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
 
-    The view has no perspective. A view that is much higher than wide is turned if `up` is no
-    coordinate direction.
+    The view has no perspective. Arrows at its lower left show the coordinate directions.
 
     Args:
         panel: the panel.
@@ -129,8 +128,7 @@ def draw_bodies(
     limits = panels.colour_range(bodies.point_data["|u|"])
     lift = 4e-3 * bodies.length * normal
     seen = np.concatenate([bodies.points, faces.points])
-    obstacles = [contact.obstacle for contact in contacts if contact.obstacle]
-    different = {(obstacle.signed_distance, obstacle.motion): obstacle for obstacle in obstacles}
+    obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
     legend = []
     with view_in(panel, normal, up) as plotter:
         light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7, "show_scalar_bar": False}
@@ -140,7 +138,9 @@ def draw_bodies(
         if outline.n_points:
             plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
             legend.append(handle("undeformed", OUTLINE, width=1.2))
-        if any([draw_obstacle(plotter, key, seen, volume.dim) for key in different.values()]):
+        if any(
+            [draw_obstacle(plotter, obstacle, seen, volume.dim) for obstacle in obstacles.values()]
+        ):
             legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
         if flat and contacts:
             for contact in contacts:
@@ -304,8 +304,9 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
         for mark, _, middle in panels.MARKS if "mark" in values else ():
             places = pyvista.PolyData(surface.points[values["mark"] == mark] + 2.0 * lift)
-            hole = 0.0 if middle == "black" else 0.11 * spacing
-            disc = pyvista.Disc(inner=hole, outer=0.17 * spacing, normal=normal, c_res=20)
+            size = 0.17 * math.sqrt(surface.area / max(surface.n_points, COARSE))
+            hole = 0.0 if middle == "black" else 0.65 * size
+            disc = pyvista.Disc(inner=hole, outer=size, normal=normal, c_res=20)
             if places.n_points:
                 discs = places.glyph(geom=disc, orient=False, scale=False)
                 plotter.add_mesh(discs, color="black", lighting=False)

@@ -537,7 +537,7 @@ def no_window(monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no display, and VTK cannot load EGL."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv(plot.WINDOW, raising=False)
-    monkeypatch.setattr(plot, "window_off_screen", lambda: None)
+    monkeypatch.setattr(plot, "renders_off_screen", lambda: False)
 
 
 @pytest.mark.usefixtures("no_window")
