@@ -1,4 +1,4 @@
-"""Refinement of meshes in the cells with large errors."""
+"""Refinement of meshes in the cells with the largest errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
-from dolfinx_tresca.adapt.marking import largest_part
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection
@@ -32,6 +31,11 @@ from dolfinx_tresca.stiffness.nested import Bisection, remember
 
 #: Step to which logarithms of errors are rounded when they go to other ranks.
 LOGARITHM_STEP = 1e-6
+
+#: Relative difference of squared errors that counts as rounding: cells whose errors differ less are
+#: marked together, so that the mesh of a symmetric scene stays symmetric, and is the same on any
+#: number of ranks.
+TIE = 1e-9
 
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
@@ -127,6 +131,37 @@ class Marked:
         cells = largest_part(comm, np.square(errors / largest), float(fraction))
         part = float(reduce_array(comm, cells.sum())) / cell_count(tagged_mesh)
         return cls(cells, part, fraction == 1.0)
+
+
+def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
+    """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
+
+    This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
+    except that all cells whose errors equal the least marked error are marked, too.
+
+    Args:
+        comm: communicator of the ranks.
+        squares: (n,) squared errors of this rank's cells, none negative; not all zero.
+        fraction: part of the sum over all ranks, in (0, 1].
+
+    Returns:
+        (n,) whether each of this rank's cells is marked.
+    """
+    ascending = np.sort(squares)
+    from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)
+
+    def beyond(least: float) -> float:
+        """Return the sum of the squared errors that are at least `least`. Collective."""
+        return float(reduce_array(comm, from_here[np.searchsorted(ascending, least)]))
+
+    high = float(comm.allreduce(squares.max(initial=0.0), op=MPI.MAX)) * (1.0 + TIE)
+    least = squares[squares > 0.0].min(initial=high)
+    low = float(comm.allreduce(least, op=MPI.MIN)) * (1.0 - TIE)
+    wanted = fraction * beyond(low) * (1.0 - TIE)
+    while high > low * (1.0 + TIE):
+        middle = np.sqrt(low) * np.sqrt(high)
+        low, high = (middle, high) if beyond(middle) >= wanted else (low, middle)
+    return np.asarray(squares >= low * (1.0 - TIE))
 
 
 def cut(
