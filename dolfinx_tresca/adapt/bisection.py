@@ -137,34 +137,34 @@ class BisectedCells:
             fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
         # `parent` has the order of the cells before DOLFINx renumbered them
         count = len(parent)
-        first = sum(comm.allgather(count)[: comm.rank])
-        parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - first]
+        start = sum(comm.allgather(count)[: comm.rank])
+        parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - start]
 
         corners = geometry_dofmap(mesh)[parent]
-        ends = fine.geometry.x[geometry_dofmap(fine)[:count]]
-        twice = _halves(moved[corners][:, :, :dim], ends[:, :, :dim])
+        fine_corners = fine.geometry.x[geometry_dofmap(fine)[:count]]
+        twice = _halves(moved[corners][:, :, :dim], fine_corners[:, :, :dim])
         # the parent's first and last corner with a nonzero barycentric coordinate: at a corner both
         # are this corner, at the middle of an edge they are its ends
-        first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
+        begin, end = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
-        one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
+        begins, ends = (np.take_along_axis(in_file, which, axis=1) for which in (begin, end))
         # nodes of a submesh have the numbers of its parent mesh, with gaps
         largest = np.max(mesh.geometry.input_global_indices, initial=0)
         total = int(reduce_array(comm, largest, MPI.MAX)) + 1
         keys, position, nodes = np.unique(
-            np.minimum(one, other) * total + np.maximum(one, other),
+            np.minimum(begins, ends) * total + np.maximum(begins, ends),
             return_index=True,
             return_inverse=True,
         )
-        one, other = (
-            np.take_along_axis(corners, which, axis=1).ravel()[position] for which in (first, last)
+        begins, ends = (
+            np.take_along_axis(corners, which, axis=1).ravel()[position] for which in (begin, end)
         )
         x = mesh.geometry.x
         return cls(
             parent=parent,
             opposite=twice == 0,
             nodes=nodes.reshape(-1, dim + 1),
-            points=0.5 * (x[one] + x[other]),
+            points=0.5 * (x[begins] + x[ends]),
             ends=np.column_stack([keys // total, keys % total]),
             shared=SharedNodes(comm, keys, total**2),
         )
@@ -205,8 +205,8 @@ class BisectedCells:
     def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
         """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
         value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
-        some = tagged[self.parent]
-        return self.nodes[some], value[self.parent[some]]
+        kept = tagged[self.parent]
+        return self.nodes[kept], value[self.parent[kept]]
 
 
 @contextmanager

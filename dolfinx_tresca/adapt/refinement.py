@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -95,42 +94,7 @@ def refine(
         check_fraction(fraction)
         errors = owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    return _cut(tagged_mesh, Marked.of(tagged_mesh, errors, fraction), snap, surfaces)[0]
-
-
-@dataclass(frozen=True)
-class Marked:
-    """The cells of a mesh that are to be bisected.
-
-    Attributes:
-        cells: (n,) whether each cell that this rank owns is bisected.
-        part: part of the cells of all ranks that is bisected.
-        every_edge: whether all edges of marked tetrahedra are cut, or only their longest edges.
-    """
-
-    cells: Mask
-    part: float
-    every_edge: bool
-
-    @classmethod
-    def of(cls, tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> Marked:
-        """Return the cells with the largest errors. Collective.
-
-        Args:
-            tagged_mesh: the mesh.
-            errors: (n,) errors of the cells that this rank owns.
-            fraction: see `refine`.
-
-        Raises:
-            InputError: all errors are zero.
-        """
-        comm = tagged_mesh.mesh.comm
-        largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
-        if largest == 0.0:
-            raise InputError("cell_errors are all zero: there is nothing to refine.")
-        cells = largest_part(comm, np.square(errors / largest), float(fraction))
-        part = float(reduce_array(comm, cells.sum())) / cell_count(tagged_mesh)
-        return cls(cells, part, fraction == 1.0)
+    return _cut(tagged_mesh, errors, fraction, snap, surfaces)[0]
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
@@ -165,7 +129,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
 
 
 def cut(
-    tagged_mesh: TaggedMesh, errors: Array, marked: Marked, degree: int, snap: Snap | None
+    tagged_mesh: TaggedMesh, errors: Array, fraction: float, degree: int, snap: Snap | None
 ) -> tuple[TaggedMesh, Array]:
     """Return a refined mesh, see `refine`, and the errors expected on it. Collective.
 
@@ -177,7 +141,7 @@ def cut(
     Args:
         tagged_mesh: mesh of triangles or tetrahedra, checked.
         errors: (n,) errors of the cells that this rank owns.
-        marked: the cells to cut.
+        fraction: see `refine`.
         degree: degree of the displacement.
         snap: see `refine`.
 
@@ -185,32 +149,41 @@ def cut(
         the mesh, and the errors (m,) of its cells that this rank owns.
     """
     dim = tagged_mesh.mesh.topology.dim
-    fine, cells, nodes = _cut(tagged_mesh, marked, snap, checked_snap(tagged_mesh, snap))
+    fine, cells, nodes = _cut(tagged_mesh, errors, fraction, snap, checked_snap(tagged_mesh, snap))
     expected = errors[cells.parent] * cells.volume_parts() ** (0.5 + degree / dim)
     return fine, _sent_to_owners(fine.mesh, nodes, expected)
 
 
 def _cut(
     tagged_mesh: TaggedMesh,
-    marked: Marked,
+    errors: Array,
+    fraction: float,
     snap: Snap | None,
     surfaces: Mapping[int, tuple[str, Projection]],
 ) -> tuple[TaggedMesh, BisectedCells, npt.NDArray[np.int64]]:
-    """Return a mesh with marked cells bisected, its cells, and their nodes. Collective.
+    """Return a mesh with the worst cells bisected, its cells, and their nodes. Collective.
 
     Args:
         tagged_mesh: the mesh.
-        marked: the cells to cut.
+        errors: (n,) errors of the cells that this rank owns.
+        fraction: see `refine`.
         snap: see `refine`.
         surfaces: result of `checked_snap` for `snap`.
 
     Returns:
         the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of the new
         cells, with the numbers that were passed to `create_mesh`.
+
+    Raises:
+        InputError: all errors are zero.
     """
     mesh = tagged_mesh.mesh
     comm, dim = mesh.comm, mesh.topology.dim
-    cells = BisectedCells.of(mesh, marked.cells, marked.every_edge or dim == 2)
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    marked = largest_part(comm, np.square(errors / largest), float(fraction))
+    cells = BisectedCells.of(mesh, marked, fraction == 1.0 or dim == 2)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
         points = snapped(comm, cells, facets, facet_values, all_surfaces)

@@ -19,7 +19,6 @@ from dolfinx_tresca.adapt.judgement import Judgement, judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level, expected_error, growth_to
 from dolfinx_tresca.adapt.patch import with_node_in_patch
 from dolfinx_tresca.adapt.refinement import (
-    Marked,
     cell_count,
     check_fraction,
     check_tagged_mesh,
@@ -266,7 +265,7 @@ def _next_mesh(
     errors = owned_values(mesh.mesh, judgement.cell_errors)
     degree = level.solution.u.function_space.element.basix_element.degree
     while cell_count(mesh) < enough:
-        finer, errors = cut(mesh, errors, Marked.of(mesh, errors, fraction), degree, snap)
+        finer, errors = cut(mesh, errors, fraction, degree, snap)
         if cell_count(finer) > most:
             return mesh, AdaptiveStatus.MAX_DOFS
         mesh = finer
