@@ -51,22 +51,23 @@ def plot(
     """Draw the deformed bodies, and beside them each contact surface.
 
     The bodies are drawn with the magnified displacement u. Colours show the length of u, lines the
-    undeformed edges. Rigid obstacles near the bodies are drawn, too: solid, or as glass where they
-    would hide the bodies. The magnification that `views.magnification` chooses is so small that
-    surfaces which have met, and the sides of an initial overlap, also touch in the picture.
+    undeformed edges. Rigid obstacles near the bodies are drawn, too; in 3D their sides that are
+    seen from within are transparent, so that they do not hide the bodies. The magnification that
+    `views.magnification` chooses is so small that surfaces which have met, and the sides of an
+    initial overlap, also touch in the picture.
 
     Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
     mean normal; closed ones, like holes and shafts, obliquely from outside, so that their far side
     is hidden (`to_pyvista` returns the data for other views). Colours show the pressure, and arrows
-    the slip
-    of the secondary side against the primary side (after an accepted load step the slip of the new
-    step; with finite sliding the legend then also has the longest path of the slip over all steps).
-    Black discs mark pressed nodes that stick, rings open nodes that stick; open parts are grey.
+    the slip of the secondary side against the primary side (after an accepted load step the slip of
+    the new step; with finite sliding the legend then also has the longest path of the slip over all
+    steps). Black discs mark pressed nodes that stick, rings open nodes that stick; open parts are
+    grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
     its arc length. After an accepted load step with finite sliding, the length of the slip's path
     over all steps replaces the slip. On the bodies the curve is thick and red where it is pressed,
-    thin and black where it is open. Its start is marked by a dot or, with several pairs, by the
+    thin and black where it is open. Its start is marked by a dot and, with several pairs, by the
     number of the pair; a closed curve runs counterclockwise. Without friction there are no arrows,
     marks, tractions and slips.
 
