@@ -1,8 +1,8 @@
 """Contact of elastic bodies with Coulomb or Tresca friction, for FEniCSx (DOLFINx)."""
 
 import dolfinx_tresca._base.requirements  # first: it loads MPI before DOLFINx
+from dolfinx_tresca.adapt.judgement import refinement_indicators
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
-from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.contact.found_pairs import Contacts, contacts

@@ -22,9 +22,8 @@ from dolfinx_tresca.errors import (
 )
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import io, plot
-from dolfinx_tresca.output.blocks import Field
-from dolfinx_tresca.output.report import contact_rows, error_rows
-from dolfinx_tresca.output.revolved import checked_angle
+from dolfinx_tresca.output.grid import Field
+from dolfinx_tresca.output.summary import contact_rows, error_rows
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
@@ -305,39 +304,17 @@ class ContactSolution(Evaluation, Tabulated):
         """Return the values that must be equal on all ranks, by name. Not collective."""
         return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
 
-    def write(
-        self,
-        path: str | Path,
-        *,
-        fields: Sequence[Field] = (),
-        revolve: float | None = None,
-        by_body: bool = False,
-    ) -> None:
+    def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
-        io.write(path, self, fields=fields, revolve=revolve, by_body=by_body)
+        io.write(path, self, fields=fields)
 
-    def to_pyvista(
-        self,
-        *,
-        fields: Sequence[Field] = (),
-        revolve: float | None = None,
-        by_body: bool = False,
-    ) -> Any:
+    def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
         """Return the blocks for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
-        return io.to_pyvista(self, fields=fields, revolve=revolve, by_body=by_body)
+        return io.to_pyvista(self, fields=fields)
 
-    def plot(
-        self,
-        path: str | Path | None = None,
-        *,
-        scale: float | None = None,
-        revolve: float | None = None,
-    ) -> Any:
+    def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
         """Save a picture, or return it; see `dolfinx_tresca.output.plot.plot`. Collective."""
-        angle = checked_angle(revolve, self.axisymmetric)
-        return plot.plot(
-            path, self.u, self.surfaces, scale=scale, units=self.units, revolve=angle or None
-        )
+        return plot.plot(path, self.u, self.surfaces, scale=scale, units=self.units)
 
     def _rows(self) -> list[Row]:
         converged = self.status is ContactStatus.CONVERGED

@@ -23,7 +23,5 @@ class AdaptiveStatus(Enum):
     REACHED = "accuracy reached"
     MAX_DOFS = "limit of unknowns reached"
     MAX_LEVELS = "limit of meshes reached"
-    MAX_SECONDS = "limit of time reached"
-    MAX_MEMORY = "limit of memory reached"
     STOPPED = "stopped by the observer"
     FAILED = "an iteration did not converge"

@@ -27,7 +27,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca.output.report import significant
+from dolfinx_tresca.output.summary import significant
 from scenes.elasticity import elasticity
 from scenes.nodal import nodal, node_function, surface_nodes_of
 from scenes.patches import patch

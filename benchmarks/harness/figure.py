@@ -6,9 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dolfinx_tresca.output.pictures.canvas import DPI, STYLE
-
 WIDTH = 8.8  #: inches; shown at 880 pixels, so that a point is as large as on other pages
+DPI = 200  #: pixels per inch
+
+#: Settings of matplotlib in place of the user's own.
+STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 11.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "svg.hashsalt": "dolfinx_tresca",
+}
 
 
 def new_figure(height: float, rows: int, columns: int, **options: Any) -> tuple[Any, Any]:

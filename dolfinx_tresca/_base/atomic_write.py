@@ -6,12 +6,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
-from mpi4py import MPI
-
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 
 
@@ -43,8 +40,7 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
         path: the file or folder that the block writes; the block may write further files beside
             the temporary path.
         room: upper bound of the size of all files together [bytes]; 0: unknown. So much free space
-            must exist before the block, since libraries crash on a full disk: VTK ends with a
-            segmentation fault; HDF5 and ADIOS2 abort or hang.
+            must exist before the block, so that a full disk is noticed first.
 
     Raises:
         InputError: files cannot be written to the folder of `path`.
@@ -65,23 +61,3 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
                 if new.is_dir() and old.is_dir():
                     shutil.rmtree(old)
                 new.replace(old)
-
-
-@contextmanager
-def atomic_write_on_all_ranks(comm: MPI.Comm, path: Path, room: int) -> Iterator[Path]:
-    """Yield the temporary path of `atomic_write` on all ranks, which write to it together.
-
-    The first rank makes the folder and moves the files. Collective.
-
-    Raises:
-        InputError: the block raised OSError on all ranks, or `atomic_write` failed.
-    """
-    with file_named_in_errors(path), ExitStack() as stack:
-        new = path
-        with errors_on_all_ranks(comm):
-            if comm.rank == 0:
-                new = stack.enter_context(atomic_write(path, room))
-        yield comm.bcast(new)
-        comm.barrier()  # all ranks have closed their files
-        with errors_on_all_ranks(comm):
-            stack.close()

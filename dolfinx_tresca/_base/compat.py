@@ -23,8 +23,6 @@ try:
 except ImportError:
     import dolfinx.io.gmshio as _gmsh_reader
 
-has_adios2: bool = bool(getattr(dolfinx, "has_adios2", False))
-
 
 def require_real_petsc() -> None:
     """Check that PETSc was built with real scalars.

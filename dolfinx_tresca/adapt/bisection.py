@@ -17,12 +17,72 @@ import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.adapt.shared_nodes import SharedNodes
 
 #: Range of the shifts of nodes, relative to the shortest edge, that make equal edge lengths differ.
 MOVED = 1e-5
+
+
+class SharedNodes:
+    """Nodes with keys: a node has the same key on all ranks that have the node.
+
+    Each key determines one rank, its keeper. All ranks that have the node send their messages about
+    it to the keeper.
+
+    Attributes:
+        numbers: (n,) numbers of this rank's nodes: 0, 1, ... over all ranks, in the order of their
+            keys, for any partition.
+    """
+
+    def __init__(self, comm: MPI.Comm, keys: npt.NDArray[np.int64], limit: int) -> None:
+        """Number the nodes. Collective.
+
+        Args:
+            comm: communicator of the ranks.
+            keys: (n,) keys of this rank's nodes, ascending, without repetition.
+            limit: a number larger than all keys.
+        """
+        self._comm = comm
+        # ascending like the keys, so that answers come back in the order of the questions
+        self._keepers = (keys // (limit // comm.size + 1)).astype(np.intp)
+        asked, self._askers = exchange(comm, keys, self._keepers)
+        kept, self._position = np.unique(asked, return_inverse=True)
+        self._count = len(kept)
+        start = sum(comm.allgather(self._count)[: comm.rank])
+        self.numbers, _ = exchange(comm, (start + self._position).astype(np.int64), self._askers)
+
+    def kept(self, rows: Array) -> Array:
+        """Return the rows (m, k) of the nodes whose keeper is this rank, by ascending number.
+
+        Collective.
+
+        Args:
+            rows: (n, k) rows of this rank's nodes, the same on all ranks that have them.
+        """
+        told, _ = exchange(self._comm, rows, self._keepers)
+        result = np.zeros((self._count, rows.shape[1]))
+        result[self._position] = told
+        return result
+
+    def known_values(self, rows: Array, is_known: Mask) -> tuple[Array, Mask]:
+        """Return values at this rank's nodes, taken from any rank that knows them. Collective.
+
+        Args:
+            rows: (n, k) rows of this rank's nodes; known rows are the same on all ranks.
+            is_known: (n,) whether this rank knows each row.
+
+        Returns:
+            The rows (n, k), unchanged where no rank knows them; and whether a rank knows each row,
+            (n,).
+        """
+        told, _ = exchange(self._comm, np.column_stack([rows, is_known]), self._keepers)
+        result = np.zeros((self._count, rows.shape[1] + 1))
+        known_rows = told[:, -1] > 0.0
+        result[self._position[known_rows]] = told[known_rows]
+        answers, _ = exchange(self._comm, result[self._position], self._askers)
+        return np.where(answers[:, -1:] > 0.0, answers[:, :-1], rows), answers[:, -1] > 0.0
 
 
 @dataclass(frozen=True)
@@ -77,34 +137,34 @@ class BisectedCells:
             fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
         # `parent` has the order of the cells before DOLFINx renumbered them
         count = len(parent)
-        first = sum(comm.allgather(count)[: comm.rank])
-        parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - first]
+        start = sum(comm.allgather(count)[: comm.rank])
+        parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - start]
 
         corners = geometry_dofmap(mesh)[parent]
-        ends = fine.geometry.x[geometry_dofmap(fine)[:count]]
-        twice = _halves(moved[corners][:, :, :dim], ends[:, :, :dim])
+        fine_corners = fine.geometry.x[geometry_dofmap(fine)[:count]]
+        twice = _halves(moved[corners][:, :, :dim], fine_corners[:, :, :dim])
         # the parent's first and last corner with a nonzero barycentric coordinate: at a corner both
         # are this corner, at the middle of an edge they are its ends
-        first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
+        begin, end = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
-        one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
+        begins, ends = (np.take_along_axis(in_file, which, axis=1) for which in (begin, end))
         # nodes of a submesh have the numbers of its parent mesh, with gaps
         largest = np.max(mesh.geometry.input_global_indices, initial=0)
         total = int(reduce_array(comm, largest, MPI.MAX)) + 1
         keys, position, nodes = np.unique(
-            np.minimum(one, other) * total + np.maximum(one, other),
+            np.minimum(begins, ends) * total + np.maximum(begins, ends),
             return_index=True,
             return_inverse=True,
         )
-        one, other = (
-            np.take_along_axis(corners, which, axis=1).ravel()[position] for which in (first, last)
+        begins, ends = (
+            np.take_along_axis(corners, which, axis=1).ravel()[position] for which in (begin, end)
         )
         x = mesh.geometry.x
         return cls(
             parent=parent,
             opposite=twice == 0,
             nodes=nodes.reshape(-1, dim + 1),
-            points=0.5 * (x[one] + x[other]),
+            points=0.5 * (x[begins] + x[ends]),
             ends=np.column_stack([keys // total, keys % total]),
             shared=SharedNodes(comm, keys, total**2),
         )
@@ -145,8 +205,8 @@ class BisectedCells:
     def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
         """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
         value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
-        some = tagged[self.parent]
-        return self.nodes[some], value[self.parent[some]]
+        kept = tagged[self.parent]
+        return self.nodes[kept], value[self.parent[kept]]
 
 
 @contextmanager

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from dolfinx_tresca.adapt.judgement import Judgement
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.result import ContactSolution
@@ -37,31 +38,6 @@ class Level:
     products: int
     seconds: float
     goal_error: GoalError | None = None
-
-    @classmethod
-    def of(
-        cls,
-        number: int,
-        tagged_mesh: TaggedMesh,
-        judgement: Judgement,
-        free_dofs: int,
-        seconds: float,
-    ) -> Level:
-        """Return the level of a mesh whose solution and error are in a judgement."""
-        return cls(
-            number,
-            tagged_mesh,
-            judgement.solution,
-            free_dofs,
-            judgement.error,
-            judgement.products,
-            seconds,
-            judgement.goal_error,
-        )
-
-    def solved_again(self, solution: ContactSolution) -> Level:
-        """Return a copy of this level in which a more accurate solution replaces its solution."""
-        return replace(self, solution=solution, products=self.products + solution.products)
 
     def __str__(self) -> str:
         return (
@@ -147,3 +123,33 @@ class AdaptiveSolution(Tabulated):
             f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} mesh(es), "
             f"{self.levels[-1].free_dofs} unknowns, mesh error {self.error:.1e}>"
         )
+
+
+def rate_of(levels: Sequence[Level]) -> float:
+    """Return the power of 1/n, for n unknowns, with which the error has fallen to the last level.
+
+    Without two levels, and if the error has not fallen, this is the rate of degree 1 with singular
+    edges, 1/3.
+    """
+    if len(levels) > 1:
+        coarse, fine = levels[-2:]
+        if coarse.error > fine.error > 0.0 and fine.free_dofs > coarse.free_dofs:
+            return math.log(coarse.error / fine.error) / math.log(fine.free_dofs / coarse.free_dofs)
+    return 1.0 / 3.0
+
+
+def expected_error(levels: Sequence[Level], free_dofs: int) -> float:
+    """Return the relative error to expect on a mesh after these levels, infinite without levels.
+
+    Args:
+        levels: the earlier meshes.
+        free_dofs: number of unknowns of the mesh.
+    """
+    if not levels:
+        return math.inf
+    return levels[-1].error * math.pow(levels[-1].free_dofs / free_dofs, rate_of(levels))
+
+
+def growth_to(levels: Sequence[Level], error: float) -> float:
+    """Return the factor of the number of unknowns that leads to a relative error, at most e^100."""
+    return math.exp(min(math.log(levels[-1].error / error) / rate_of(levels), 100.0))

@@ -10,13 +10,13 @@ import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.adapt.limits import Limits
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.snapping import Snap
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.status import AdaptiveStatus
 
 #: Size of facets, relative to the radius of a patch, below which the facets follow the curved
 #: surface so closely that smaller cells bring no node into the patch.
@@ -28,7 +28,7 @@ TIE = 1e-9
 
 
 def with_node_in_patch(
-    problem: ContactProblem, tagged_mesh: TaggedMesh, goal: Goal, snap: Snap | None, limits: Limits
+    problem: ContactProblem, tagged_mesh: TaggedMesh, goal: Goal, snap: Snap | None, max_dofs: float
 ) -> TaggedMesh:
     """Return a mesh with smaller cells if the patch of a goal has no contact node. Collective.
 
@@ -41,10 +41,11 @@ def with_node_in_patch(
         tagged_mesh: the mesh.
         goal: the goal of the refinement.
         snap: see `refine`.
-        limits: limits of the cost of all meshes.
+        max_dofs: limit for the unknowns of a mesh.
 
     Raises:
-        InputError: smaller cells bring no node into the patch, or are beyond the limits.
+        InputError: smaller cells bring no node into the patch, or there are more than `max_dofs`
+            unknowns.
     """
     if not isinstance(goal, MeanPressure | MeanSlip):
         return tagged_mesh
@@ -61,9 +62,8 @@ def with_node_in_patch(
     nearest = float(reduce_array(comm, distances.min(initial=np.inf), MPI.MIN))
     near = distances <= nearest + TIE * sizes
     size = float(reduce_array(comm, sizes[near].max(initial=0.0), MPI.MAX))
-    status = limits.exceeded(comm, 0, problem.free_dofs, 0.0, 1.0)
-    if status is not None:
-        reason = f"{status.value} before smaller cells there have one"
+    if problem.free_dofs > max_dofs:
+        reason = f"{AdaptiveStatus.MAX_DOFS.value} before smaller cells there have one"
     elif size < max(nearest - goal.radius, FLAT * goal.radius):
         reason = (
             f"the facets next to its point are {nearest:.3g} away and have an edge of {size:.3g}"

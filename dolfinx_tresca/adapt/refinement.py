@@ -1,10 +1,9 @@
-"""Refinement of meshes in the cells with large errors."""
+"""Refinement of meshes in the cells with the largest errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -23,7 +22,6 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
-from dolfinx_tresca.adapt.marking import largest_part
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection
@@ -32,6 +30,11 @@ from dolfinx_tresca.stiffness.nested import Bisection, remember
 
 #: Step to which logarithms of errors are rounded when they go to other ranks.
 LOGARITHM_STEP = 1e-6
+
+#: Relative difference of squared errors that counts as rounding: cells whose errors differ less are
+#: marked together, so that the mesh of a symmetric scene stays symmetric, and is the same on any
+#: number of ranks.
+TIE = 1e-9
 
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
@@ -91,46 +94,42 @@ def refine(
         check_fraction(fraction)
         errors = owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    return _cut(tagged_mesh, Marked.of(tagged_mesh, errors, fraction), snap, surfaces)[0]
+    return _cut(tagged_mesh, errors, fraction, snap, surfaces)[0]
 
 
-@dataclass(frozen=True)
-class Marked:
-    """The cells of a mesh that are to be bisected.
+def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
+    """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
-    Attributes:
-        cells: (n,) whether each cell that this rank owns is bisected.
-        part: part of the cells of all ranks that is bisected.
-        every_edge: whether all edges of marked tetrahedra are cut, or only their longest edges.
+    This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
+    except that all cells whose errors equal the least marked error are marked, too.
+
+    Args:
+        comm: communicator of the ranks.
+        squares: (n,) squared errors of this rank's cells, none negative; not all zero.
+        fraction: part of the sum over all ranks, in (0, 1].
+
+    Returns:
+        (n,) whether each of this rank's cells is marked.
     """
+    ascending = np.sort(squares)
+    from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)
 
-    cells: Mask
-    part: float
-    every_edge: bool
+    def beyond(least: float) -> float:
+        """Return the sum of the squared errors that are at least `least`. Collective."""
+        return float(reduce_array(comm, from_here[np.searchsorted(ascending, least)]))
 
-    @classmethod
-    def of(cls, tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> Marked:
-        """Return the cells with the largest errors. Collective.
-
-        Args:
-            tagged_mesh: the mesh.
-            errors: (n,) errors of the cells that this rank owns.
-            fraction: see `refine`.
-
-        Raises:
-            InputError: all errors are zero.
-        """
-        comm = tagged_mesh.mesh.comm
-        largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
-        if largest == 0.0:
-            raise InputError("cell_errors are all zero: there is nothing to refine.")
-        cells = largest_part(comm, np.square(errors / largest), float(fraction))
-        part = float(reduce_array(comm, cells.sum())) / cell_count(tagged_mesh)
-        return cls(cells, part, fraction == 1.0)
+    high = float(comm.allreduce(squares.max(initial=0.0), op=MPI.MAX)) * (1.0 + TIE)
+    least = squares[squares > 0.0].min(initial=high)
+    low = float(comm.allreduce(least, op=MPI.MIN)) * (1.0 - TIE)
+    wanted = fraction * beyond(low) * (1.0 - TIE)
+    while high > low * (1.0 + TIE):
+        middle = np.sqrt(low) * np.sqrt(high)
+        low, high = (middle, high) if beyond(middle) >= wanted else (low, middle)
+    return np.asarray(squares >= low * (1.0 - TIE))
 
 
 def cut(
-    tagged_mesh: TaggedMesh, errors: Array, marked: Marked, degree: int, snap: Snap | None
+    tagged_mesh: TaggedMesh, errors: Array, fraction: float, degree: int, snap: Snap | None
 ) -> tuple[TaggedMesh, Array]:
     """Return a refined mesh, see `refine`, and the errors expected on it. Collective.
 
@@ -142,7 +141,7 @@ def cut(
     Args:
         tagged_mesh: mesh of triangles or tetrahedra, checked.
         errors: (n,) errors of the cells that this rank owns.
-        marked: the cells to cut.
+        fraction: see `refine`.
         degree: degree of the displacement.
         snap: see `refine`.
 
@@ -150,32 +149,41 @@ def cut(
         the mesh, and the errors (m,) of its cells that this rank owns.
     """
     dim = tagged_mesh.mesh.topology.dim
-    fine, cells, nodes = _cut(tagged_mesh, marked, snap, checked_snap(tagged_mesh, snap))
+    fine, cells, nodes = _cut(tagged_mesh, errors, fraction, snap, checked_snap(tagged_mesh, snap))
     expected = errors[cells.parent] * cells.volume_parts() ** (0.5 + degree / dim)
     return fine, _sent_to_owners(fine.mesh, nodes, expected)
 
 
 def _cut(
     tagged_mesh: TaggedMesh,
-    marked: Marked,
+    errors: Array,
+    fraction: float,
     snap: Snap | None,
     surfaces: Mapping[int, tuple[str, Projection]],
 ) -> tuple[TaggedMesh, BisectedCells, npt.NDArray[np.int64]]:
-    """Return a mesh with marked cells bisected, its cells, and their nodes. Collective.
+    """Return a mesh with the worst cells bisected, its cells, and their nodes. Collective.
 
     Args:
         tagged_mesh: the mesh.
-        marked: the cells to cut.
+        errors: (n,) errors of the cells that this rank owns.
+        fraction: see `refine`.
         snap: see `refine`.
         surfaces: result of `checked_snap` for `snap`.
 
     Returns:
         the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of the new
         cells, with the numbers that were passed to `create_mesh`.
+
+    Raises:
+        InputError: all errors are zero.
     """
     mesh = tagged_mesh.mesh
     comm, dim = mesh.comm, mesh.topology.dim
-    cells = BisectedCells.of(mesh, marked.cells, marked.every_edge or dim == 2)
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    marked = largest_part(comm, np.square(errors / largest), float(fraction))
+    cells = BisectedCells.of(mesh, marked, fraction == 1.0 or dim == 2)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
         points = snapped(comm, cells, facets, facet_values, all_surfaces)

@@ -15,17 +15,17 @@ from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_o
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import each_warning_once, errors_on_all_ranks, log
-from dolfinx_tresca.adapt.forecast import Forecast
-from dolfinx_tresca.adapt.judgement import judged
-from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
-from dolfinx_tresca.adapt.limits import Limits
-from dolfinx_tresca.adapt.next_mesh import Refinement
+from dolfinx_tresca.adapt.judgement import Judgement, judged
+from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level, expected_error, growth_to
 from dolfinx_tresca.adapt.patch import with_node_in_patch
 from dolfinx_tresca.adapt.refinement import (
+    cell_count,
     check_fraction,
     check_tagged_mesh,
     check_type,
+    cut,
     is_same,
+    owned_values,
 )
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
@@ -39,9 +39,20 @@ from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 #: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 
-#: Error for which the size of the last mesh is forecast, divided by the wanted accuracy: a number
-#: below 1, since forecasts are not exact.
+#: Error for which the size of the last mesh is chosen, divided by the wanted accuracy: a number
+#: below 1, since expectations are not exact.
 SAFETY = 0.95
+
+#: Approximate growth of the number of cells from mesh to mesh: so large that all meshes before the
+#: last one cost about as much as the last, and so small that errors of cells are as `cut` expects.
+#: (On the two bricks and a ball, a solution after each single cut took 0.95 to 1.3 times as long as
+#: this growth, with twice as many solutions; with degree 1 half of the time goes into cuts. For the
+#: same error a growth of 3 took 1.3 to 1.7 times, and a growth of 2 took 1.1 to 1.2 times, as many
+#: unknowns as solutions after each cut: at singular edges errors fall less than expected.)
+GROWTH = 2.0
+
+#: Part of the wanted growth that is enough, except for the last mesh, since cuts take time as well.
+ENOUGH = 0.85
 
 #: Function that every rank calls with each level; if it returns True on any rank, this level is the
 #: last one.
@@ -78,8 +89,6 @@ def solve_adaptively(
     snap: Snap | None = None,
     max_dofs: int = 1_000_000,
     max_levels: int = 50,
-    max_seconds: float = math.inf,
-    max_memory: float = math.inf,
     after: ContactSolution | None = None,
     observer: LevelObserver | None = None,
 ) -> AdaptiveSolution:
@@ -109,12 +118,8 @@ def solve_adaptively(
         fraction: part of the sum of squared errors that the cells marked for a cut have together;
             see `refine`. For the last cut it may be less.
         snap: projections to curved surfaces; see `refine`.
-        max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the following limits
-            are compared with forecasts before a mesh is made.
+        max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
         max_levels: limit for the number of meshes.
-        max_seconds: approximate limit for the time from this call until a mesh is solved.
-        max_memory: limit for the memory of all ranks [GiB]; meshes expected to need more are not
-            made.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this
             solution (`ContactProblem.start_from` with `accepted=True`).
         observer: function that is called with each `Level`, such as `print`; if it returns True,
@@ -167,12 +172,12 @@ def solve_adaptively(
     comm = tagged_mesh.mesh.comm
     with errors_on_all_ranks(comm):
         _check(build, accuracy, after)
-        limits = Limits(max_dofs, max_levels, max_seconds, max_memory)
+        most_dofs = checked_limit("max_dofs", max_dofs)
+        most_levels = checked_limit("max_levels", max_levels)
         check_fraction(fraction)
         check_tagged_mesh(tagged_mesh)
         checked_snap(tagged_mesh, snap)
     observe = agreed_observer(comm, observer, "a Level, such as print")
-    forecast = Forecast(tagged_mesh.mesh.topology.dim)
     levels: list[Level] = []
     limit: AdaptiveStatus | None = None
     while True:
@@ -183,44 +188,96 @@ def solve_adaptively(
         with problem:
             if goal is not None:  # checked before a solve
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
-                finer = with_node_in_patch(problem, tagged_mesh, goal, snap, limits)
+                finer = with_node_in_patch(problem, tagged_mesh, goal, snap, most_dofs)
                 if finer is not tagged_mesh:
                     tagged_mesh = finer
                     continue
-            free_dofs, options = problem.free_dofs, problem.options
-            error, seconds = forecast.error(levels, free_dofs), 0.0
             if after is not None:
                 problem.start_from(after, accepted=True)
             if levels:
                 problem.start_from(levels[-1].solution)
-                seconds = free_dofs / levels[-1].free_dofs * levels[-1].seconds
+            if len(levels) + 1 >= most_levels:
+                limit = limit or AdaptiveStatus.MAX_LEVELS
             # it is mostly known in advance which mesh is the last; one solve on it is then enough
-            by = forecast.cut
-            ends = limit or limits.exceeded(comm, len(levels) + 1, free_dofs * by, seconds, by)
-            last = options.balanced and (error <= accuracy or ends is not None)
-            solution = _solve_accurately(problem, error) if last else _solve_roughly(problem)
-            judgement = judged(problem, solution, goal)
-            wrong = last and ends is None and judgement.error > accuracy
+            options, error = problem.options, expected_error(levels, problem.free_dofs)
+            last_mesh = options.balanced and (error <= accuracy or limit is not None)
+            if last_mesh:
+                judgement = judged(problem, _solve_accurately(problem, error), goal)
+            else:
+                judgement = judged(problem, _solve_roughly(problem), goal)
+            wrong = last_mesh and limit is None and judgement.error > accuracy
             if wrong and not problem.solves_exactly:  # not the last mesh: cells are to be marked
-                last, products = False, judgement.products
+                last_mesh, products = False, judgement.products
                 judgement = judged(problem, _solve_roughly(problem), goal)
                 judgement = replace(judgement, products=products + judgement.products)
-            level = Level.of(len(levels), tagged_mesh, judgement, free_dofs, _seconds(comm, start))
+            level = Level(
+                number=len(levels),
+                tagged_mesh=tagged_mesh,
+                solution=judgement.solution,
+                free_dofs=problem.free_dofs,
+                error=judgement.error,
+                products=judgement.products,
+                seconds=_seconds(comm, start),
+                goal_error=judgement.goal_error,
+            )
             log(comm, "%s", level)
             status = _reason_to_end(level, accuracy, observe(level)) or limit
-            finer = tagged_mesh
             if status is None:
-                degree = solution.u.function_space.element.basix_element.degree
-                refinement = Refinement(degree, fraction, snap, forecast, limits)
-                growth = forecast.growth_to([*levels, level], SAFETY * accuracy)
-                finer, limit = refinement.next(level, judgement.cell_errors, growth)
+                growth = growth_to([*levels, level], SAFETY * accuracy)
+                finer, limit = _next_mesh(level, judgement, growth, fraction, snap, most_dofs)
                 status = limit if finer is tagged_mesh else None
-            if status not in (None, AdaptiveStatus.FAILED) and not last:
-                level = level.solved_again(_solve_accurately(problem, level.error))
+                tagged_mesh = finer
+            if status not in (None, AdaptiveStatus.FAILED) and not last_mesh:
+                solution = _solve_accurately(problem, level.error)
+                products = level.products + solution.products
+                level = replace(level, solution=solution, products=products)
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
             return AdaptiveSolution(status, float(accuracy), tuple(levels))
-        tagged_mesh = finer
+
+
+def _next_mesh(
+    level: Level,
+    judgement: Judgement,
+    growth: float,
+    fraction: float,
+    snap: Snap | None,
+    max_dofs: float,
+) -> tuple[TaggedMesh, AdaptiveStatus | None]:
+    """Return the mesh after a level, and the limit that prevents more growth.
+
+    Cells with large errors are cut, and then cells whose errors are expected to be large after the
+    previous cut, until the mesh has grown, or another cut would lead beyond `max_dofs`. This may be
+    the mesh of the level itself. Collective.
+
+    Args:
+        level: the last mesh and its solution.
+        judgement: the errors of the cells of this mesh.
+        growth: factor by which the number of cells still has to grow in total. It is split into
+            equal factors, of which the returned mesh takes one.
+        fraction: see `refine`.
+        snap: see `refine`.
+        max_dofs: limit for the unknowns; these and cells are taken to grow by the same factor.
+    """
+    step, mesh = step_of(growth), level.tagged_mesh
+    enough = cell_count(mesh) * (step if step == growth else ENOUGH * step)
+    most = cell_count(mesh) * max_dofs / level.free_dofs
+    errors = owned_values(mesh.mesh, judgement.cell_errors)
+    degree = level.solution.u.function_space.element.basix_element.degree
+    while cell_count(mesh) < enough:
+        finer, errors = cut(mesh, errors, fraction, degree, snap)
+        if cell_count(finer) > most:
+            return mesh, AdaptiveStatus.MAX_DOFS
+        mesh = finer
+    return mesh, None
+
+
+def step_of(growth: float) -> float:
+    """Split a total growth into several equal refinements, and return the growth of one of them.
+
+    The result is close to `GROWTH`: equal refinements avoid a small refinement at the end.
+    """
+    return math.pow(growth, 1.0 / max(1, round(math.log(growth) / math.log(GROWTH))))
 
 
 def _solve_roughly(problem: ContactProblem) -> ContactSolution:
@@ -301,3 +358,17 @@ def _check(build: Build, accuracy: float, after: Any) -> None:
         )
     if after is not None and not isinstance(after, ContactSolution):
         raise InputError(f"after must be a ContactSolution, found {shown(after)}.")
+
+
+def checked_limit(name: str, value: Any) -> float:
+    """Check a limit for the size or the number of meshes, and return it. Not collective.
+
+    Raises:
+        InputError: the limit is of the wrong type or not positive, or `max_levels` not an integer.
+    """
+    number = real(value)
+    if number is None or not number > 0.0:
+        raise InputError(f"{name} must be a positive number, found {shown(value)}.")
+    if name == "max_levels" and not (number.is_integer() or math.isinf(number)):
+        raise InputError(f"{name} must be a positive integer, found {shown(value)}.")
+    return number

@@ -1,1 +1,15 @@
-"""Output of problems and solutions: files for ParaView, pictures, and tables."""
+"""Output of problems and solutions: files for ParaView, pictures, and tables.
+
+A *block* is a list of Functions on one mesh: the volume, or the surface of a pair (`blocks_of`). A
+`Grid` is a block in VTK's layout: the part of a rank (`local_grid`) or the whole of it on the first
+rank (`gather_grid`). Files and `to_pyvista` are made of grids; a `.pvd` lists the grids of each
+step of a series, and a step does not exist until the list names it.
+
+A picture is a figure of matplotlib with a *panel* for the bodies and one for each pair. pyvista
+renders the *views* of bodies and surfaces, matplotlib draws all text and the chart of a contact
+curve of 2D. A `Contact` is a surface gathered for its panel.
+
+A table is a list of `Row`s, names and values, which `print` and notebooks show.
+
+Read first: `io.write`, `grid.gather_grid`, `plot.compose`.
+"""

@@ -1,22 +1,41 @@
-"""Functions and their mesh in VTK's layout, of one rank or gathered: for files and pictures."""
+"""The blocks of a solution, and grids of them in VTK's layout: for files and pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+import math
+import re
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+from dataclasses import field as dataclass_field
+from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
+import basix
 import dolfinx.plot
 from dolfinx import fem
+from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.errors import ContactError
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.compat import same_topology
+from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import IntegerFunction
 
 ROOT = 0  #: the rank that gets the grids
+VERTEX = 1  #: VTK's number for cells that consist of one point
+
+#: Fields that users may add to the volume.
+Field: TypeAlias = "fem.Function | MeshTags"
+
+#: Largest number of characters in the name of a block that is named after a pair.
+NAME_LENGTH = 60
+
+#: Mesh -> number of each cell's body; kept, since finding bodies takes longer than writing a step.
+_LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -41,23 +60,8 @@ class Grid:
     cells: npt.NDArray[np.int64]
     cell_types: npt.NDArray[np.int64]
     values: dict[str, npt.NDArray[Any]]
-    cell_values: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
-    texts: dict[str, Sequence[str]] = field(default_factory=dict)
-
-    def part(self, kept: npt.NDArray[np.bool_]) -> Grid:
-        """Return the grid of the cells with True in `kept` (m,). Not collective."""
-        cells = self.cells[kept]
-        used = np.zeros(len(self.points), dtype=np.bool_)
-        used[cells[:, 1:]] = True
-        cells[:, 1:] = (np.cumsum(used) - 1)[cells[:, 1:]]
-        return replace(
-            self,
-            points=self.points[used],
-            cells=cells,
-            cell_types=self.cell_types[kept],
-            values={name: values[used] for name, values in self.values.items()},
-            cell_values={name: values[kept] for name, values in self.cell_values.items()},
-        )
+    cell_values: dict[str, npt.NDArray[Any]] = dataclass_field(default_factory=dict)
+    texts: dict[str, Sequence[str]] = dataclass_field(default_factory=dict)
 
     def to_pyvista(self) -> Any:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
@@ -96,8 +100,12 @@ def local_grid(functions: Sequence[fem.Function]) -> Grid:
         functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
             degree, and maybe Functions of degree 0.
     """
-    grid = _with_ghosts(functions)
-    return grid.part(np.ones(len(grid.cells), dtype=np.bool_))
+    grid = _grid_with_ghosts(functions)
+    used = np.zeros(len(grid.points), dtype=np.bool_)
+    used[grid.cells[:, 1:]] = True
+    grid.cells[:, 1:] = (np.cumsum(used) - 1)[grid.cells[:, 1:]]
+    values = {name: values[used] for name, values in grid.values.items()}
+    return replace(grid, points=grid.points[used], values=values)
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
@@ -106,8 +114,8 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     Args:
         functions: see `local_grid`.
     """
-    grid = _with_ghosts(functions)
-    space = _at_nodes(functions)[0].function_space
+    grid = _grid_with_ghosts(functions)
+    space = next(f for f in functions if not is_constant_in_cells(f)).function_space
     index_map = space.dofmap.index_map
     own = slice(index_map.size_local)
     nodes = grid.cells[:, 1:]
@@ -115,39 +123,19 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     columns = [grid.points[own], grid.cells, grid.cell_types]
     columns += [values[own] for values in grid.values.values()]
     columns += grid.cell_values.values()
-    parts = space.mesh.comm.gather(columns, root=ROOT)
-    if parts is None:
+    gathered = space.mesh.comm.gather(columns, root=ROOT)
+    if gathered is None:
         return None
     # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
-    points, cells, cell_types, *rest = map(np.concatenate, zip(*parts, strict=True))
-    arrays = iter(rest)
+    points, cells, cell_types, *arrays = map(np.concatenate, zip(*gathered, strict=True))
+    count = len(grid.values)
     return replace(
         grid,
         points=points,
         cells=cells,
         cell_types=cell_types,
-        values={name: next(arrays) for name in grid.values},
-        cell_values={name: next(arrays) for name in grid.cell_values},
-    )
-
-
-def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
-    """Return the grid of this rank's own cells, with all nodes of the rank, ghosts included.
-
-    Not collective.
-    """
-    space = _at_nodes(functions)[0].function_space
-    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
-    nodes = space.dofmap.list.shape[1]
-    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + nodes)
-    return Grid(
-        dim=space.mesh.geometry.dim,
-        degree=space.ufl_element().degree,
-        points=points,
-        cells=cells,
-        cell_types=np.asarray(cell_types),
-        values={f.name: _in_order_of(space, f) for f in _at_nodes(functions)},
-        cell_values={f.name: _rows(f)[: len(cells)] for f in functions if is_constant_in_cells(f)},
+        values=dict(zip(grid.values, arrays[:count], strict=True)),
+        cell_values=dict(zip(grid.cell_values, arrays[count:], strict=True)),
     )
 
 
@@ -156,17 +144,31 @@ def is_constant_in_cells(function: fem.Function) -> bool:
     return bool(function.function_space.ufl_element().degree == 0)
 
 
-def _at_nodes(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    return [function for function in functions if not is_constant_in_cells(function)]
+def _grid_with_ghosts(functions: Sequence[fem.Function]) -> Grid:
+    """Return the grid of this rank's own cells, with all nodes of the rank, ghosts included.
 
-
-def _in_order_of(space: Any, function: fem.Function) -> npt.NDArray[Any]:
-    """Return a Function's values in the numbering of `space`, which has the same nodes."""
-    values = _rows(function)
-    order = np.arange(len(values))
-    order[space.dofmap.list] = function.function_space.dofmap.list
-    ordered: npt.NDArray[Any] = values[order]
-    return ordered
+    Not collective.
+    """
+    nodal = [function for function in functions if not is_constant_in_cells(function)]
+    constant = [function for function in functions if is_constant_in_cells(function)]
+    space = nodal[0].function_space
+    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
+    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + space.dofmap.list.shape[1])
+    values = {}
+    for function in nodal:  # in the numbering of `space`, which has the same nodes
+        rows = _rows(function)
+        order = np.arange(len(rows))
+        order[space.dofmap.list] = function.function_space.dofmap.list
+        values[function.name] = rows[order]
+    return Grid(
+        dim=space.mesh.geometry.dim,
+        degree=space.ufl_element().degree,
+        points=points,
+        cells=cells,
+        cell_types=np.asarray(cell_types),
+        values=values,
+        cell_values={function.name: _rows(function)[: len(cells)] for function in constant},
+    )
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
@@ -181,3 +183,130 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
     rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
     return rows
+
+
+def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[fem.Function]]:
+    """Return the Functions of the blocks "volume" and "contact" of a file. Collective.
+
+    With several pairs there is a block for each, named after the pair. The Functions of a block are
+    on one mesh, and of one degree, high enough for curved cells to be shown as curved, or of
+    degree 0.
+
+    Args:
+        solution: the solution to be written.
+        fields: further Functions and tags for the block "volume".
+
+    Raises:
+        InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
+            mesh, or has a name that is in use; or `fields` is a single field.
+    """
+    if not all(hasattr(solution, name) for name in ("u", "surfaces", "cell_errors")):
+        raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")
+    u, surfaces = solution.u, solution.surfaces
+    if isinstance(fields, fem.Function | MeshTags):
+        raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")
+    volume = [u, _bodies(u.function_space)]
+    if solution.cell_errors is not None:
+        volume.append(solution.cell_errors)
+    for field in fields:
+        volume.append(_checked(field, u, [function.name for function in volume]))
+    blocks = {"volume": volume}
+    for i, surface in enumerate(surfaces):
+        name = "contact" if len(surfaces) == 1 else surface.name
+        blocks[_unused_name(name, blocks, i + 1)] = list(surface.functions)
+    return {name: _in_one_degree(functions) for name, functions in blocks.items()}
+
+
+def _unused_name(name: str, taken: Container[str], number: int) -> str:
+    """Return an unused name for a block, of letters, digits and underscores. Not collective.
+
+    Args:
+        name: name of a pair.
+        taken: names of other blocks.
+        number: number of the pair, which is appended if the name is taken.
+    """
+    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or f"block_{number}"
+    while result in taken:
+        result += f"_{number}"
+    return result
+
+
+def _bodies(V: Any) -> IntegerFunction:
+    """Return the number of each cell's body, counted from 1 as in messages. Collective."""
+    if V.mesh not in _LABELS:
+        _LABELS[V.mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]
+    function = IntegerFunction(fem.functionspace(V.mesh, ("DG", 0)), name="body")
+    function.x.array[:] = _LABELS[V.mesh]
+    return function
+
+
+def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Function:
+    """Check a field of the user and return it; tags of cells become a Function of degree 0.
+
+    Raises:
+        InputError: see `blocks_of`.
+    """
+    mesh = u.function_space.mesh
+    if not isinstance(field, fem.Function | MeshTags):
+        raise InputError(
+            "fields must be Functions, such as interpolated expressions, or MeshTags of cells, "
+            f"found {shown(field)}."
+        )
+    if field.name in taken:
+        raise InputError(
+            f"there is a field '{field.name}' already: give yours another name, as in "
+            "field.name = 'mine'."
+        )
+    if isinstance(field, MeshTags):
+        if field.dim != mesh.topology.dim or not same_topology(field, mesh):
+            raise InputError(f"'{field.name}' are no tags of the cells of this mesh.")
+        function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=field.name)
+        function.x.array[field.indices] = field.values
+        return function
+    V = field.function_space
+    if V.mesh.topology is not mesh.topology:
+        raise InputError(f"'{field.name}' lives on another mesh than the displacement.")
+    try:
+        element = V.element.basix_element
+        lagrange = element.family == basix.ElementFamily.P and (
+            element.degree == 0 or not element.discontinuous
+        )
+    except RuntimeError:  # a mixed element, or values at points only
+        lagrange = False
+    real = field.x.array.dtype.kind == "f"
+    if not (real and lagrange and V.dofmap.bs == math.prod(field.ufl_shape)):
+        raise InputError(
+            f"'{field.name}' must be a real Lagrange Function or one of degree 0 ('DG', 0), found "
+            f"{V.ufl_element()} of {field.x.array.dtype}: interpolate it."
+        )
+    return field
+
+
+def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
+    """Interpolate Functions to the highest degree of these and of the geometry. Collective.
+
+    Functions of degree 0 stay. Of integers each new node gets the least at the corners that are
+    nearest to it in the reference cell, such as both ends of an edge for its middle.
+    """
+    mesh = functions[0].function_space.mesh
+    degrees = [function.function_space.ufl_element().degree for function in functions]
+    degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
+    results = []
+    for function in functions:
+        V = function.function_space
+        if V.ufl_element().degree == degree or is_constant_in_cells(function):
+            results.append(function)
+            continue
+        W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
+        result = type(function)(W, name=function.name)
+        if isinstance(function, IntegerFunction):
+            corners, nodes = V.element.basix_element.points, W.element.basix_element.points
+            distances = np.linalg.norm(nodes[:, None] - corners, axis=2)
+            nearest = distances < distances.min(axis=1, keepdims=True) + 1e-9
+            at_corners = function.x.array[V.dofmap.list][:, None]
+            result.x.array[W.dofmap.list] = np.where(nearest, at_corners, np.inf).min(axis=2)
+        else:
+            result.interpolate(function)
+        result.x.scatter_forward()
+        results.append(result)
+    return results

@@ -1,9 +1,12 @@
-"""Writing results for ParaView: PVD, VTU, XDMF, and VTX (ADIOS2)."""
+"""Writing results for ParaView: grids (`.vtu`) and time series of named grids (`.pvd`)."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
@@ -11,30 +14,43 @@ from typing import Any
 
 from mpi4py import MPI
 
-import dolfinx.io
+import numpy as np
+
 from dolfinx import fem
 
-from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.atomic_write import atomic_write_on_all_ranks
+from dolfinx_tresca._base.atomic_write import atomic_write, file_named_in_errors
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.output import body_forces
-from dolfinx_tresca.output.blocks import (
-    Blocks,
+from dolfinx_tresca.output.grid import (
+    ROOT,
+    VERTEX,
     Field,
-    HasFields,
+    Grid,
     blocks_of,
-    curved,
-    in_degree,
-    unused_name,
+    gather_grid,
+    local_grid,
 )
-from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid, is_constant_in_cells, local_grid
-from dolfinx_tresca.output.revolved import STEP, checked_angle, revolved
-from dolfinx_tresca.output.series import Series
-from dolfinx_tresca.output.state_colours import paraview_preset
-from dolfinx_tresca.output.vtu import write_vtu
-from dolfinx_tresca.output.xdmf import write_xdmf
+from dolfinx_tresca.output.vtu import DataSet, read_pvd, write_pvd, write_pvtu, write_vtu
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.fields import ContactState
+from dolfinx_tresca.solution.resultants import Resultant
+
+#: State -> its name, and its colour as red, green and blue from 0 to 1: blue for stick, orange for
+#: slip, light colours for open nodes.
+STATE_COLOURS: dict[ContactState, tuple[str, tuple[float, float, float]]] = {
+    ContactState.OUTSIDE: ("outside", (0.60, 0.60, 0.60)),
+    ContactState.OPEN: ("open", (0.85, 0.85, 0.85)),
+    ContactState.OPEN_STICK: ("open, sticks", (0.65, 0.81, 0.93)),
+    ContactState.OPEN_SLIP: ("open, slips", (1.00, 0.80, 0.55)),
+    ContactState.PRESSED: ("pressed", (0.55, 0.25, 0.60)),
+    ContactState.STICK: ("sticks", (0.10, 0.35, 0.70)),
+    ContactState.SLIP: ("slips", (0.85, 0.35, 0.00)),
+    ContactState.BONDED: ("bonded", (0.20, 0.55, 0.25)),
+}
+
+#: Block of the forces between bodies.
+FORCES = "forces_between_bodies"
 
 
 def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -48,14 +64,7 @@ def _series_options(writer: SolutionWriter) -> dict[str, Any]:
 
 
 @collective(_comm_of_solution, ignored=("path",))
-def write(
-    path: str | Path,
-    solution: HasFields,
-    *,
-    fields: Sequence[Field] = (),
-    revolve: float | None = None,
-    by_body: bool = False,
-) -> None:
+def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = ()) -> None:
     """Write displacement and contact fields for ParaView.
 
     There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
@@ -67,20 +76,16 @@ def write(
       states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
     * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids. The first rank gathers them, and
       needs about 1 kB of memory for each node of the whole mesh: on many ranks take `.pvd`.
-    * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
-      mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
-    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, which needs ADIOS2 and has no
-      fields of cells.
 
-    Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
-    contact fields then have values at the middles of edges as well, and at the middle of an edge
-    `state` has the value of one end of the edge. Vectors of 2D get a third component 0, as ParaView
-    requires. Without friction there are no fields "traction" and "slip". With load steps there are
-    "slip_increment" and "slip_path" as well, from the second step on.
+    Displacements of degree 2 and curved meshes are kept: contact fields then have values at the
+    middles of edges as well, and at the middle of an edge `state` has the value of one end of the
+    edge. Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
+    fields "traction" and "slip". With load steps there are "slip_increment" and "slip_path" as
+    well, from the second step on.
 
     Beside the displacement the volume has `body`, the number of each cell's body, counted from 1 as
-    in messages; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has
-    the names of the bodies (field data `body_names`) and, with three or more bodies, a block
+    in messages; `cell_errors`, if they were estimated; the requested fields; and the names of the
+    bodies (field data `body_names`). With three or more bodies there is a block
     "forces_between_bodies": a point for each pair of bodies that push each other, with the `force`
     on the body with the lower number.
 
@@ -92,61 +97,54 @@ def write(
         fields: further fields of the volume, under their names: Lagrange Functions, or Functions of
             degree 0, on the mesh of the displacement, such as a von Mises stress; and `MeshTags` of
             its cells, such as materials, with 0 in cells without a tag.
-        revolve: angle in degrees, up to 360, by which bodies of revolution and their fields are
-            turned about the y axis; only for `.pvd` and `.vtu`. The result is a grid in 3D of
-            degree 1, whose first meridian is the mesh. None: the meridian alone is written.
-        by_body: whether a `.pvd` has a block for each body, under its name in
-            `solution.body_names`, instead of the block "volume". Each rank that has cells of a body
-            then writes a file for this body.
 
     Raises:
-        InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
-            a name that is taken, the angle is wrong, the format does not support `revolve` or
-            `by_body`, or the file cannot be written.
+        InputError: the suffix is unknown, a field is of another kind or has a name that is taken,
+            or the file cannot be written.
     """
     blocks = blocks_of(solution, fields)
-    angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
-    comm = _comm(blocks)
-    path = _agreed(comm, path)
-    if path.suffix not in SUFFIXES:
+    comm: MPI.Comm = solution.u.function_space.mesh.comm
+    path = Path(comm.bcast(str(path), root=ROOT))
+    if path.suffix == ".pvd":
+        grids = _grids(solution, blocks, local_grid)
+        SolutionWriter(path)._add_step(comm, grids, 0.0)
+    elif path.suffix == ".vtu":
+        grids = _grids(solution, blocks, gather_grid)
+        with errors_on_all_ranks(comm):
+            if comm.rank == ROOT:
+                with atomic_write(path) as volume:
+                    for name, grid in grids.items():
+                        beside = volume.with_name(f"{path.stem}_{name}.vtu")
+                        write_vtu(volume if name == "volume" else beside, grid)
+    else:
         raise InputError(
-            f"write knows the suffixes {', '.join(SUFFIXES)}, found '{path}': they say the format."
+            f"write knows the suffixes .pvd and .vtu, found '{path}': they say the format."
         )
-    if path.suffix == ".bp" and not compat.has_adios2:
-        raise InputError(
-            f"'{path}' needs ADIOS2, and this DOLFINx has none: write .pvd, .vtu or .xdmf instead."
-        )
-    if path.suffix == ".pvd":  # a series is always complete
-        _write_step(_series(path), solution, blocks, 0.0, angle, by_body)
-        return
-    if by_body:
-        raise InputError(f"by_body needs a '.pvd', whose blocks have names, found '{path}'.")
-    if angle and path.suffix != ".vtu":
-        raise InputError(f"revolve needs a '.pvd' or a '.vtu', found '{path}'.")
-    room = comm.allreduce(sum(map(_bytes, blocks.values()))) * max(1, math.ceil(angle / STEP))
-    with atomic_write_on_all_ranks(comm, path, room) as new:
-        if path.suffix == ".vtu":
-            _write_vtu(new, blocks, angle)
-        else:
-            _WRITERS[path.suffix](new, blocks)
 
 
-def _bytes(functions: Sequence[fem.Function]) -> int:
-    """Return an upper bound of the bytes that this rank's part of a mesh with Functions needs.
+@collective(_comm_of_solution)
+def to_pyvista(solution: Evaluation, *, fields: Sequence[Field] = ()) -> Any:
+    """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
 
-    This bound is compared with the free space on the disk. Ghost nodes count, since VTX files
-    contain them. Not collective.
+    Args:
+        solution: the solution that `ContactProblem.solve` returned.
+        fields: see `write`.
+
+    Returns:
+        the whole model, gathered; None on other ranks.
+
+    Raises:
+        InputError: a field is of another kind or has a name that is taken.
+        ContactError: pyvista is missing.
     """
-    V = functions[0].function_space
-    maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
-    nodes = max(int(map.size_local + map.num_ghosts) for map in maps)
-    cells, per_cell = map(int, compat.geometry_dofmap(V.mesh).shape)
-    per_cell = max(per_cell, int(V.dofmap.list.shape[1]))
-    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables for both
-    for function in functions:
-        count = cells if is_constant_in_cells(function) else nodes
-        numbers += count * 3 ** len(function.ufl_shape)
-    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU has 4 bytes for 3 of the data, and headers
+    grids = _grids(solution, blocks_of(solution, fields), gather_grid)
+    with errors_on_all_ranks(solution.u.function_space.mesh.comm):
+        if not grids:
+            return None
+        converted = {name: grid.to_pyvista() for name, grid in grids.items()}
+        import pyvista
+
+        return pyvista.MultiBlock(converted)
 
 
 class SolutionWriter:
@@ -176,189 +174,201 @@ class SolutionWriter:
             raise InputError(f"a time series is a '.pvd', found '{path}'.")
         self._path = Path(path)
         self._append = append
-        self._series: Series | None = None
-        self._last = -math.inf
+        self._latest_time = -math.inf
+        self._series: list[DataSet] | None = None  # on the first rank, after the first step
 
     @collective(_comm_of_solution, ignored=("time",), extra_values=_series_options)
-    def write(
-        self,
-        solution: HasFields,
-        time: float,
-        *,
-        fields: Sequence[Field] = (),
-        revolve: float | None = None,
-        by_body: bool = False,
-    ) -> None:
+    def write(self, solution: Evaluation, time: float, *, fields: Sequence[Field] = ()) -> None:
         """Add a solution. Collective.
 
         Args:
             solution: the solution that `ContactProblem.solve` returned.
             time: time in any unit, larger than the previous one; the first rank's time counts.
             fields: see `dolfinx_tresca.output.io.write`.
-            revolve: see `dolfinx_tresca.output.io.write`.
-            by_body: see `dolfinx_tresca.output.io.write`.
 
         Raises:
             InputError: the time is not a number, or not larger than the previous one; a field is of
-                another kind, the angle is wrong, or the files cannot be written.
+                another kind, or the files cannot be written.
         """
         blocks = blocks_of(solution, fields)
-        angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
-        comm = _comm(blocks)
+        comm: MPI.Comm = solution.u.function_space.mesh.comm
         time = comm.bcast(time, root=ROOT)
-        if not isinstance(time, Real) or not self._last < time < math.inf:
+        if not isinstance(time, Real) or not self._latest_time < time < math.inf:
+            beyond = f" above {self._latest_time:g}, the last one"
             raise InputError(
-                "time must be a number"
-                + (f" above {self._last:g}, the last one" if self._last > -math.inf else "")
-                + f", found {time!r}."
+                f"time must be a number{beyond if self._latest_time > -math.inf else ''}, "
+                f"found {time!r}."
             )
+        self._path = Path(comm.bcast(str(self._path), root=ROOT))
+        self._add_step(comm, _grids(solution, blocks, local_grid), float(time))
+        self._latest_time = float(time)
+
+    def _add_step(self, comm: MPI.Comm, grids: Mapping[str, Grid], time: float) -> None:
+        """Write this rank's part of each grid to a new folder, and then an index with this step.
+
+        Until the index replaces the old one, all files of the older steps are as they were.
+        Collective.
+
+        Raises:
+            InputError: a file cannot be written, or the existing series cannot be continued.
+        """
+        series: list[DataSet] = []
+        folder = Path()
+        with _file_named_on_all_ranks(comm, self._path):
+            if comm.rank == ROOT:
+                series, folder = self._begin_step(time)
+        folder = comm.bcast(folder, root=ROOT)
+        cells = comm.gather({name: len(grid.cells) for name, grid in grids.items()}, root=ROOT)
+        try:
+            with _file_named_on_all_ranks(comm, self._path):
+                for name, grid in grids.items():
+                    if comm.size == 1:
+                        write_vtu(folder / f"{name}.vtu", grid)
+                    elif len(grid.cells):
+                        write_vtu(folder / f"{name}_{comm.rank}.vtu", grid)
+            with _file_named_on_all_ranks(comm, self._path):
+                if cells is not None:
+                    if comm.size > 1:
+                        for name, grid in grids.items():
+                            ranks = [rank for rank, count in enumerate(cells) if count[name]]
+                            pieces = [f"{name}_{rank}.vtu" for rank in ranks]
+                            write_pvtu(folder / f"{name}.pvtu", grid, pieces)
+                    suffix = "vtu" if comm.size == 1 else "pvtu"
+                    place = f"{folder.parent.name}/{folder.name}"
+                    step = [DataSet(time, name, f"{place}/{name}.{suffix}") for name in grids]
+                    self._finish_step([*series, *step])
+        except Exception:  # raised on all ranks
+            if comm.rank == ROOT:
+                _remove_grids(folder)
+            comm.barrier()
+            raise
+
+    def _begin_step(self, time: float) -> tuple[list[DataSet], Path]:
+        """Return the entries of earlier steps, and a new folder for the step. Not collective.
+
+        Before the first step of a continued series, the index of older steps is read, and steps
+        that are not before `time` are dropped.
+
+        Raises:
+            InputError: the older series cannot be read.
+        """
+        series = self._series
+        if series is None and self._append and self._path.exists():
+            try:
+                series = [data for data in read_pvd(self._path) if data.time < time]
+                for data in series:
+                    int(_step_folder(data))
+            except ValueError as error:  # also if the name of a folder is not a number
+                raise InputError(f"cannot add to '{self._path}': {error}.") from error
+        series = series or []
+        count = len({_step_folder(data) for data in series})
+        folders = (self._path.with_suffix("") / f"{i:04}" for i in itertools.count(count))
+        folder = next(folder for folder in folders if not folder.exists())
+        folder.mkdir(parents=True)
+        return series, folder
+
+    def _finish_step(self, series: list[DataSet]) -> None:
+        """Write the index of all steps; after the first step, remove other steps. Not collective.
+
+        Other steps are those of an older series, and what a killed run has left.
+        """
+        folder = self._path.with_suffix("")
         if self._series is None:
-            self._series = _series(_agreed(comm, self._path), append=self._append)
-        _write_step(self._series, solution, blocks, float(time), angle, by_body)
-        self._last = float(time)
+            (folder / "state.json").write_text(paraview_preset())
+        with atomic_write(self._path) as index:
+            write_pvd(index, series)
+        if self._series is None:
+            kept = {_step_folder(data) for data in series}
+            for step in folder.glob("[0-9]*"):
+                if step.name.isdecimal() and step.name not in kept:
+                    _remove_grids(step)
+        self._series = series
 
 
-@collective(_comm_of_solution)
-def to_pyvista(
-    solution: HasFields,
-    *,
-    fields: Sequence[Field] = (),
-    revolve: float | None = None,
-    by_body: bool = False,
-) -> Any:
-    """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
+def paraview_preset() -> str:
+    """Return the look-up table of states, which ParaView's colour map editor imports."""
+    annotations: list[str] = []
+    for state, (name, _) in STATE_COLOURS.items():
+        annotations += [str(int(state)), name]
+    colours = [x for _, colour in STATE_COLOURS.values() for x in colour]
+    preset = {"Name": "contact state", "Annotations": annotations, "IndexedColors": colours}
+    return json.dumps([preset], indent=1)
 
-    Args:
-        solution: the solution that `ContactProblem.solve` returned.
-        fields: see `write`.
-        revolve: see `write`.
-        by_body: see `write`.
 
-    Returns:
-        the whole model, gathered; None on other ranks.
+def _step_folder(data: DataSet) -> str:
+    """Return the name of the folder of a step: its number."""
+    return Path(data.file).parent.name
+
+
+def _remove_grids(folder: Path) -> None:
+    """Remove the files of a step, and its folder if it is empty then. Not collective."""
+    for pattern in ("*.vtu", "*.pvtu"):
+        for file in folder.glob(pattern):
+            file.unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+@contextmanager
+def _file_named_on_all_ranks(comm: MPI.Comm, path: Path) -> Iterator[None]:
+    """Raise an error with the file's name on all ranks if any rank cannot write it. Collective.
 
     Raises:
-        InputError: a field is of another kind or has a name that is taken, or the angle is wrong.
-        ContactError: pyvista is missing.
+        InputError: the block raised OSError; see `errors_on_all_ranks`.
     """
-    blocks = blocks_of(solution, fields)
-    angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
-    gathered = {name: _gathered(functions, angle) for name, functions in blocks.items()}
-    grids = {name: grid for name, grid in gathered.items() if grid is not None}
-    with errors_on_all_ranks(_comm(blocks)):
-        if not grids:
-            return None
-        grids = _with_bodies(grids, solution, here=True, by_body=by_body)
-        found = {name: grid.to_pyvista() for name, grid in grids.items()}
-        import pyvista
-
-        return pyvista.MultiBlock(found)
+    with errors_on_all_ranks(comm), file_named_in_errors(path):
+        yield
 
 
-def _comm(blocks: Blocks) -> MPI.Comm:
-    comm: MPI.Comm = next(iter(blocks.values()))[0].function_space.mesh.comm
-    return comm
-
-
-def _agreed(comm: MPI.Comm, path: str | Path) -> Path:
-    """Return the path of the first rank. Collective."""
-    return Path(comm.bcast(str(path), root=ROOT))
-
-
-def _series(path: Path, append: bool = False) -> Series:
-    """Return a series with the colours of the states beside its steps. Not collective."""
-    return Series(path, append=append, texts={"state.json": paraview_preset()})
-
-
-def _write_step(
-    series: Series, solution: HasFields, blocks: Blocks, time: float, angle: float, by_body: bool
-) -> None:
-    """Add a step to a series, with grids that are turned by an angle [degrees]. Collective."""
-    grids = {name: local_grid(_shown(functions, angle)) for name, functions in blocks.items()}
-    if angle:
-        grids = {name: revolved(grid, angle) for name, grid in grids.items()}
-    comm = _comm(blocks)
-    series.write(comm, _with_bodies(grids, solution, comm.rank == ROOT, by_body), time)
-
-
-def _with_bodies(
-    grids: dict[str, Grid], solution: HasFields, here: bool, by_body: bool
+def _grids(
+    solution: Evaluation,
+    blocks: Mapping[str, Sequence[fem.Function]],
+    grid_of: Callable[[Sequence[fem.Function]], Grid | None],
 ) -> dict[str, Grid]:
-    """Add names of bodies to grids, and with three or more bodies the forces between them.
+    """Return grids of blocks, with names of bodies, and the forces between three or more bodies.
 
-    For two bodies the force between them is already known as the force of their pair. Not
-    collective.
+    For two bodies the force between them is already known as the force of their pair. Collective.
 
     Args:
-        grids: name -> grid, with "volume" among them.
         solution: the solution, with names of bodies and forces between them.
-        here: whether this rank writes the forces.
-        by_body: whether a grid for each body replaces the grid "volume".
+        blocks: name -> Functions.
+        grid_of: function that returns a rank's part of a grid, or the whole grid on the first rank.
+
+    Returns:
+        name -> grid; empty on ranks without grids.
     """
-    volume = replace(grids["volume"], texts={"body_names": solution.body_names})
-    result = {**grids, "volume": volume}
-    if by_body:
-        del result["volume"]
-        for number, name in enumerate(solution.body_names, 1):
-            body = volume.part(volume.cell_values["body"] == number)
-            named = replace(body, texts={"body_names": (name,)})
-            result[unused_name(name, {*result, body_forces.NAME}, number)] = named
-    if len(solution.body_names) > 2 and solution.between_bodies:
-        result[body_forces.NAME] = body_forces.grid_of_forces(solution.between_bodies, here)
-    return result
+    made = {name: grid_of(functions) for name, functions in blocks.items()}
+    grids = {name: grid for name, grid in made.items() if grid is not None}
+    if grids:
+        grids["volume"] = replace(grids["volume"], texts={"body_names": solution.body_names})
+        if len(solution.body_names) > 2 and solution.between_bodies:
+            comm: MPI.Comm = solution.u.function_space.mesh.comm
+            grids[FORCES] = _grid_of_forces(solution.between_bodies if comm.rank == ROOT else {})
+    return grids
 
 
-def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:
-    """Write a `.vtu` for each block, on the first rank; `angle`: see `_gathered`. Collective."""
-    for file, functions in _files(path, blocks).items():
-        grid = _gathered(functions, angle)
-        with errors_on_all_ranks(_comm(blocks)):
-            if grid is not None:
-                write_vtu(file, grid)
+def _grid_of_forces(between_bodies: Mapping[tuple[int, int], Resultant]) -> Grid:
+    """Return a grid of points, one for each pair of bodies, where their contact force acts.
 
+    Not collective.
 
-def _gathered(functions: Sequence[fem.Function], angle: float) -> Grid | None:
-    """Return the whole grid, turned by an angle [degrees]; None except on the first rank.
-
-    Collective.
-    """
-    grid = gather_grid(_shown(functions, angle))
-    return revolved(grid, angle) if grid is not None and angle else grid
-
-
-def _shown(functions: Sequence[fem.Function], angle: float) -> list[fem.Function]:
-    """Interpolate Functions to the degree of files: 1 for revolved bodies, else see `curved`.
-
-    Collective.
+    The values are "force", the force on the body with the lower number, and the numbers of both
+    bodies, counted from 1: "on_body" (the lower number) and "by_body".
 
     Args:
-        functions: Functions on the same mesh.
-        angle: angle of revolution in degrees; 0: the bodies are drawn as they are.
+        between_bodies: (i, j) -> resultant on body i by body j, for i < j.
     """
-    return in_degree(functions, 1) if angle else curved(functions)
-
-
-def _write_vtx(path: Path, blocks: Blocks) -> None:
-    """Write a `.bp` for each block. Collective."""
-    for file, functions in _files(path, blocks).items():
-        at_nodes = [function for function in functions if not is_constant_in_cells(function)]
-        with dolfinx.io.VTXWriter(_comm(blocks), file, curved(at_nodes)) as writer:
-            writer.write(0.0)
-
-
-def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
-    """Return path -> Functions of the file, for formats with a file for each block."""
-    return {
-        path if i == 0 else path.with_name(f"{path.stem}_{name}{path.suffix}"): functions
-        for i, (name, functions) in enumerate(blocks.items())
-    }
-
-
-#: Suffix -> writer, for formats that hold neither revolved grids nor time series.
-_WRITERS: dict[str, Callable[[Path, Blocks], None]] = {
-    ".xdmf": write_xdmf,
-    ".bp": _write_vtx,
-}
-
-#: Suffixes of all formats.
-SUFFIXES = (".pvd", ".vtu", *_WRITERS)
+    count = len(between_bodies)
+    points, forces = np.zeros((2, count, 3))
+    for row, resultant in enumerate(between_bodies.values()):
+        points[row, : len(resultant.point)] = resultant.point
+        forces[row, : len(resultant.force)] = resultant.force
+    bodies = 1 + np.array([*between_bodies], dtype=np.int32).reshape(-1, 2)
+    return Grid(
+        dim=3,
+        degree=1,
+        points=points,
+        cells=np.column_stack([np.ones(count, dtype=np.int64), np.arange(count)]),
+        cell_types=np.full(count, VERTEX, dtype=np.uint8),
+        values={"force": forces, "on_body": bodies[:, 0].copy(), "by_body": bodies[:, 1].copy()},
+    )

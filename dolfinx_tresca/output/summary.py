@@ -1,4 +1,4 @@
-"""The rows of `print(problem)`."""
+"""The rows of `print(problem)`, and of the errors and the contact in `print(solution)`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import numpy as np
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.lines import UNBROKEN
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -20,8 +22,10 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.units import Units, with_unit
+from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,12 @@ class ProblemSummary:
         mesh, comm = system.V.mesh, system.comm
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         operators = [rows.operators for rows in jump.by_pair]
-        own = [int(system.moves.sum()), sum(len(one.nodes) for one in jump.pairs)]
-        counts = reduce_array(comm, [*own, *(len(one.nodes) for one in operators)])
+        own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
+        counts = reduce_array(comm, [*own, *(len(pair.nodes) for pair in operators)])
+        texts = []
+        for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
+            kind = "obstacle" if isinstance(pair.primary, RigidObstacle) else "mortar"
+            texts.append((pair, f"{kind}: {nodes} nodes", _gap_range(comm, pair_operators)))
         return cls(
             mesh=f"{cells} cells ({mesh.topology.cell_name()}"
             + ", axisymmetric" * system.axisymmetric
@@ -63,42 +71,36 @@ class ProblemSummary:
             free_dofs=int(counts[0]),
             other_dofs=system.saddle_size,
             contact_nodes=int(counts[1]),
-            pairs=tuple(
-                (pair, f"{_kind(pair)}: {nodes} nodes", _gap_range(comm, one))
-                for pair, one, nodes in zip(pairs, operators, counts[2:], strict=True)
-            ),
+            pairs=tuple(texts),
         )
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return names and values. Not collective."""
         beside = f", beside {self.other_dofs} unknowns of other kinds" if self.other_dofs else ""
+        pair_rows = [
+            (
+                "  pair",
+                f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
+                f"{_friction_text(pair.friction, units)}",
+            )
+            for pair, paired, gap in self.pairs
+        ]
         return [
             ("mesh", self.mesh),
             ("displacements", f"{self.dofs}, {self.free_dofs} of them free" + beside),
             ("contact nodes", f"{self.contact_nodes}"),
-            *abridged([self._pair_row(*one, units) for one in self.pairs], "pairs"),
+            *abridged(pair_rows, "pairs"),
         ]
-
-    @staticmethod
-    def _pair_row(pair: ContactPair, paired: str, gap: str, units: Units | None) -> Row:
-        """Return the row of a pair."""
-        friction = _friction_text(pair.friction, units)
-        return "  pair", f"{pair}, {paired}, {with_unit(gap, units, 'length')}, {friction}"
-
-
-def _kind(pair: ContactPair) -> str:
-    """Return the kind of the pairing."""
-    return "obstacle" if isinstance(pair.primary, RigidObstacle) else "mortar"
 
 
 def _friction_text(friction: Friction, units: Units | None) -> str:
     """Return a law as text; a Tresca bound that is a number or a Constant has its unit."""
-    number = False
+    has_numbers = False
     if isinstance(friction, Tresca):
         bound = friction.slip_bound
         bounds = bound if isinstance(bound, tuple) else (bound,)
-        number = all(isinstance(one, fem.Constant) or real(one) is not None for one in bounds)
-    return with_unit(str(friction), units if number else None, "stress")
+        has_numbers = all(isinstance(b, fem.Constant) or real(b) is not None for b in bounds)
+    return with_unit(str(friction), units if has_numbers else None, "stress")
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:
@@ -108,3 +110,111 @@ def _gap_range(comm: Any, operators: PairOperators) -> str:
         comm, [gap.min(initial=np.inf), (-gap).min(initial=np.inf)], MPI.MIN
     )
     return f"gap {least:.3g}" if least == -negated else f"gap {least:.3g} to {-negated:.3g}"
+
+
+def _digits(error: float) -> int:
+    """Return how many digits a relative error justifies: 1 to 8."""
+    return int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
+
+
+def significant(value: float, error: float) -> str:
+    """Return the text of a number, with as many digits as its relative error justifies: 1 to 8."""
+    return f"{value:.{_digits(error)}g}"
+
+
+def vector(values: Array, error: float) -> str:
+    """Return the text of a vector, with digits for an error relative to its largest component."""
+    digits = _digits(error)
+    size = float(np.abs(values).max())
+    places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0
+    # + 0.0: components that are rounded to zero have no sign
+    components = [f"{round(float(value), places) + 0.0:.{digits}g}" for value in values]
+    return "(" + f",{UNBROKEN}".join(components) + ")"
+
+
+def _may_be_zero(results: Evaluation) -> bool:
+    """Return whether no node is pressed or bonded and the error is as large as the solution."""
+    counts = results.counts
+    return counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
+
+
+def error_rows(results: Evaluation) -> list[Row]:
+    """Return the errors of the iteration and of the mesh."""
+    kind = "at most" if results.bound_is_rigorous else "about"
+    bound = f"{kind} {results.energy_error_bound:.1e} of the solution's norm"
+    if results.energy_error_bound == 0.0:
+        bound = "zero to rounding"
+    elif _may_be_zero(results):
+        return [("energy error", "as large as the solution, which may be zero")]
+    elif np.isinf(results.energy_error_bound):
+        bound = "not bounded, since constraints are dependent: more than nodes have free directions"
+    rows = [("energy error", bound)]
+    if results.bound_error > 0.0:
+        rows.append(("slip bounds", f"changing by about {results.bound_error:.1e} of the largest"))
+    if results.discretisation_error is not None:
+        rows.append(("mesh error", f"about {results.discretisation_error:.1e} of it"))
+    return rows
+
+
+def contact_rows(results: Evaluation, units: Units | None) -> list[Row]:
+    """Return the rows of the contact, with the digits that the error of nodal values justifies."""
+    counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
+    dim = 3 if results.axisymmetric else dim  # forces on whole rings
+    scale = 0.0 if _may_be_zero(results) else 1.0  # relative errors leave rounding all its digits
+    has_friction = any(surface.traction is not None for surface in results.surfaces)
+    has_history = any(surface.slip_increment is not surface.slip for surface in results.surfaces)
+
+    def nodes(count: int, stick: int, idle: int = 0) -> str:
+        states = f": {stick} stick, {count - stick - idle} slip"
+        return f"{count}" + (states if has_friction and count > idle else "")
+
+    def number(value: float, quantity: Quantity, error: float = results.local_error) -> str:
+        return with_unit(significant(value, error), units, quantity, dim)
+
+    def force(resultant: Resultant) -> str:
+        text = vector(scale * resultant.force, results.local_error)
+        return with_unit(text, units, "force", dim).replace(" ", UNBROKEN)
+
+    open_nodes = counts.nodes - counts.contact - counts.bonded
+    rows = [
+        ("contact nodes", f"{counts.nodes}"),
+        ("  pressed", nodes(counts.contact, counts.contact_stick)),
+        ("  open", nodes(open_nodes, counts.stick - counts.contact_stick, counts.idle)),
+    ]
+    if counts.bonded:
+        rows.append(("  bonded", f"{counts.bonded}"))
+    if counts.undecided:
+        why = "of these: at the limit of their state, within the error"
+        rows.append(("  undecided", f"{counts.undecided} {why}"))
+    rows.append(("peak pressure", number(scale * results.peak_pressure, "stress")))
+    if has_friction:
+        slip = number(results.greatest_slip, "length")
+        path = f" in this step, {number(results.greatest_total_slip, 'length')} along its path"
+        rows.append(("greatest slip", slip + (path if has_history else "")))
+    if has_history:
+        step, total = (
+            number(x, "energy") for x in (results.dissipation, results.total_dissipation)
+        )
+        rows.append(("dissipation", f"{step} in this step, {total} so far"))
+    forces = [force(resultant) for resultant in results.pair_resultants]
+    normal = f"{number(scale * results.normal_force, 'force')} normal"
+    if len(forces) == 1:
+        rows.append(("force", f"{normal}, {forces[0]} on the secondary side"))
+    else:
+        rows.append(("force", f"{normal}; on the secondary side of each pair:"))
+        named = zip(results.surfaces, forces, strict=True)
+        rows += abridged([("", f"{surface.name}: {text}") for surface, text in named], "pairs")
+    if len(results.between_bodies) > 1:
+        names = results.body_names
+        between = [
+            ("", f"{names[i]} by {names[j]}: {force(resultant)}")
+            for (i, j), resultant in results.between_bodies.items()
+        ]
+        rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
+        rows += abridged(between, "pairs of bodies")
+    primal, dual = results.primal_energy, results.dual_energy
+    # both energies get enough digits to be distinguished
+    apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
+    energies = [number(energy, "energy", apart) for energy in (primal, dual)]
+    rows.append(("energy", f"{energies[0]} primal, {energies[1]} dual"))
+    return rows

@@ -6,7 +6,7 @@ import sys
 import xml.etree.ElementTree as ET
 import zlib
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dolfinx_tresca.output.grid import Grid
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
-_ORDER = {"little": "LittleEndian", "big": "BigEndian"}[sys.byteorder]
+_BYTE_ORDER = {"little": "LittleEndian", "big": "BigEndian"}[sys.byteorder]
 
 
 class DataSet(NamedTuple):
@@ -43,39 +43,30 @@ def write_vtu(path: Path, grid: Grid) -> None:
     root = _root("UnstructuredGrid", "2.2" if grid.degree > 1 else "1.0")
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")
-    for name, texts in grid.texts.items():
-        _write_texts(ET.SubElement(whole, "FieldData"), name, texts)
-    piece = ET.SubElement(
-        whole,
-        "Piece",
-        NumberOfPoints=str(len(grid.points)),
-        NumberOfCells=str(len(grid.cells)),
-    )
-    for parent, name, values in _arrays(grid):
-        element = _array(_section(piece, parent, name), "DataArray", name, values)
-        element.set("format", "binary")
-        element.text = _encoded(values)
+    for name, texts in grid.texts.items():  # as bytes, with a zero at the end of each text
+        field_data = ET.SubElement(whole, "FieldData")
+        array = ET.SubElement(field_data, "DataArray", type="String", Name=name, format="ascii")
+        array.set("NumberOfTuples", str(len(texts)))
+        array.text = " ".join(map(str, b"".join(text.encode() + b"\0" for text in texts)))
+    sizes = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
+    piece = ET.SubElement(whole, "Piece", sizes)
+    nodes = grid.cells[:, 1:]
+    cells: dict[str, npt.NDArray[Any]] = {
+        "connectivity": nodes.ravel(),
+        "offsets": nodes.shape[1] * np.arange(1, len(nodes) + 1, dtype=np.int64),
+        "types": grid.cell_types.astype(np.uint8),
+    }
+    for section, arrays in {**_fields(grid), "Cells": cells}.items():
+        element = _section(piece, section, arrays)
+        for name, values in arrays.items():
+            array = _declared(element, "DataArray", name, values)
+            array.set("format", "binary")
+            array.text = _compressed(values)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _write_texts(section: ET.Element, name: str, texts: Sequence[str]) -> None:
-    """Add texts to a section of the XML, as bytes with a zero at the end of each text."""
-    data = b"".join(text.encode() + b"\0" for text in texts)
-    element = ET.SubElement(section, "DataArray", type="String", Name=name, format="ascii")
-    element.set("NumberOfTuples", str(len(texts)))
-    element.text = " ".join(map(str, data))
-
-
-def _encoded(values: npt.NDArray[Any]) -> str:
-    """Return one compressed block as text; ParaView 5.11 fails at raw bytes behind the XML."""
-    data = values.tobytes()
-    packed = zlib.compress(data, level=1)
-    sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
-    return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()
-
-
 def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
-    """Write a .pvtu file: the index of the pieces of a grid. Not collective.
+    """Write the index of the pieces of a grid. Not collective.
 
     Args:
         path: path of the file.
@@ -87,12 +78,13 @@ def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
     """
     root = _root("PUnstructuredGrid")
     whole = ET.SubElement(root, "PUnstructuredGrid", GhostLevel="0")
-    for parent, name, values in _arrays(grid):
-        if parent != "Cells":
-            _array(_section(whole, f"P{parent}", name), "PDataArray", name, values)
+    for section, arrays in _fields(grid).items():
+        element = _section(whole, f"P{section}", arrays)
+        for name, values in arrays.items():
+            _declared(element, "PDataArray", name, values)
     for piece in pieces:
         ET.SubElement(whole, "Piece", Source=piece)
-    _save(path, root)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
 def write_pvd(path: Path, series: Sequence[DataSet]) -> None:
@@ -103,11 +95,12 @@ def write_pvd(path: Path, series: Sequence[DataSet]) -> None:
     """
     root = _root("Collection")
     collection = ET.SubElement(root, "Collection")
-    parts = list(dict.fromkeys(data.name for data in series))
+    names = list(dict.fromkeys(data.name for data in series))
     for time, name, file in series:
-        part = str(parts.index(name))
+        part = str(names.index(name))
         ET.SubElement(collection, "DataSet", timestep=repr(time), part=part, name=name, file=file)
-    _save(path, root)
+    ET.indent(root)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
 def read_pvd(path: Path) -> list[DataSet]:
@@ -127,47 +120,41 @@ def read_pvd(path: Path) -> list[DataSet]:
 
 
 def _root(kind: str, version: str = "1.0") -> ET.Element:
-    header = {"version": version, "byte_order": _ORDER, "header_type": "UInt64"}
+    header = {"version": version, "byte_order": _BYTE_ORDER, "header_type": "UInt64"}
     return ET.Element("VTKFile", {"type": kind, **header})
 
 
-def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
-    """Yield, for each array of a grid, the name of its section, its own name and its values."""
-    nodes = grid.cells[:, 1:]
-    for name, values in grid.values.items():
-        yield "PointData", name, values
-    for name, values in grid.cell_values.items():
-        yield "CellData", name, values
-    yield "Points", "Points", grid.points
-    yield "Cells", "connectivity", nodes
-    yield "Cells", "offsets", nodes.shape[1] * np.arange(1, len(nodes) + 1, dtype=np.int64)
-    yield "Cells", "types", grid.cell_types.astype(np.uint8)
+def _fields(grid: Grid) -> dict[str, dict[str, npt.NDArray[Any]]]:
+    """Return the arrays of each section that `.vtu` and `.pvtu` have."""
+    return {
+        "PointData": grid.values,
+        "CellData": grid.cell_values,
+        "Points": {"Points": grid.points},
+    }
 
 
-def _section(parent: ET.Element, name: str, first: str) -> ET.Element:
-    """Return the section `name` of an element; the first call creates the section.
+def _section(parent: ET.Element, name: str, arrays: dict[str, Any]) -> ET.Element:
+    """Return a new section. The first array of point data is active.
 
-    In a new section of point data the array `first` is active: ParaView initially colours by it,
-    warps by it, and draws it as arrows.
+    ParaView initially colours by this array, warps by it, and draws it as arrows.
     """
-    found = parent.find(name)
-    if found is not None:
-        return found
-    active = {"Scalars": first, "Vectors": first} if name.endswith("PointData") else {}
-    return ET.SubElement(parent, name, active)
+    element = ET.SubElement(parent, name)
+    if name.endswith("PointData"):
+        active = next(iter(arrays))
+        element.attrib.update(Scalars=active, Vectors=active)
+    return element
 
 
-def _array(section: ET.Element, tag: str, name: str, values: npt.NDArray[Any]) -> ET.Element:
-    columns = values.shape[1] if values.ndim == 2 and section.tag != "Cells" else 1
-    return ET.SubElement(
-        section,
-        tag,
-        type=_TYPES[values.dtype.str[1:]],
-        Name=name,
-        NumberOfComponents=str(columns),
-    )
+def _declared(section: ET.Element, tag: str, name: str, values: npt.NDArray[Any]) -> ET.Element:
+    """Return a new array without values, with its name, type and number of components."""
+    components = str(values.shape[1] if values.ndim == 2 else 1)
+    kind = _TYPES[values.dtype.str[1:]]
+    return ET.SubElement(section, tag, type=kind, Name=name, NumberOfComponents=components)
 
 
-def _save(path: Path, root: ET.Element) -> None:
-    ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+def _compressed(values: npt.NDArray[Any]) -> str:
+    """Return one compressed block as text; ParaView 5.11 fails at raw bytes behind the XML."""
+    data = values.tobytes()
+    packed = zlib.compress(data, level=1)
+    sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
+    return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()

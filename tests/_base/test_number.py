@@ -25,7 +25,7 @@ from dolfinx_tresca import (
     refine,
 )
 from dolfinx_tresca._base.number import integer, real
-from dolfinx_tresca.adapt.limits import Limits
+from dolfinx_tresca.adapt.solve import checked_limit
 from dolfinx_tresca.stiffness.choice import check_choice
 from scenes.blocks import block
 
@@ -61,7 +61,6 @@ ARGUMENTS = {
         for name in ("rtol", "accuracy", "local_accuracy", "mesh_part", "rho_sigma", "r_tol")
     },
     "newton": lambda value: NewtonOptions(accuracy=value),
-    "seconds": lambda value: Limits(max_seconds=value),
     "fraction": _refine,
     "bound": Tresca,
     "coefficient": Coulomb,
@@ -75,7 +74,7 @@ WHOLE = {
     "iterations": lambda value: SolverOptions(max_iterations=value),
     "steps": lambda value: NewtonOptions(max_iterations=value),
     "halvings": lambda value: NewtonOptions(max_halvings=value),
-    "levels": lambda value: Limits(max_levels=value),
+    "levels": lambda value: checked_limit("max_levels", value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
     "solves": lambda value: check_choice("auto", value),

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dolfinx_tresca.adapt.marking import largest_part
+from dolfinx_tresca.adapt.refinement import largest_part
 
 
 @given(

@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import MESHES, InputError, TaggedMesh, read_gmsh, refine
 from dolfinx_tresca._base.compat import create_submesh, geometry_dofmap
-from dolfinx_tresca.adapt.refinement import LOGARITHM_STEP, Marked, cut
+from dolfinx_tresca.adapt.refinement import LOGARITHM_STEP, cut
 from scenes.scene import EPS
 
 
@@ -370,12 +370,12 @@ def test_errors_to_expect(comm, dim, degree):
         none = dolfinx.mesh.meshtags(cube, 2, np.zeros(0, np.int32), np.zeros(0, np.int32))
         coarse = TaggedMesh(cube, None, none, {})
     errors = np.where(middles(coarse)[:, 0] < 0.5, 1.0, 3.0)
-    fine, expected = cut(coarse, errors, Marked.of(coarse, errors, 1.0), degree, {})
+    fine, expected = cut(coarse, errors, 1.0, degree, {})
     wanted = np.where(middles(fine)[:, 0] < 0.5, 1.0, 3.0) * 0.5 ** (degree + 0.5 * dim)
     assert np.allclose(expected, wanted, rtol=LOGARITHM_STEP)
     before, after = (comm.allreduce(np.sum(one**2)) for one in (errors, expected))
     assert after == pytest.approx(before * 0.25**degree, rel=2 * LOGARITHM_STEP)
-    again, _ = cut(fine, expected, Marked.of(fine, expected, 0.3), degree, {})
+    again, _ = cut(fine, expected, 0.3, degree, {})
     cells = [mesh.mesh.topology.index_map(dim).size_global for mesh in (fine, again)]
     assert cells[0] < cells[1] < 2**dim * cells[0]
 
@@ -388,7 +388,7 @@ def test_meshes_cut_twice_are_the_same_on_any_number_of_ranks(comm):
         tagged = square(ranks)
         errors = near(tagged, np.array([0.3, 1.0, 0.0]))
         for _ in range(3):
-            tagged, errors = cut(tagged, errors, Marked.of(tagged, errors, 0.5), 1, {})
+            tagged, errors = cut(tagged, errors, 0.5, 1, {})
         found.append(all_middles(tagged))
     assert found[0].shape == found[1].shape
     assert np.allclose(*found, rtol=0.0, atol=100 * EPS)

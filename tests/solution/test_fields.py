@@ -17,7 +17,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.output.state_colours import paraview_preset
+from dolfinx_tresca.output.io import paraview_preset
 from dolfinx_tresca.scene.friction import Friction
 from scenes.nodal import nodal
 from scenes.patches import patch

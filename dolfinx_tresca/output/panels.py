@@ -1,0 +1,286 @@
+"""The panels of a picture: titles, legends, colour bars, and the chart of a contact curve of 2D.
+
+A panel is a `SubFigure` of matplotlib, which draws all text; places in it are in inches. The views
+that pyvista renders are in `views.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import shorten
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, depth_first_order
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output.grid import Grid, gather_grid
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
+from dolfinx_tresca.units import Units
+
+LEFT = 0.15  #: inches between the left end of a panel and its title
+HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
+GREY = "#404040"  #: colour of legends and other small text
+CURVE_COLOUR = "#c8102e"  #: colour of a contact curve and its pressure
+TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
+OPEN_BACKGROUND = "#ebebeb"  #: background of open parts of a curve
+
+#: A range of colours ends below its largest value if this value is more than `PEAK` times the value
+#: at the percentile `PEAK_PERCENTILE`: otherwise most values would have one colour. With twice
+#: `PEAK` the colours of the two bricks end at the pressure of their edge.
+PEAK, PEAK_PERCENTILE = 2.5, 85.0
+
+#: What is drawn on sticking nodes: the value of "mark", the text of the legend, and the colour of
+#: the middle of the mark.
+MARKS = ((1, "sticks", "black"), (2, "open, sticks", "white"))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact surface, gathered on one rank.
+
+    Attributes:
+        grid: the fields of the surface. Its "slip" is the slip of this step, and zero at sticking
+            nodes. Only pairs with friction have it, and only pairs with finite sliding a
+            "slip_path". "pressed" is 1 at nodes that are drawn as touching, 0 at open ones, "mark"
+            the number in `MARKS` of nodes that stick.
+        title: name of the pair with its number; "" for a single pair.
+        label: number of the pair; "" for a single pair.
+        slip_name: name of the slip in titles and labels: "slip", or "slip of step" after an
+            accepted load step.
+        obstacle: the other side, if it is rigid; else None.
+    """
+
+    grid: Grid
+    title: str = ""
+    label: str = ""
+    slip_name: str = "slip"
+    obstacle: RigidObstacle | None = None
+
+    def marks(self) -> list[Any]:
+        """Return entries of a legend for the nodes that stick."""
+        present = set(self.grid.values.get("mark", ()))
+        kinds = [(text, middle) for mark, text, middle in MARKS if mark in present]
+        return [handle(text, "black", "o", markerfacecolor=middle) for text, middle in kinds]
+
+
+def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
+    """Return a whole surface on the first rank, None on other ranks. Collective.
+
+    A node that carries no multiplier, such as the tip of a crack or a prescribed node, is drawn as
+    touching if all nodes beside it touch, provided that each of its facets has a node that carries
+    one. Nodes farther beyond the primary side are open.
+    """
+    grid = gather_grid((*surface.functions, surface.initial_gap))
+    if grid is None:
+        return None
+    values, facets, slip_name = grid.values, grid.cells[:, 1:], "slip"
+    carries = values["state"] > ContactState.OUTSIDE
+    touches = values["state"] >= ContactState.PRESSED
+    closed = (~carries | touches)[facets].all(axis=1) & carries[facets].any(axis=1)
+    beside = np.ones(len(carries), dtype=np.bool_)
+    beside[facets[~closed]] = False
+    values["pressed"] = np.where(carries, touches, beside).astype(float)
+    if "slip" in values:
+        sticks = np.isin(values["state"], STICKING)
+        values["mark"] = sticks * np.where(touches, 1, 2)
+        if "slip_increment" in values:
+            slip_name, values["slip"] = "slip of step", values.pop("slip_increment")
+        values["slip"][sticks] = 0.0  # the error of the iteration is removed
+        if not surface.slides_far:
+            values.pop("slip_path", None)
+    title = f" {label}: {shorten(surface.name, 40, placeholder=' ...')}" if label else ""
+    return Contact(grid, title, label, slip_name, surface.obstacle)
+
+
+def size_of(panel: Any) -> tuple[float, float]:
+    """Return width and height of a panel [inches]."""
+    width, height = panel.bbox.size / panel.dpi
+    return float(width), float(height)
+
+
+def axes_at(panel: Any, left: float, bottom: float, width: float, height: float) -> Any:
+    """Return axes that fill a rectangle of a panel [inches]."""
+    wide, high = size_of(panel)
+    return panel.add_axes((left / wide, bottom / high, width / wide, height / high))
+
+
+def write_header(panel: Any, title: str, legend: Sequence[Any]) -> None:
+    """Write a title and below it the legend, at the top of a panel."""
+    width, height = size_of(panel)
+    panel.text(LEFT / width, 1.0 - 0.3 / height, title, fontsize=11.0)
+    narrow = 0.6 if len(legend) > 3 else 1.0  # four entries may be wider than half a picture
+    panel.legend(
+        handles=legend, ncols=max(len(legend), 1), loc="upper left", labelcolor=GREY,
+        bbox_to_anchor=(LEFT / width, 1.0 - 0.36 / height), borderpad=0.0, borderaxespad=0.0,
+        handlelength=1.6 * narrow, handletextpad=0.5, columnspacing=1.4 * narrow, fontsize=8.5,
+        frameon=False,
+    )  # fmt: skip
+
+
+def handle(label: str, color: str, marker: str = "", width: float = 0.0, **options: Any) -> Any:
+    """Return an entry of a legend: a line of some width, or a marker as in matplotlib."""
+    from matplotlib.lines import Line2D
+
+    style = {"linestyle": "-" if width else "", "linewidth": width, "markersize": 5.0, **options}
+    return Line2D([], [], color=color, marker=marker, label=label, **style)
+
+
+def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, float]:
+    """Return the values of the first and the last colour, and the largest value, for values >= 0.
+
+    Colours begin at zero, unless all values are far from zero. With `clip` they may end, at a round
+    number, below a few values that are much larger than the others.
+    """
+    least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
+    most = float(np.percentile(values, PEAK_PERCENTILE)) if clip and len(values) else 0.0
+    if 0.0 < PEAK * most < largest:
+        step = 0.5 * 10.0 ** math.floor(math.log10(most))
+        return 0.0, step * math.ceil(most / step - 1e-9), largest
+    far = 0.5 * largest < least < (1.0 - 1e-6) * largest
+    return least if far else 0.0, largest or 1.0, largest
+
+
+def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float]) -> None:
+    """Draw a colour bar at the bottom of a panel; an arrow and a text show a peak beyond it.
+
+    Args:
+        panel: the panel.
+        name: name of the quantity.
+        unit: unit of the values, or "".
+        cmap: matplotlib's name of the colours.
+        limits: see `colour_range`.
+    """
+    from matplotlib.cm import ScalarMappable
+
+    low, high, largest = limits
+    factor, label = scaled(name, unit, high)
+    peak = f", at most {quantity(largest, unit)}" if largest > high else ""
+    colours = ScalarMappable(cmap=cmap)
+    colours.set_clim(low / factor, high / factor)
+    width, _ = size_of(panel)
+    axes = axes_at(panel, 0.27 * width, 0.42, 0.58 * width, 0.12)
+    style = {"orientation": "horizontal", "extend": "max" if peak else "neither"}
+    panel.colorbar(colours, cax=axes, label=label + peak, **style)
+    axes.tick_params(width=0.6, length=2.5, pad=2.0)
+    axes.locator_params(nbins=5)
+    axes.xaxis.labelpad = 1.5
+
+
+def scaled(name: str, unit: str, largest: float) -> tuple[float, str]:
+    """Return a divisor of values, and a label such as "slip [10⁻⁶ m]".
+
+    The divisor is 1 if the largest absolute value is from 0.02 to 9999, else a power of thousand.
+    """
+    plain = largest == 0.0 or 0.02 <= largest < 10_000.0
+    power = 0 if plain else 3 * math.floor(math.log10(largest * (1.0 + 1e-12)) / 3.0)
+    ten = "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    inside = f"{ten if power else ''} {unit}".strip()
+    return 10.0**power, f"{name} [{inside}]" if inside else name
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value with three digits and its unit, such as "18.9 · 10⁻⁶ m"."""
+    factor, label = scaled("", unit, abs(value))
+    digits, inside = value / factor, label.strip(" []")
+    number = f"{digits:.0f}" if abs(digits) >= 99.95 else f"{digits:.3g}"
+    return f"{number}{' ·' if factor != 1.0 else ''} {inside}".strip()
+
+
+def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
+    """Return the pieces of a curve of 2D.
+
+    An open piece begins at one of its ends, a closed piece at one of its nodes: at the least one if
+    they are sorted by x, then by y. A closed piece runs counterclockwise and ends with the node
+    with which it begins. Pieces are sorted by the lower left corners of their bounding boxes.
+
+    Returns:
+        for each piece: its k nodes; (k,) arc lengths [length], which increase from piece to piece,
+        with a gap of 4 %; and (k, 3) unit vectors along the curve.
+    """
+    points, (begins, ends) = grid.points, grid.cells[:, 1:].T
+    neighbours = coo_array((np.ones(len(begins)), (begins, ends)), shape=2 * (len(points),)).tocsr()
+    count = np.bincount(grid.cells[:, 1:].ravel(), minlength=len(points))
+    x, y, _ = np.round(points.T, 12)
+    order = np.lexsort((y, x, count != 1))  # the ends of open pieces come before other nodes
+    _, piece_of = connected_components(neighbours, directed=False)
+    pieces, start_of_arc, curves = [], 0.0, []
+    for start in order[np.unique(piece_of[order], return_index=True)[1]]:
+        nodes = depth_first_order(neighbours, start, directed=False, return_predecessors=False)
+        if count[start] == 2:
+            nodes = np.append(nodes, start)
+            x, y, _ = points[nodes].T
+            nodes = nodes if np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0.0 else nodes[::-1]
+        pieces.append(nodes)
+    for nodes in sorted(pieces, key=lambda nodes: tuple(points[nodes].min(axis=0))):
+        places = points[nodes]
+        directions = np.gradient(places, axis=0)
+        if nodes[0] == nodes[-1]:  # closed: both neighbours of the node count
+            directions[[0, -1]] = places[1] - places[-2]
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        curves.append((nodes, start_of_arc + np.append(0.0, np.cumsum(steps)), directions))
+        start_of_arc = 1.04 * curves[-1][1][-1]
+    return curves
+
+
+def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
+    """Draw pressure, traction and slip, or its path, against arc length. Not collective.
+
+    Args:
+        panel: the panel of the picture.
+        contact: the contact curve.
+        units: units of length and stress.
+    """
+    length, stress = (units.length, units.stress) if units else ("", "")
+    values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
+    charts = [(["pressure"], "contact pressure", stress)]
+    if "slip" in values:
+        path = "slip_path" in values
+        slip = (["slip_path"], "slip path", length) if path else (["slip"], "slip", length)
+        charts = [(["traction", "pressure"], "stress", stress), slip]
+        legend.append(handle("pressure", CURVE_COLOUR, width=1.8))
+        name = f"traction, {'slip path' if path else contact.slip_name}"
+        legend.append(handle(name, TANGENT_COLOUR, width=1.8))
+        signed = "traction" if path else "traction and slip"
+        title += "" if contact.label else f": {signed} positive along it"
+    if not values["pressed"].all():
+        legend.append(handle("open", OPEN_BACKGROUND, "s", markersize=8.0))
+    curves = unrolled(contact.grid)
+    divisor, arc_label = scaled("arc length", length, float(curves[-1][1][-1]))
+    width, height = size_of(panel)
+    places = {"left": 0.65 / width, "right": 1.0 - 0.25 / width, "hspace": 0.14}
+    places |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
+    rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": places}
+    all_axes = panel.subplots(len(charts), sharex=True, squeeze=False, **rows)[:, 0]
+    for axes, (names, label, unit) in zip(all_axes, charts, strict=True):
+        largest = max(float(np.abs(values[name]).max()) for name in names)
+        factor, text = scaled(label, unit, largest)
+        for nodes, arc, directions in curves:
+            s, opened = arc / divisor, values["pressed"][nodes] == 0.0
+            for name in names:
+                y = values[name][nodes] / factor
+                y = y if y.ndim == 1 else np.sum(y * directions, axis=1)
+                colour = CURVE_COLOUR if name == "pressure" else TANGENT_COLOUR
+                axes.plot(s, y, color=colour, linewidth=1.6, marker=".", markersize=5)
+                if name == "pressure":
+                    axes.fill_between(s, y, color=colour, alpha=0.15, lw=0)
+                for mark, _, middle in MARKS if name == "traction" else ():
+                    shown, style = values["mark"][nodes] == mark, {"markersize": 5, "zorder": 3}
+                    axes.plot(s[shown], y[shown], "o", color="black", mfc=middle, **style)
+            borders = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
+            for begin, end in zip(borders[:-1][opened], borders[1:][opened], strict=True):
+                axes.axvspan(begin, end, color=OPEN_BACKGROUND, lw=0, zorder=0, aa=False)
+        axes.set_ylabel(text)
+        axes.locator_params(nbins=5)
+        axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
+        axes.margins(x=0.02)
+        axes.spines[["top", "right"]].set_visible(False)
+    all_axes[-1].set_xlabel(arc_label)
+    panel.align_ylabels(all_axes)
+    write_header(panel, title, [*legend, *contact.marks()])

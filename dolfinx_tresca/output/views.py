@@ -1,0 +1,340 @@
+"""The views that pyvista renders: the deformed bodies, and contact surfaces of 3D."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output import panels
+from dolfinx_tresca.output.grid import Grid
+from dolfinx_tresca.output.panels import Contact, handle
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.units import Units
+
+_LOGGER = logging.getLogger("dolfinx_tresca")
+
+DPI = 200  #: pixels per inch of rendered views
+OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: direction from which bodies are seen
+ALONG_Y, ALONG_Z = np.eye(3)[1:]  #: up in views of 2D; up in views of 3D
+
+OUTLINE, OPEN_LINE = "#6e6e6e", "#202020"  #: colours of undeformed edges, of open curves
+OBSTACLE_COLOUR, OPEN_COLOUR = "#a9b8c6", "gainsboro"  #: colours of obstacles, of open surfaces
+
+VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
+INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
+MARGIN = 0.08  #: margin round bodies in which obstacles are drawn, divided by the bodies' length
+SAMPLES = {2: 400, 3: 80}  #: samples of an obstacle along the longest side
+ARROWS = 350  #: approximate number of slip arrows; twice as many lie on each other
+COARSE = 150  #: arrows and marks become no larger on a surface with fewer nodes than this
+#: Least cosine between the normal of a facet and the contact normal: facets with less are at the
+#: side of a body. With twice this value the edges of rounded surfaces would be left out.
+FACING = 0.15
+
+
+@contextmanager
+def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
+    """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
+
+    The view has no perspective. Arrows at its lower left show the coordinate directions.
+
+    Args:
+        panel: the panel.
+        normal: (3,) direction to the viewer.
+        up: (3,) direction that is upward in the view.
+    """
+    import pyvista
+
+    with closing(pyvista.Plotter(off_screen=True)) as plotter:
+        yield plotter
+        points = np.concatenate([mesh.points for mesh in plotter.meshes])
+        right = np.cross(up, normal)
+        directions = np.array([right, np.cross(normal, right), normal])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        low, high = (points @ directions.T).min(axis=0), (points @ directions.T).max(axis=0)
+        width, height = panels.size_of(panel)
+        height -= panels.HEADER + panels.FOOTER
+        spans, centre = high - low, 0.5 * (low + high) @ directions
+        half = 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 * height / width) or 1.0
+        eye = centre + 2.0 * max(plotter.length, half) * directions[2]
+        plotter.set_background("white")
+        plotter.enable_parallel_projection()
+        plotter.camera_position = [tuple(eye), tuple(centre), tuple(directions[1])]
+        plotter.camera.parallel_scale = half
+        plotter.renderer.reset_camera_clipping_range()
+        plotter.enable_anti_aliasing("msaa", multi_samples=8)
+        pixels = [round(DPI * width), round(DPI * height)]
+        image = plotter.screenshot(return_img=True, window_size=pixels)
+    view = panels.axes_at(panel, 0.0, panels.FOOTER, width, height)
+    view.imshow(image, aspect="auto", interpolation="none")
+    view.set_axis_off()
+    places = {"xycoords": "subfigure points", "textcoords": "offset points"}
+    shape = {"arrowstyle": "<|-", "mutation_scale": 5, "lw": 0.8, "shrinkA": 1, "shrinkB": 0}
+    arrow = {"ha": "center", "va": "center", "fontsize": 8, "arrowprops": shape}
+    start = 16.0 - 21.0 * np.minimum(directions[:2].min(axis=1), 0.0)
+    for name, end in zip("xyz", 21.0 * directions[:2].T, strict=True):
+        if np.linalg.norm(end) > 4.0:
+            view.annotate(name, start, end, annotation_clip=False, **places, **arrow)
+
+
+def skin(grid: Any) -> Any:
+    """Return the outer faces of a grid; faces of degree 2 are cut into pieces of half the length.
+
+    This is `extract_surface` of pyvista, whose newer versions require an argument that older
+    versions do not have.
+    """
+    import pyvista
+
+    surface = import_module("vtkmodules.vtkFiltersGeometry").vtkDataSetSurfaceFilter()
+    surface.SetInputData(grid)
+    surface.SetNonlinearSubdivisionLevel(1)
+    surface.Update()
+    return pyvista.wrap(surface.GetOutput())
+
+
+def draw_bodies(
+    panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
+) -> None:
+    """Draw the deformed bodies, the contact curves of 2D, and rigid obstacles.
+
+    Args:
+        panel: the panel of the picture.
+        volume: the mesh with the displacement.
+        contacts: the contact surfaces of all pairs.
+        scale: magnification of the displacement; None: `magnification` chooses it.
+        unit: unit of length, or "".
+    """
+    scale = magnification(volume, contacts) if scale is None else scale
+    flat = volume.dim == 2
+    normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
+    name, bodies = next(iter(volume.values)), volume.to_pyvista()
+    bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
+    deformed = bodies.warp_by_vector(name, factor=scale)
+    faces = skin(deformed)
+    # no creases in 2D: orientations of triangles may differ
+    outline = (
+        skin(bodies)
+        .clean()
+        .extract_feature_edges(
+            40.0, feature_edges=not flat, non_manifold_edges=False, manifold_edges=False
+        )
+    )
+    limits = panels.colour_range(bodies.point_data["|u|"])
+    lift = 4e-3 * bodies.length * normal
+    seen = np.concatenate([bodies.points, faces.points])
+    obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
+    legend = []
+    with view_in(panel, normal, up) as plotter:
+        light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7, "show_scalar_bar": False}
+        plotter.add_mesh(faces, scalars="|u|", cmap="viridis", clim=limits[:2], **light)
+        edges = deformed.extract_all_edges().translate(0.4 * lift)
+        plotter.add_mesh(edges, color="white", opacity=0.3, line_width=1.0, lighting=False)
+        if outline.n_points:
+            plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
+            legend.append(handle("undeformed", OUTLINE, width=1.2))
+        if any(
+            [draw_obstacle(plotter, obstacle, seen, volume.dim) for obstacle in obstacles.values()]
+        ):
+            legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
+        if flat and contacts:
+            for contact in contacts:
+                draw_line(plotter, contact, scale, 2.0 * lift)
+            pressed = np.concatenate([contact.grid.values["pressed"] for contact in contacts])
+            if pressed.any():
+                legend.append(handle("contact", panels.CURVE_COLOUR, width=2.8))
+            if not pressed.all():
+                legend.append(handle("open", OPEN_LINE, width=0.8))
+            legend.append(handle("start", OPEN_LINE, "o"))
+    panels.draw_bar(panel, "displacement", unit, "viridis", limits)
+    title = "Displacement" + (f", magnified {scale:,.12g} times" if scale != 1.0 else "")
+    panels.write_header(panel, title, legend)
+
+
+def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
+    """Return a round magnification of the displacement u, at least 1, that shows the deformation.
+
+    At x + scale u, surfaces whose gap d has closed would overlap by (scale - 1) d, and the sides of
+    an initial overlap (a press fit) would be apart. The scale keeps these distances, and overlaps
+    of open surfaces, below `INVISIBLE`. If the displacement itself would then be invisible, it is
+    drawn without magnification.
+    """
+    length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
+    largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
+    if largest <= np.finfo(float).tiny * length:  # nothing moves
+        return 1.0
+    scale = VISIBLE * length / largest
+    for contact in contacts:
+        values = contact.grid.values
+        pressed = values["pressed"] > 0.0
+        closed = values["initial_gap"] - np.where(pressed, 0.0, values["gap"])
+        closed = np.where(pressed, np.abs(closed), closed)
+        room = INVISIBLE * length + np.where(pressed, 0.0, np.maximum(values["gap"], 0.0))
+        limits = closed > 0.0
+        scale = min(scale, 1.0 + float(np.min(room[limits] / closed[limits], initial=math.inf)))
+    if scale < max(1.0, 2.0 * INVISIBLE * length / largest):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(scale))
+    return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= scale + 1e-9)
+
+
+def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int) -> bool:
+    """Draw an obstacle near points.
+
+    In 2D all of it is drawn, where its signed distance is negative. In 3D its surface is drawn. The
+    sides that are seen from within the obstacle are transparent, so that obstacles in front of the
+    points do not hide them.
+
+    Args:
+        plotter: a plotter of pyvista.
+        obstacle: the obstacle to draw.
+        points: (n, 3) points of the bodies [length].
+        dim: dimension of space.
+
+    Returns:
+        whether the surface of the obstacle is near the points, and its distance can be computed.
+    """
+    import pyvista
+
+    length = float(np.linalg.norm(np.ptp(points, axis=0)))
+    margin = MARGIN * length * (np.arange(3) < dim)
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    spacing = float((high - low).max()) / SAMPLES[dim]
+    counts = np.ceil((high - low) / spacing).astype(int) + 1
+    grid = pyvista.ImageData(dimensions=counts, spacing=3 * (spacing,), origin=low)
+    try:
+        distance = obstacle.distance(np.array(grid.points))
+    except Exception as error:  # the user's function may fail away from the surface
+        _LOGGER.warning("%s is not in the picture: its signed distance fails: %s", obstacle, error)
+        return False
+    if not distance.min() < 0.0 <= distance.max():
+        return False
+    grid.point_data["distance"] = distance
+    options = {"color": OBSTACLE_COLOUR, "show_scalar_bar": False}
+    if dim == 2:
+        inside = grid.clip_scalar(scalars="distance", value=0.0, invert=True)
+        plotter.add_mesh(inside.translate((0.0, 0.0, -0.01 * length)), lighting=False, **options)
+        return True
+    # normals point to where distances grow
+    sides = {"auto_orient_normals": False, "consistent_normals": False}
+    surface = grid.contour([0.0]).compute_normals(cell_normals=False, **sides)
+    options |= {"smooth_shading": True, "ambient": 0.4, "diffuse": 0.6}
+    plotter.add_mesh(surface, culling="front", **options)
+    plotter.add_mesh(surface, culling="back", opacity=0.15, **options)
+    return True
+
+
+def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None:
+    """Draw a contact curve on the deformed bodies: thick and red where it is pressed.
+
+    A dot and the number of the pair, if there are several, mark the start of the curve.
+    """
+    curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
+    pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
+    plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
+    if pressed.n_points:
+        plotter.add_mesh(pressed, color=panels.CURVE_COLOUR, line_width=5.6, lighting=False)
+    start = curve.points[panels.unrolled(contact.grid)[0][0][:1]]
+    dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
+    plotter.add_points(start, color=OPEN_LINE, **dot)
+    if contact.label:
+        text = {"text_color": "white", "font_size": 24, "bold": False, "always_visible": True}
+        box = {"shape_color": panels.CURVE_COLOUR, "shape_opacity": 1.0, "show_points": False}
+        plotter.add_point_labels(start, [contact.label], **text, **box)
+
+
+def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
+    """Draw the facets that may touch, seen along their mean normal, or obliquely if closed.
+
+    Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
+    hide the facets that may touch.
+
+    Args:
+        panel: the panel of the picture.
+        contact: the contact surface.
+        units: units of length and stress.
+    """
+    import pyvista
+
+    length, stress = (units.length, units.stress) if units else ("", "")
+    surface = with_normals(skin(contact.grid.to_pyvista()))
+    contact_normals = surface.point_data_to_cell_data()["normal"]
+    facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > FACING
+    if not facing.all():
+        surface = with_normals(skin(surface.extract_cells(facing)))
+    normal, up = direction(surface)
+    lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
+    values, pressed = surface.point_data, surface.point_data["pressed"] > 0.0
+    shown = np.append(values["pressure"][pressed], [] if pressed.all() else [0.0])
+    limits = panels.colour_range(shown, clip=True)
+    light: dict[str, Any] = {"smooth_shading": True, "ambient": 0.65, "diffuse": 0.4}
+    if np.abs(surface.cell_data["Normals"] @ normal).min() > 0.98:  # flat: colours as in the bar
+        light = {"lighting": False}
+    spacing = math.sqrt(surface.area / np.clip(surface.n_points, COARSE, ARROWS))
+    closed, opened = surface.clip_scalar(scalars="pressed", value=0.5, invert=False, both=True)
+    legend = []
+    with view_in(panel, normal, up) as plotter:
+        if closed.n_points:
+            colours = {"scalars": "pressure", "cmap": "YlOrRd", "clim": limits[:2]}
+            plotter.add_mesh(closed, show_scalar_bar=False, **colours, **light)
+        if opened.n_points:
+            plotter.add_mesh(opened, color=OPEN_COLOUR, **light)
+            legend.append(handle("open", OPEN_COLOUR, "s", markersize=8.0))
+        edges = surface.extract_all_edges().translate(0.2 * lift)
+        plotter.add_mesh(edges, color="white", opacity=0.5, line_width=1.0, lighting=False)
+        slip = values["slip"] if "slip" in values else np.zeros((surface.n_points, 3))
+        lengths = np.linalg.norm(slip, axis=1)
+        largest = float(lengths[pressed if pressed.any() else slice(None)].max())
+        if largest > 0.0:
+            # shorter arrows on open parts, which may have moved by far more
+            values["slip"] = slip * np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
+            apart = 0.9 * spacing / surface.length if surface.n_points > ARROWS else None
+            scale = {"scale": "slip", "factor": 1.3 * spacing / largest, "tolerance": apart}
+            arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
+            colours = {"scalars": "pressed", "cmap": ["#707070", "black"], "clim": (0.0, 1.0)}
+            plotter.add_mesh(arrows, lighting=False, show_scalar_bar=False, **colours)
+            text = f"{contact.slip_name}, at most {panels.quantity(largest, length)}"
+            if "slip_path" in values:
+                text += f", path {panels.quantity(float(values['slip_path'].max()), length)}"
+            legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
+        for mark, _, middle in panels.MARKS if "mark" in values else ():
+            places = pyvista.PolyData(surface.points[values["mark"] == mark] + 2.0 * lift)
+            size = 0.17 * math.sqrt(surface.area / max(surface.n_points, COARSE))
+            hole = 0.0 if middle == "black" else 0.65 * size
+            disc = pyvista.Disc(inner=hole, outer=size, normal=normal, c_res=20)
+            if places.n_points:
+                discs = places.glyph(geom=disc, orient=False, scale=False)
+                plotter.add_mesh(discs, color="black", lighting=False)
+    if pressed.any():
+        name = f"contact pressure {contact.label}".rstrip()
+        panels.draw_bar(panel, name, stress, "YlOrRd", limits)
+    panels.write_header(panel, f"Contact surface{contact.title}", [*legend, *contact.marks()])
+
+
+def with_normals(surface: Any) -> Any:
+    """Return a surface with normals of its cells and points, all on one side of the surface."""
+    return surface.compute_normals(consistent_normals=True, split_vertices=False)
+
+
+def direction(surface: Any) -> tuple[Array, Array]:
+    """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
+
+    The upward direction is along z or y, or along the longer side of a long surface. A closed
+    surface has no mean normal, and is seen obliquely.
+    """
+    sized = surface.compute_cell_sizes(length=False, volume=False)
+    mean = sized.cell_data["Normals"].T @ sized.cell_data["Area"]
+    if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: no side is better
+        return OBLIQUE, ALONG_Z
+    normal = mean / np.linalg.norm(mean)
+    normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
+    up = ALONG_Z if abs(normal[2]) < 0.9 else ALONG_Y
+    across = np.cross(up, normal)
+    up = up - (up @ normal) * normal
+    higher = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ across)
+    return normal, -across if higher else up
