@@ -20,15 +20,15 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
 from dolfinx_tresca.contact.step_state import StepState
+from dolfinx_tresca.derivatives.goal_error import value_of
+from dolfinx_tresca.derivatives.gradient import Differentiation
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
+from dolfinx_tresca.derivatives.tape import inputs_of_problem
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
-from dolfinx_tresca.problem.tape import inputs_of_problem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.goal_error import value_of
-from dolfinx_tresca.solution.gradient import Differentiation
-from dolfinx_tresca.solution.solved_step import SolvedStep
 
 import dolfinx_adjoint  # isort: skip
 import pyadjoint  # isort: skip

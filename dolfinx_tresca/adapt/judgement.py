@@ -9,10 +9,10 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.adapt.opposite import refinement_indicators
+from dolfinx_tresca.derivatives.goal_error import GoalError
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import ContactStatus
 
 #: Least relative energy error to which a problem is solved again for the error of a goal.

@@ -21,30 +21,30 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.dual.adjoint import EdgeState
+from dolfinx_tresca.derivatives.adjoint import EdgeState
+from dolfinx_tresca.derivatives.control_vector import checked_controls
+from dolfinx_tresca.derivatives.find_obstacle_differences import obstacle_differences
+from dolfinx_tresca.derivatives.goal_error import value_of
+from dolfinx_tresca.derivatives.gradient import (
+    Differentiation,
+    as_derivatives,
+    check_control,
+    checked_form_or_goal,
+)
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
+from dolfinx_tresca.derivatives.tangent import ContactTangent, checked_directions, tangent_of
+from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
-from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.control_vector import checked_controls
-from dolfinx_tresca.solution.goal_error import value_of
-from dolfinx_tresca.solution.gradient import (
-    Differentiation,
-    Forms,
-    as_derivatives,
-    check_control,
-    checked_form_or_goal,
-)
+from dolfinx_tresca.solution.forms import Forms
 from dolfinx_tresca.solution.reaction import reaction_at
 from dolfinx_tresca.solution.resultants import Resultant
-from dolfinx_tresca.solution.solved_step import SolvedStep
-from dolfinx_tresca.solution.tangent import ContactTangent, checked_directions, tangent_of
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 

@@ -10,7 +10,10 @@ import pytest
 from dolfinx import fem
 
 from dolfinx_tresca import SolverOptions
-from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement, ImprovedDisplacement
+from dolfinx_tresca.derivatives.followed_displacement import (
+    FollowedDisplacement,
+    ImprovedDisplacement,
+)
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.response import DirectResponse, ElasticResponse, IterativeResponse
 from dolfinx_tresca.solvers.iterate import InexactIterate, Iterate

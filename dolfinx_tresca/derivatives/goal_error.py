@@ -15,7 +15,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.derivatives.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.derivatives.state_changes import state_changes
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
@@ -30,7 +31,6 @@ from dolfinx_tresca.scene.goal import (
 )
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.state_changes import state_changes
 
 #: Degree of the elements -> assumed relative error of the estimates of cells' squared energy
 #: errors. Let e be the error of the displacement, and e' the error of the adjoint. By the
@@ -64,10 +64,10 @@ class GoalError:
             error causes [same unit]; the error of slip bounds that depend on the pressure,
             `ContactSolution.bound_error`, is not included.
         state_changes: sum of the absolute contributions to the error from the edges of contact and
-            stick zones [same unit]; see `solution/state_changes.py`.
+            stick zones [same unit]; see `derivatives/state_changes.py`.
         cell_errors: for each cell the root of the product of the energy norms of e and e' [root of
             the goal's unit], for `refine`. The sum of their squares has no cancellation of signs.
-        adjoint: the adjoint displacement z; see `dual/adjoint.py`.
+        adjoint: the adjoint displacement z; see `derivatives/adjoint.py`.
         products: number of applications of A for this estimate.
 
     Example:

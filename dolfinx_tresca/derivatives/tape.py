@@ -24,26 +24,26 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
-from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
-from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
-from dolfinx_tresca.scene.friction import DryFriction
-from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.control_vector import checked_controls
-from dolfinx_tresca.solution.gradient import (
+from dolfinx_tresca.derivatives.control_vector import checked_controls
+from dolfinx_tresca.derivatives.find_obstacle_differences import obstacle_differences
+from dolfinx_tresca.derivatives.gradient import (
     Control,
     Differentiation,
-    Forms,
     WeightedGoals,
     as_derivatives,
     check_control,
     checked_form_or_goal,
     sum_of_known,
 )
-from dolfinx_tresca.solution.solved_step import SolvedStep
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
+from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.scene.friction import DryFriction
+from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.forms import Forms
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).

@@ -13,10 +13,10 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.derivatives.obstacle_differences import ObstacleDifferences
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.solution.obstacle_differences import ObstacleDifferences
 
 #: Step of the central differences: the change of the distance from an obstacle, relative to the
 #: extent of the mesh. The truncation error is about the square of the step, the rounding error

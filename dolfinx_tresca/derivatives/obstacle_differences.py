@@ -12,12 +12,12 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.derivatives.goal_error import weights_of
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.goal_error import weights_of
-from dolfinx_tresca.solution.solved_step import SolvedStep
 
 #: A tangent with displaced obstacles and a tangent with the obstacles where they are count as the
 #: same row of T if none of their components differs by more than this number.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import ConvergenceError
-from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.derivatives.adjoint import LinearisedContact, adjoint
 from scenes.two_bricks import two_bricks
 
 
@@ -20,7 +20,7 @@ def test_an_adjoint_that_is_not_found_is_an_error(comm, monkeypatch, unit):
         r = dual.response.gradient_of(solution.u.x.petsc_vec)
         state = LinearisedContact.of(dual, x, r)
         on_jump, on_x = unit * np.random.default_rng(1).standard_normal((2, len(x)))
-        monkeypatch.setattr("dolfinx_tresca.dual.adjoint.MOST_STEPS", 1)
+        monkeypatch.setattr("dolfinx_tresca.derivatives.adjoint.MOST_STEPS", 1)
         with pytest.raises(ConvergenceError, match="no adjoint"):
             adjoint(dual, state, on_jump, on_x)
         monkeypatch.undo()

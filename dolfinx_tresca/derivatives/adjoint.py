@@ -39,13 +39,13 @@ from scipy.sparse import csr_array
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.patience import MOST_STEPS
-from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
-from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.derivatives.followed_displacement import FollowedDisplacement
+from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps, NodalPattern
 from dolfinx_tresca.solvers.reductions import norm
@@ -65,11 +65,6 @@ UNMET = 1e-6
 #: Error of z that an iterative solver for K may leave, divided by the tolerable error of y, both in
 #: the energy norm.
 SHARE = 0.03
-
-#: A node counts as about to change its contact state if a change of its traction by at most the
-#: error of the tractions leads to another state. This number times the largest traction is the
-#: least error that is assumed.
-EDGE = 1e-9
 
 #: State that is assumed for nodes that are about to change their state: as in the solution (None),
 #: pressed and sticking ("held"), or open and slipping ("released").
@@ -161,47 +156,6 @@ class LinearisedContact:
             return (test(curved) if transpose else curved) + (left.T * diagonal).T
 
         return NodalMaps(test=test, rest=rest, inverse=inverse)
-
-
-def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
-    """Return the rows and discs that are about to change their contact state. Collective.
-
-    Within the accuracy of the solution, these rows and discs may have either state, so that
-    derivatives of goals are one-sided.
-
-    Args:
-        dual: the problem.
-        x: (size,) multipliers of the solution.
-        r: (size,) gradient at x.
-
-    Returns:
-        normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.
-    """
-    lam, scale = dual.bounds(x, r), dual.jump.stress_scale
-    change, traction = dual.local_change(x, r)
-    limit = max(change, EDGE * traction)
-    target = dual.decoupled_minimiser(x, r)
-    rows = np.zeros(len(x), dtype=np.bool_)
-    rows[lam.normal] = np.abs(target * scale)[lam.normal] <= limit
-    return rows, discs_at_edge(lam, target, scale, limit)
-
-
-def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return whether the minimiser of each disc lies on its circle, within the error.
-
-    The result is an array (n_discs,), False for discs without friction.
-
-    Args:
-        lam: Lambda, whose radii are the slip bounds.
-        target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
-        stress_scale: (size,) factors from multipliers to stresses.
-        error: error of a traction [stress].
-    """
-    scale = np.ones(len(lam.radius))
-    scale[lam.node] = stress_scale[lam.tangential]
-    has_friction = np.isfinite(lam.radius) & (lam.radius > 0.0)
-    distance = np.abs(lam.norms(target) - np.where(has_friction, lam.radius, 0.0)) * scale
-    return np.asarray(has_friction & (distance < error))
 
 
 def tangent(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -15,45 +14,22 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca.dual.adjoint import adjoint
+from dolfinx_tresca.derivatives.adjoint import adjoint
+from dolfinx_tresca.derivatives.goal_error import weights_of
+from dolfinx_tresca.derivatives.nodal_fields import nodal_fields
+from dolfinx_tresca.derivatives.obstacle_differences import FindDifferences
+from dolfinx_tresca.derivatives.prescribed import sources_of_prescribed
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
 from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.goal_error import weights_of
-from dolfinx_tresca.solution.nodal_fields import nodal_fields
-from dolfinx_tresca.solution.obstacle_differences import FindDifferences
-from dolfinx_tresca.solution.prescribed import sources_of_prescribed
-from dolfinx_tresca.solution.solved_step import SolvedStep
+from dolfinx_tresca.solution.forms import Forms
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
-
-
-@dataclass(frozen=True)
-class Forms:
-    """The forms and conditions of the bodies, as users gave them.
-
-    Attributes:
-        residual: function (z) -> residual R(u; z), a form of rank 0, for a Function z.
-        tangent: dR/du, a bilinear form.
-        bcs: Dirichlet conditions.
-        entity_maps: entity maps, needed if the forms contain Functions on surfaces; None: there are
-            no entity maps.
-    """
-
-    residual: Callable[[fem.Function], Any]
-    tangent: Any
-    bcs: Sequence[Any]
-    entity_maps: EntityMaps | None
-
-    def compiled(self, form: Any) -> fem.Form:
-        """Return a compiled form. Collective."""
-        maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
-        return fem.form(form, **maps)
 
 
 def check_control(control: Control, pairs: Sequence[ContactPair]) -> None:
@@ -102,7 +78,7 @@ class Differentiation:
 
     Forms are compiled once. With each node held in its contact state, the derivative of a goal J
     with respect to a control m follows from the residual R(u; v) and the adjoint (z, y) of
-    `dual/adjoint.py`:
+    `derivatives/adjoint.py`:
 
         dJ/dm = explicit - dR/dm(u; z) + y'dd/dm + (q_u - B'y - dR/du(u; z))'du_D/dm
                 + sum over slipping nodes of dg/dm t'(q_x - B z)

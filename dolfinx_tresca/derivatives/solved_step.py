@@ -12,8 +12,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca.dual.adjoint import EdgeState, LinearisedContact, at_edge
-from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.derivatives.adjoint import EdgeState, LinearisedContact
+from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 
 #: Relative error of the adjoint multipliers, and so of the derivatives. `ACCURACY` is for a K that

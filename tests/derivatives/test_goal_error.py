@@ -26,9 +26,9 @@ from dolfinx_tresca import (
     refine,
 )
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
-from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.derivatives.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.derivatives.goal_error import CHANGING, DOUBT
 from dolfinx_tresca.dual.bounds.estimate import total
-from dolfinx_tresca.solution.goal_error import CHANGING, DOUBT
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks
 from scenes.random_blocks import RandomBlocks

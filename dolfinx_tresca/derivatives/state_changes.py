@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.adjoint import LinearisedContact
+from dolfinx_tresca.derivatives.adjoint import LinearisedContact
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.solution.fields import Surface

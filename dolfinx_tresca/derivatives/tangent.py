@@ -16,18 +16,19 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.dual.adjoint import tangent
+from dolfinx_tresca.derivatives.adjoint import tangent
+from dolfinx_tresca.derivatives.goal_error import weights_of
+from dolfinx_tresca.derivatives.gradient import Control, assembled
+from dolfinx_tresca.derivatives.nodal_fields import nodal_fields
+from dolfinx_tresca.derivatives.obstacle_differences import FindDifferences, ObstacleDifferences
+from dolfinx_tresca.derivatives.prescribed import sources_of_prescribed
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.goal_error import weights_of
-from dolfinx_tresca.solution.gradient import Control, Forms, assembled
-from dolfinx_tresca.solution.nodal_fields import nodal_fields
-from dolfinx_tresca.solution.obstacle_differences import FindDifferences, ObstacleDifferences
-from dolfinx_tresca.solution.prescribed import sources_of_prescribed
-from dolfinx_tresca.solution.solved_step import SolvedStep
+from dolfinx_tresca.solution.forms import Forms
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ def tangent_of(
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
-    Each node keeps its contact state; see `dual/adjoint.py` for the equations.
+    Each node keeps its contact state; see `derivatives/adjoint.py` for the equations.
 
     Args:
         step: the solution.

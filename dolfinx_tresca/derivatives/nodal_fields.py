@@ -11,12 +11,12 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca.derivatives.solved_step import SolvedStep
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.solved_step import SolvedStep
 from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
 
 

@@ -1,0 +1,1 @@
+"""Derivatives of solutions, and the errors of numbers that follow from adjoints."""
