@@ -6,7 +6,7 @@ from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.contact.found_pairs import Contacts, contacts
-from dolfinx_tresca.derivatives.control_vector import ControlVector
+from dolfinx_tresca.derivatives.controls import ControlVector
 from dolfinx_tresca.derivatives.goal_error import GoalError
 from dolfinx_tresca.derivatives.tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape

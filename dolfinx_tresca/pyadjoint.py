@@ -20,10 +20,10 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
 from dolfinx_tresca.contact.step_state import StepState
-from dolfinx_tresca.derivatives.goal_error import value_of
-from dolfinx_tresca.derivatives.gradient import Differentiation
-from dolfinx_tresca.derivatives.solved_step import SolvedStep
-from dolfinx_tresca.derivatives.tape import inputs_of_problem
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.goals import value_of
+from dolfinx_tresca.derivatives.gradient import gradient
+from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
@@ -73,8 +73,8 @@ class ContactProblem(_ContactProblem):
         self.inputs = list(dict.fromkeys(prescribed.get(id(one), one) for one in inputs))
         self.solved: _Solved | None = None
         self.accepted: _Solved | None = None
-        self._u = fem.Function(self._contact.linear.V)
-        self._differentiations: dict[tuple[int, ...], Differentiation] = {}
+        u = fem.Function(self._contact.linear.V)
+        self._data = DataOfSolution(self._contact, self._forms_at(u), u)
 
     def solve(self, **options: Any) -> ContactSolution:
         """Solve, and record the solution on the tape. Collective.
@@ -165,10 +165,9 @@ class ContactProblem(_ContactProblem):
 
     def content_of_solve(self) -> _Content:
         """Return the last solution, and the state after it if it is accepted. Collective."""
-        surfaces, solved = self._contact.surfaces, self._contact.solved
-        assert solved is not None
-        step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, surfaces.slip_bounds())
-        return _Content(step, surfaces.state.after_solution(unconverged=True))
+        solution = LinearisedContact.of_last_solve(self._contact)
+        end = self._contact.surfaces.state.after_solution(unconverged=True)
+        return _Content(solution, end)
 
     def solve_again(self, start: StepState, options: dict[str, Any]) -> _Content:
         """Solve from a given state with the present values of all inputs. Collective.
@@ -198,17 +197,10 @@ class ContactProblem(_ContactProblem):
     ) -> tuple[list[Array | None], Array]:
         """Return derivatives with respect to controls and to the slip origin. Collective.
 
-        See `Differentiation.backwards`.
+        See `dolfinx_tresca.derivatives.gradient.gradient`.
         """
-        key = tuple(map(id, controls))
-        if key not in self._differentiations:
-            values = self._contact.surfaces.nodal_values
-            self._differentiations[key] = Differentiation(
-                self.pairs, self._forms_at(self._u), self._u, values, controls
-            )
-        return self._differentiations[key].backwards(
-            content.step, cotangent.goals, cotangent.on_origin, on_u
-        )
+        self._data.linearise(content.step)
+        return gradient(self._data, cotangent.goals, controls, cotangent.on_origin, on_u)
 
     def has_present_stiffness(self, content: _Content) -> bool:
         """Return whether a recorded solve used the K of the present inputs. Collective."""
@@ -225,7 +217,7 @@ class _Content:
         end: the state from which the next solve begins if this solution is accepted.
     """
 
-    step: SolvedStep
+    step: LinearisedContact
     end: StepState
 
 
@@ -282,7 +274,9 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
 
     def recompute_component(self, inputs: Any, block_variable: Any, idx: int, prepared: Any) -> Any:
         step = inputs[0].step
-        return pyadjoint.AdjFloat(value_of(self._goal, step.dual, step.multipliers, step.u))
+        jump = step.dual.jump
+        jump_of_u = jump.of_displacement(step.u)
+        return pyadjoint.AdjFloat(value_of(self._goal, jump, step.multipliers, jump_of_u))
 
     def __str__(self) -> str:
         return f"value of {self._goal}"

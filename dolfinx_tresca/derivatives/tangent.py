@@ -16,19 +16,11 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.derivatives.adjoint import tangent
-from dolfinx_tresca.derivatives.goal_error import weights_of
-from dolfinx_tresca.derivatives.gradient import Control, assembled
-from dolfinx_tresca.derivatives.nodal_fields import nodal_fields
-from dolfinx_tresca.derivatives.obstacle_differences import FindDifferences, ObstacleDifferences
-from dolfinx_tresca.derivatives.prescribed import sources_of_prescribed
-from dolfinx_tresca.derivatives.solved_step import SolvedStep
-from dolfinx_tresca.dual.nodal_values import NodalValues
-from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, owned_size
+from dolfinx_tresca.derivatives.goals import weights_of
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.forms import Forms
 
 
 @dataclass(frozen=True)
@@ -96,71 +88,22 @@ class ContactTangent:
         return self._of(goal)
 
 
-def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any]:
-    """Check changes of controls, and return them: arrays for Constants, or Functions.
-
-    Not collective.
-
-    Raises:
-        InputError: there is not one direction of the right type for each control.
-    """
-    directions = list(directions) if isinstance(directions, Sequence) else [directions]
-    if len(directions) != len(controls):
-        raise InputError(
-            f"directions must be a list with one for each control, found {len(directions)} for "
-            f"{len(controls)} control(s)."
-        )
-    result = []
-    for control, given in zip(controls, directions, strict=True):
-        direction = given
-        if isinstance(control, fem.Function):
-            if (
-                not isinstance(direction, fem.Function)
-                or direction.function_space != control.function_space
-            ):
-                raise InputError(
-                    f"the direction of the Function {control.name} must be a Function on its space,"
-                    f" found {shown(direction)}."
-                )
-            values = direction.x.array
-        else:
-            direction = values = np.asarray(given, dtype=np.float64)
-            if values.shape != control.ufl_shape:
-                raise InputError(
-                    f"the direction of a Constant must have its shape {control.ufl_shape}, found "
-                    f"{shown(given)}."
-                )
-        if not np.isfinite(values).all():
-            raise InputError(f"the direction of {shown(control)} is NaN or infinite.")
-        result.append(direction)
-    return result
-
-
 def tangent_of(
-    step: SolvedStep,
-    pairs: Sequence[ContactPair],
+    data: DataOfSolution,
     surfaces: Sequence[Surface],
-    forms: Forms,
-    values: NodalValues,
     controls: Sequence[Control],
     directions: Sequence[Any],
-    find_differences: FindDifferences,
     checked_goal: Callable[[Any], Goal | ufl.Form],
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
-    Each node keeps its contact state; see `derivatives/adjoint.py` for the equations.
+    Each node keeps its contact state; see `linearised` for the equations.
 
     Args:
-        step: the solution.
-        pairs: the pairs of the problem.
+        data: the data of the solution.
         surfaces: secondary surfaces of the pairs.
-        forms: forms and conditions of the bodies at the solution.
-        values: object that evaluates fields of friction and gaps at the nodes of u.
         controls: Constants and Functions that change.
         directions: changes of the controls, see `checked_directions`.
-        find_differences: function (Constant, direction) -> central differences of B for obstacles
-            that the Constant moves.
         checked_goal: function (goal) -> the checked goal, for goals that users give to
             `ContactTangent.of`.
 
@@ -168,122 +111,67 @@ def tangent_of(
         InputError: the derivative with respect to a control is not known.
         ConvergenceError: the tangent has no solution.
     """
-    dual, jump, u = step.dual, step.dual.jump, step.u
-    V = u.function_space
-    comm, prescribed = V.mesh.comm, jump.system.prescribed
-    owned, test = len(prescribed), ufl.TestFunction(V)
-    residual, force, moved = forms.residual(test), fem.Function(V), fem.Function(V)
-    fields = nodal_fields(step, pairs)
-    offset, radius = np.zeros(len(jump.gap)), np.zeros(len(step.state.face.discs.radius))
-    apart = np.zeros(len(jump.gap))  # the part of `offset` by which gap and slip change
-    turned: list[tuple[ObstacleDifferences, tuple[Array, Array]]] = []
-    for control, direction in zip(controls, directions, strict=True):
-        found = False
-        jumps = None
-        if isinstance(control, fem.Constant):
-            jumps = find_differences(control, direction)
-        if jumps is not None:
-            found = True
-            turned.append((jumps, jumps.of(u)))
-            force.x.array[:owned] += jumps.force(step.multipliers)
-            apart += jumps.offset(u)
-            radius += jumps.radius(step.multipliers)
-        change = _directional(residual, control, direction, V.mesh)
-        if change is not None:
-            found = True
-            force.x.array[:owned] -= assembled(forms.compiled(change))[:owned]
-        for one in fields:
-            on_nodes = values.pushed_forward(one.field, control, direction, one.nodes, one.name)
-            if on_nodes is not None:
-                found = True
-                offset += one.offset @ on_nodes
-                radius += one.radius @ on_nodes
-        source = sources_of_prescribed(forms.bcs, control, len(u.x.array))
-        given = direction.x.array if isinstance(direction, fem.Function) else np.ravel(direction)
-        moved.x.array[source >= 0] += given[source[source >= 0]]
-        found |= bool(comm.allreduce(bool((source >= 0).any()), op=MPI.LOR))
-        if not found:
-            name = getattr(control, "name", control)
-            log(comm, "tangent: nothing depends on the control %s", name)
-    moved.x.scatter_forward()
-    if comm.allreduce(bool(moved.x.array.any()), op=MPI.LOR):
-        pulled = forms.compiled(ufl.action(forms.tangent, moved))
-        force.x.array[:owned] -= assembled(pulled)[:owned]
-    force.x.petsc_vec.array[prescribed] = moved.x.array[:owned][prescribed]
-
-    for jumps, _ in turned:
-        jumps.destroy()
-
-    offset += apart
-    normal = np.concatenate([np.arange(n.start, n.stop) for n, _ in jump.slices])
-    apart[normal] = offset[normal]  # tangential offsets also contain the stretch by ellipses
-    du, dx = tangent(dual, step.state, force.x.petsc_vec, offset, radius, step.accuracy)
-    by_jump = jump.of_displacement(du)
-    slip, stress = (by_jump - apart) * jump.length_scale, dx * jump.stress_scale
+    contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
+    x, comm, prescribed = contact.multipliers, data.comm, jump.system.prescribed
+    change, depends = data.change(controls, directions)
+    for control, is_input in zip(controls, depends, strict=True):
+        if not is_input:
+            log(
+                comm,
+                "tangent: nothing depends on the control %s",
+                getattr(control, "name", control),
+            )
+    force, owned = change.force.x.petsc_vec, owned_size(contact.u)
+    if comm.allreduce(bool(change.prescribed.x.array.any()), op=MPI.LOR):
+        force.array -= data.pull_of(change.prescribed)
+    force.array[prescribed] = change.prescribed.x.array[:owned][prescribed]
+    du, dx = contact.tangent(force, change.offset, change.radius)
+    jump_change = jump.of_displacement(du)
+    # gap and slip count from offsets, but not from those that stretch the rows of ellipses
+    apart = sum((rows.offset for rows in change.moved), np.zeros_like(dx))
+    for normal, _ in jump.slices:
+        apart[normal] = change.offset[normal]
+    slip, stress = (jump_change - apart) * jump.length_scale, dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
         goal = checked_goal(goal)
-        if not isinstance(goal, ufl.Form):
-            on_jump, on_x = weights_of(goal, jump, step.multipliers)
-            explicit = sum(jumps.goal(goal, step.multipliers, of_u) for jumps, of_u in turned)
-            return float(dual.inner(on_jump, by_jump) + dual.inner(on_x, dx)) + explicit
-        known = zip([u, *controls], [du, *directions], strict=True)
-        changes = [_directional(goal, one, direction, V.mesh) for one, direction in known]
-        return float(
-            sum(
-                comm.allreduce(fem.assemble_scalar(forms.compiled(one)), op=MPI.SUM)
-                for one in changes
-                if one is not None
-            )
-        )
+        explicit = data.explicit_rate(goal, controls, directions, change) or 0.0
+        if isinstance(goal, ufl.Form):
+            return explicit + (data.explicit_rate(goal, [contact.u], [du], change) or 0.0)
+        on_jump, on_x = weights_of(goal, jump, x)
+        return explicit + float(dual.inner(on_jump, jump_change) + dual.inner(on_x, dx))
 
-    on_surfaces = []
+    def turned(k: int, values: Array, scale: str) -> Array:
+        """Return the change of a pair's tangential vectors (n, d) with the tangents of its rows."""
+
+        def vectors(operator: JumpOperator, _: Array) -> Array:
+            rows = operator.by_pair[k]
+            components = values * getattr(operator, scale)
+            return rows.operators.tangential_vectors(components[rows.tangential])
+
+        return np.asarray(sum(moved.rate(vectors) for moved in change.moved))
+
+    result = []
     for k, (rows, surface) in enumerate(zip(jump.by_pair, surfaces, strict=True)):
-        pair, n, t = rows.operators, rows.normal, rows.tangential
+        pair, friction = rows.operators, {}
         pressure, gap = np.zeros((2, len(pair.nodes)))
-        pressure[pair.normal_node], gap[pair.normal_node] = stress[n], -slip[n]
+        pressure[pair.normal_node], gap[pair.normal_node] = stress[rows.normal], -slip[rows.normal]
+        for name, components, values, scale in (
+            ("traction", stress, x, "stress_scale"),
+            ("slip", slip, -contact.gradient, "length_scale"),
+        ):
+            vectors = pair.tangential_vectors(components[rows.tangential])
+            vectors = vectors + turned(k, values, scale)
+            friction[name] = surface.function(name, pair.nodes, vectors)
         has_friction = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
-        vectors = [pair.tangential_vectors(parts[t]) for parts in (stress, slip)]
-        for jumps, _ in turned:  # the tangents, along which components are measured, turn as well
-            vectors[0] += jumps.traction(k, step.multipliers)
-            vectors[1] += jumps.slip(k, -step.gradient)
-        traction, slipped = (
-            surface.function(name, pair.nodes, vector) if has_friction else None
-            for name, vector in zip(("traction", "slip"), vectors, strict=True)
-        )
-        on_surfaces.append(
+        result.append(
             SurfaceTangent(
                 name=str(surface.pair),
                 mesh=surface.mesh,
                 pressure=surface.function("pressure", pair.nodes, pressure),
-                traction=traction,
-                slip=slipped,
+                traction=friction["traction"] if has_friction else None,
+                slip=friction["slip"] if has_friction else None,
                 gap=surface.function("gap", pair.nodes, gap),
             )
         )
-    return ContactTangent(du, tuple(on_surfaces), change_of)
-
-
-def _directional(form: Any, control: Control, direction: Any, mesh: Any) -> Any:
-    """Return the derivative of a form along a direction of a control. Collective.
-
-    Args:
-        form: a form of any rank.
-        control: a Constant or a Function.
-        direction: change of the control: values of a Constant, or a Function.
-        mesh: the mesh of the form.
-
-    Returns:
-        a form of the same rank; None if the form does not depend on the control.
-    """
-    if control not in (*form.constants(), *form.coefficients()):
-        return None
-    if isinstance(control, fem.Function):
-        return ufl.derivative(form, control, direction)
-    # UFL differentiates with respect to Functions: take a Function with the control's value in all
-    # cells
-    space = fem.functionspace(mesh, ("DG", 0, control.ufl_shape))
-    m, change = fem.Function(space), fem.Function(space)
-    for one, values in ((m, control.value), (change, direction)):
-        one.x.array[:] = np.tile(np.ravel(values), len(m.x.array) // np.size(values))
-    return ufl.derivative(ufl.replace(form, {control: m}), m, change)
+    return ContactTangent(du, tuple(result), change_of)

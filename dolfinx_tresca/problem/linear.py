@@ -24,6 +24,7 @@ from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.goal_error import GoalError, goal_error
+from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.guaranteed.bound import STEPS, GuaranteedError, guaranteed_error
@@ -343,8 +344,9 @@ class ContactProblem(ContactProcess):
         solved = self._solved_for("the error of a goal")
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
+        contact = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
         secondary = self._contact.surfaces.secondary
-        return goal_error(goal, dual, secondary, solved.multipliers, fields, energy_error)
+        return goal_error(goal, contact, secondary, fields.u, energy_error)
 
     @collective(comm_of_self)
     def guaranteed_error(self, *, steps: int = STEPS) -> GuaranteedError:
