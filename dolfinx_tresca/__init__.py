@@ -7,8 +7,8 @@ from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.contact.found_pairs import Contacts, contacts
 from dolfinx_tresca.derivatives.controls import ControlVector
-from dolfinx_tresca.derivatives.goal_error import GoalError
-from dolfinx_tresca.derivatives.tangent import ContactTangent, SurfaceTangent
+from dolfinx_tresca.derivatives.goals import GoalError
+from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import (
     ContactError,

@@ -22,7 +22,7 @@ from dolfinx_tresca._base.compat import prescribed_function
 from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution, inputs_of_problem
 from dolfinx_tresca.derivatives.goals import value_of
-from dolfinx_tresca.derivatives.gradient import gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError

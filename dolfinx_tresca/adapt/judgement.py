@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.adapt.opposite import refinement_indicators
-from dolfinx_tresca.derivatives.goal_error import GoalError
+from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal

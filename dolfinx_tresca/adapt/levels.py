@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from dolfinx_tresca.adapt.judgement import Judgement
-from dolfinx_tresca.derivatives.goal_error import GoalError
+from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.result import ContactSolution

@@ -26,7 +26,7 @@ from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
 from dolfinx_tresca.derivatives.controls import checked_controls
 from dolfinx_tresca.derivatives.goals import WeightedGoals, checked_form_or_goal
-from dolfinx_tresca.derivatives.gradient import as_derivatives, gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import as_derivatives, gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory

@@ -23,7 +23,7 @@ from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.goal_error import GoalError, goal_error
+from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError, shown

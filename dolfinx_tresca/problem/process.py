@@ -23,9 +23,13 @@ from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
 from dolfinx_tresca.derivatives.controls import checked_controls, checked_directions
 from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
-from dolfinx_tresca.derivatives.gradient import as_derivatives, gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import (
+    ContactTangent,
+    as_derivatives,
+    gradient,
+    tangent_of,
+)
 from dolfinx_tresca.derivatives.linearised import EdgeState, LinearisedContact
-from dolfinx_tresca.derivatives.tangent import ContactTangent, tangent_of
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown

@@ -26,7 +26,7 @@ from dolfinx_tresca import (
     refine,
 )
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
-from dolfinx_tresca.derivatives.goal_error import CHANGING, DOUBT
+from dolfinx_tresca.derivatives.goals import CHANGING, DOUBT
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.bounds.estimate import total
 from scenes.hertz import cylinder_on_plane
