@@ -177,15 +177,14 @@ class ProcessTape:
         self._has_places &= began_at_zero and stayed
         same = not self._steps or self._compliance is self._surfaces.compliance
         self._compliance = self._surfaces.compliance if same else None
+        if self._every and not stayed:
+            raise ContactError(
+                "an obstacle has moved since the recording began, and a tape with checkpoints has "
+                "no place for that: record without checkpoint_every."
+            )
         solved = None if self._every else self._linearised()
-        if self._every:
-            if not stayed:
-                raise ContactError(
-                    "an obstacle has moved since the recording began, and a tape with checkpoints "
-                    "has no place for that: record without checkpoint_every."
-                )
-            if len(self) % self._every == 0:
-                self._add_checkpoint(last.multipliers)
+        if self._every and len(self) % self._every == 0:
+            self._add_checkpoint(last.multipliers)
         yield
         self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -308,10 +307,11 @@ class ProcessTape:
         """
         controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
-        totals = []
-        for by_step in zip(*steps, strict=True):
-            terms = [derivatives for derivatives in by_step if derivatives is not None]
-            totals.append(sum(terms[1:], terms[0]) if terms else None)
+        totals: list[Any] = [None] * len(controls)
+        for by_control in steps:
+            for k, values in enumerate(by_control):
+                if values is not None:
+                    totals[k] = values if totals[k] is None else totals[k] + values
         return as_derivatives(totals, controls, self.comm)
 
     @collective(comm_of_self)
