@@ -69,14 +69,16 @@ class DataVector:
             change: the change of the data.
             inner: the inner product of arrays over all ranks.
         """
-        result = inner(self.offset, change.offset) + inner(self.radius, change.radius)
-        for derivative, values in (
-            (self.force, change.force),
-            (self.prescribed, change.prescribed),
-        ):
-            owned = owned_size(values)
-            result = result + inner(derivative.x.array[:owned], values.x.array[:owned])
-        return float(result)
+        owned = owned_size(self.force)
+        products = [(self.offset, change.offset), (self.radius, change.radius)]
+        products += [
+            (by_field.x.array[:owned], field_change.x.array[:owned])
+            for by_field, field_change in (
+                (self.force, change.force),
+                (self.prescribed, change.prescribed),
+            )
+        ]
+        return float(sum(inner(derivatives, values) for derivatives, values in products))
 
 
 class DataOfSolution:

@@ -1,4 +1,4 @@
-"""What the contact data of a solution depend on: users' scalars at nodes, and rigid obstacles."""
+"""Causes of changes of contact data: users' scalars at nodes, and rigid obstacles that move."""
 
 from __future__ import annotations
 

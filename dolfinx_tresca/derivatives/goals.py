@@ -182,7 +182,7 @@ class GoalError:
             error causes [same unit]; the error of slip bounds that depend on the pressure,
             `ContactSolution.bound_error`, is not included.
         state_changes: sum of the absolute contributions to the error from the edges of contact and
-            stick zones [same unit]; see `derivatives/state_changes.py`.
+            stick zones [same unit]; see `state_changes` in `derivatives/goals.py`.
         cell_errors: for each cell the root of the product of the energy norms of e and e' [root of
             the goal's unit], for `refine`. The sum of their squares has no cancellation of signs.
         adjoint: the adjoint displacement z; see `derivatives/linearised.py`.
