@@ -2,8 +2,8 @@
 
 A control is a Constant or a Function that users change in place. It acts on the *data* of a
 solution (load, prescribed values, gaps and slip origins, radii of the friction discs); the data act
-on the solution; a *goal*, such as a force, is a number computed from the solution. With each node held
-in its contact state (open, stick, slip), both steps are linear. A *tangent* takes a change of
+on the solution; a *goal*, such as a force, is a number computed from the solution. With each node
+held in its contact state (open, stick, slip), both steps are linear. A *tangent* takes a change of
 controls forwards, to the change of all fields. A *gradient* takes the derivatives of a goal
 backwards, by the *adjoint*, to all controls. The error of a goal on this mesh is estimated with the
 same adjoint. A *tape* keeps accepted load steps, and carries gradients back through them.
