@@ -6,6 +6,10 @@ from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.contact.found_pairs import Contacts, contacts
+from dolfinx_tresca.derivatives.controls import ControlVector
+from dolfinx_tresca.derivatives.goals import GoalError
+from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
+from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import (
     ContactError,
     ConvergenceError,
@@ -25,7 +29,6 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord, NewtonStep
 from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem
 from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
-from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
@@ -39,11 +42,8 @@ from dolfinx_tresca.scene.goal import (
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.control_vector import ControlVector
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
-from dolfinx_tresca.solution.goal_error import GoalError
-from dolfinx_tresca.solution.tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.units import Units
 

@@ -8,7 +8,7 @@ and `pyadjoint.taylor_test` then differentiate contact solves. This needs dolfin
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -20,15 +20,15 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
 from dolfinx_tresca.contact.step_state import StepState
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.goals import value_of
+from dolfinx_tresca.derivatives.gradient_and_tangent import gradient
+from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
-from dolfinx_tresca.problem.tape import inputs_of_problem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.goal_error import value_of
-from dolfinx_tresca.solution.gradient import Differentiation
-from dolfinx_tresca.solution.solved_step import SolvedStep
 
 import dolfinx_adjoint  # isort: skip
 import pyadjoint  # isort: skip
@@ -70,11 +70,11 @@ class ContactProblem(_ContactProblem):
         bcs = self._contact.linear.bcs
         prescribed = {id(bc.g): prescribed_function(bc, dolfinx_adjoint.Function) for bc in bcs}
         inputs = inputs_of_problem((a, L), self.pairs, bcs)
-        self.inputs = list(dict.fromkeys(prescribed.get(id(one), one) for one in inputs))
+        self.inputs = list(dict.fromkeys(prescribed.get(id(field), field) for field in inputs))
         self.solved: _Solved | None = None
         self.accepted: _Solved | None = None
-        self._u = fem.Function(self._contact.linear.V)
-        self._differentiations: dict[tuple[int, ...], Differentiation] = {}
+        u = fem.Function(self._contact.linear.V)
+        self.data = DataOfSolution(self._contact, self._forms_at(u), u)
 
     def solve(self, **options: Any) -> ContactSolution:
         """Solve, and record the solution on the tape. Collective.
@@ -165,10 +165,9 @@ class ContactProblem(_ContactProblem):
 
     def content_of_solve(self) -> _Content:
         """Return the last solution, and the state after it if it is accepted. Collective."""
-        surfaces, solved = self._contact.surfaces, self._contact.solved
-        assert solved is not None
-        step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, surfaces.slip_bounds())
-        return _Content(step, surfaces.state.after_solution(unconverged=True))
+        solution = LinearisedContact.of_last_solve(self._contact)
+        end = self._contact.surfaces.state.after_solution(unconverged=True)
+        return _Content(solution, end)
 
     def solve_again(self, start: StepState, options: dict[str, Any]) -> _Content:
         """Solve from a given state with the present values of all inputs. Collective.
@@ -189,32 +188,6 @@ class ContactProblem(_ContactProblem):
         super().solve(**options).raise_if_failed()
         return self.content_of_solve()
 
-    def derivatives(
-        self,
-        content: _Content,
-        cotangent: _Cotangent,
-        on_u: Array | None,
-        controls: Sequence[fem.Function],
-    ) -> tuple[list[Array | None], Array]:
-        """Return derivatives with respect to controls and to the slip origin. Collective.
-
-        See `Differentiation.backwards`.
-        """
-        key = tuple(map(id, controls))
-        if key not in self._differentiations:
-            values = self._contact.surfaces.nodal_values
-            self._differentiations[key] = Differentiation(
-                self.pairs, self._forms_at(self._u), self._u, values, controls
-            )
-        return self._differentiations[key].backwards(
-            content.step, cotangent.goals, cotangent.on_origin, on_u
-        )
-
-    def has_present_stiffness(self, content: _Content) -> bool:
-        """Return whether a recorded solve used the K of the present inputs. Collective."""
-        compliance = self._contact.surfaces.compliance
-        return content.step.dual.compliance is compliance and not self._contact.linear.outdated
-
 
 @dataclass(frozen=True)
 class _Content:
@@ -225,7 +198,7 @@ class _Content:
         end: the state from which the next solve begins if this solution is accepted.
     """
 
-    step: SolvedStep
+    step: LinearisedContact
     end: StepState
 
 
@@ -242,9 +215,9 @@ class _Cotangent:
     on_origin: Array | None
 
     def __iadd__(self, other: _Cotangent) -> _Cotangent:
-        origins = [one.on_origin for one in (self, other) if one.on_origin is not None]
         self.goals = self.goals + other.goals
-        self.on_origin = sum(origins[1:], origins[0]) if origins else None
+        if other.on_origin is not None:
+            self.on_origin = other.on_origin + (0.0 if self.on_origin is None else self.on_origin)
         return self
 
     _ad_iadd = __iadd__
@@ -282,7 +255,9 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
 
     def recompute_component(self, inputs: Any, block_variable: Any, idx: int, prepared: Any) -> Any:
         step = inputs[0].step
-        return pyadjoint.AdjFloat(value_of(self._goal, step.dual, step.multipliers, step.u))
+        jump = step.dual.jump
+        jump_of_u = jump.of_displacement(step.u)
+        return pyadjoint.AdjFloat(value_of(self._goal, jump, step.multipliers, jump_of_u))
 
     def __str__(self) -> str:
         return f"value of {self._goal}"
@@ -303,20 +278,19 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
     ) -> None:
         super().__init__()
         self._problem, self._options, self._start = problem, options, start
-        self._values = [values_of(one).copy() for one in problem.inputs]
+        self._values = [values_of(field).copy() for field in problem.inputs]
         self._accepted = accepted
-        conditions = [one for one in problem._contact.linear.bcs if _is_on_tape(one)]
-        prescribed = [bc.g for bc in conditions]
+        conditions = [bc for bc in problem._contact.linear.bcs if _is_on_tape(bc)]
+        prescribed = {id(bc.g) for bc in conditions}
         inputs = [
-            one
-            for one in problem.inputs
-            if _is_on_tape(one) and not any(one is value for value in prescribed)
+            field for field in problem.inputs if _is_on_tape(field) and id(field) not in prescribed
         ]
         if accepted is not None:
             self.add_dependency(accepted)
-        for one in [*inputs, *conditions]:
-            self.add_dependency(one, no_duplicates=True)
-            present, recorded = _control(one), _control(one.block_variable.saved_output)
+        for dependency in [*inputs, *conditions]:
+            self.add_dependency(dependency, no_duplicates=True)
+            present = _control(dependency)
+            recorded = _control(dependency.block_variable.saved_output)
             if not np.array_equal(values_of(present), values_of(recorded)):
                 raise ContactError(
                     f"{getattr(present, 'name', present)!r} has other values than on the tape: it "
@@ -340,12 +314,10 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
             yield
 
     def _solved_again(self) -> _Content:
-        start = self._start if self._accepted is None else self._accepted_content().end
+        start = self._start
+        if self._accepted is not None:
+            start = self.get_dependencies()[0].saved_output.end
         return self._problem.solve_again(start, self._options)
-
-    def _accepted_content(self) -> _Content:
-        content: _Content = self.get_dependencies()[0].saved_output
-        return content
 
     def prepare_recompute_component(self, inputs: Any, relevant_outputs: Any) -> _Content:
         with self._at_inputs():
@@ -370,17 +342,22 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
             if _control(dependency.output) is not None
         }
         content: _Content = self.get_outputs()[1].saved_output
+        cotangent = _Cotangent([], None) if cotangent is None else cotangent
+        system, data = self._problem._contact, self._problem.data
         with self._at_inputs():
-            if not self._problem.has_present_stiffness(content):
+            compliance = content.step.dual.compliance
+            if compliance is not system.surfaces.compliance or system.linear.outdated:
                 content = self._solved_again()
-            parts, on_origin = self._problem.derivatives(
-                content,
-                _Cotangent([], None) if cotangent is None else cotangent,
-                None if on_u is None else on_u.array,
+            data.linearise(content.step)
+            derivatives, on_origin = gradient(
+                data,
+                cotangent.goals,
                 list(by_control.values()),
+                cotangent.on_origin,
+                None if on_u is None else on_u.array,
             )
         result: dict[int, Any] = {}
-        for (idx, control), values in zip(by_control.items(), parts, strict=True):
+        for (idx, control), values in zip(by_control.items(), derivatives, strict=True):
             result[idx] = None if values is None else _dual_vector(control, values)
         if self._accepted is not None:
             result[0] = _Cotangent([], on_origin)
@@ -395,9 +372,9 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
         return f"contact solve of {self._problem!r}"
 
 
-def _is_on_tape(one: Any) -> bool:
+def _is_on_tape(value: Any) -> bool:
     """Return whether pyadjoint records an object."""
-    return isinstance(one, pyadjoint.OverloadedType)
+    return isinstance(value, pyadjoint.OverloadedType)
 
 
 def _control(dependency: Any) -> Any:

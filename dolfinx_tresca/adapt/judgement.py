@@ -15,12 +15,12 @@ from dolfinx_tresca._base.assembly import assembled
 from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.adapt.refinement import owned_values
+from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import ContactStatus
 
 #: Least relative energy error to which a problem is solved again for the error of a goal.

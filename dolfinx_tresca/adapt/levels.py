@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.mesh import TaggedMesh
-from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import AdaptiveStatus
 
 

@@ -168,37 +168,37 @@ class NodalValues:
         return np.full(len(nodes), float(bound))
 
     def pulled_back(
-        self, field: ScalarField, control: Any, nodes: LocalNumbers, weights: Array, name: str
+        self,
+        field: ScalarField,
+        control: fem.Function,
+        nodes: LocalNumbers,
+        weights: Array,
+        name: str,
     ) -> Array | None:
-        """Return the derivative of a weighted sum of nodal values with respect to a control.
-
-        Collective.
+        """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
 
         Args:
             field: the scalar whose nodal values are differentiated.
-            control: the Constant or scalar Function that changes.
+            control: the scalar Function that changes.
             nodes: nodes of this rank at which the field is taken.
             weights: (n,) weights of the values: derivatives of a goal, from an adjoint solution.
             name: name of the field in error messages.
 
         Returns:
-            for a Constant, an array of its shape, the same on all ranks; for a Function, the
-            derivatives with respect to its degrees of freedom on this rank, without ghosts; None if
-            the field does not depend on the control.
+            the derivatives with respect to the Function's degrees of freedom on this rank, without
+            ghosts; None if the field does not depend on the Function.
 
         Raises:
-            InputError: the control is a Function with components, or on another mesh.
+            InputError: the control is a Function with components, or on another mesh; or a Python
+                function reads it.
         """
-        slopes = self._slopes(field, control, nodes, name)
+        slopes = self._slopes(field, control, None, nodes, name)
         if slopes is None:
             return None
-        if isinstance(control, fem.Constant):
-            total = reduce_array(self._V.mesh.comm, weights @ slopes)
-            return np.asarray(total.reshape(control.ufl_shape))
         _, position = self._scalar_field
         matrix = self._interpolation_from(control.function_space)
         of_control, of_field = matrix.createVecs()
-        np.add.at(of_field.array, position[nodes], weights * slopes[:, 0])
+        np.add.at(of_field.array, position[nodes], weights * slopes)
         matrix.multTranspose(of_field, of_control)
         result = np.array(of_control.array)
         for owned in (of_control, of_field):
@@ -221,38 +221,36 @@ class NodalValues:
             the derivative; None if the field does not depend on the control.
 
         Raises:
-            InputError: the control is a Function with components, or on another mesh.
+            InputError: see `pulled_back`.
         """
-        slopes = self._slopes(field, control, nodes, name)
-        if slopes is None:
-            return None
-        if isinstance(control, fem.Constant):
-            return np.asarray(slopes @ np.ravel(direction))
-        return slopes[:, 0] * self.at(direction, nodes, name)
+        slopes = self._slopes(field, control, direction, nodes, name)
+        if slopes is not None and isinstance(control, fem.Function):
+            slopes = slopes * self.at(direction, nodes, name)
+        return slopes
 
     def _slopes(
-        self, field: ScalarField, control: Any, nodes: LocalNumbers, name: str
+        self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
-        """Return derivatives (n, components) of a scalar with respect to a control. Collective.
+        """Return derivatives (n,) of a scalar with respect to a control. Collective.
 
-        The result is None if the scalar does not depend on the control.
+        They are derivatives along the direction of a Constant, and by the nodal values of a
+        Function. The result is None if the scalar does not depend on the control.
 
         Raises:
-            InputError: the control is a Function with components, or on another mesh; or a Python
-                function reads the Function.
+            InputError: see `pulled_back`.
         """
+        is_constant = isinstance(control, fem.Constant)
+        along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if callable(field) and not isinstance(field, Expr):
-            size = values_of(control).size
-            units = np.eye(size) if isinstance(control, fem.Constant) else np.ones((1, size))
-            rows = central_differences(
-                self._V.mesh.comm, control, units, lambda: self.at(field, nodes, name), name
+            rates = central_differences(
+                self._V.mesh.comm, control, along[None], lambda: self.at(field, nodes, name), name
             )
-            return None if rows is None else rows.T
+            return None if rates is None else rates[0]
         if control not in inputs_of(field):
             return None
-        if isinstance(control, fem.Function):
+        if not is_constant:
             if control.ufl_shape != ():
                 raise InputError(
                     f"{name} depends on a Function with components, '{control.name}': derivatives "
@@ -260,10 +258,11 @@ class NodalValues:
                 )
             self._check_mesh(control, name)
         if field is control:
-            return np.ones((len(nodes), 1))
+            return np.full(len(nodes), along[0] if is_constant else 1.0)
         variable = ufl.variable(control)
         slope = ufl.diff(ufl.replace(field, {control: variable}), variable)
-        return self._of_expression(ufl.algorithms.expand_derivatives(slope), nodes, name)
+        slopes = self._of_expression(ufl.algorithms.expand_derivatives(slope), nodes, name)
+        return slopes @ along if is_constant else slopes[:, 0]
 
     def _interpolation_from(self, space: Any) -> PETSc.Mat:
         """Return the matrix that interpolates from a scalar space to the nodes. Collective."""

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.dual.bounds.estimate import total
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -27,6 +27,11 @@ from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import KnownProducts
+
+#: A node counts as about to change its contact state if a change of its traction by at most the
+#: error of the tractions leads to another state. This number times the largest traction is the
+#: least error that is assumed.
+EDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -263,3 +268,44 @@ class DualProgram:
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual
+
+
+def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
+    """Return the rows and discs that are about to change their contact state. Collective.
+
+    Within the accuracy of the solution, these rows and discs may have either state, so that
+    derivatives of goals are one-sided.
+
+    Args:
+        dual: the problem.
+        x: (size,) multipliers of the solution.
+        r: (size,) gradient at x.
+
+    Returns:
+        normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.
+    """
+    lam, scale = dual.bounds(x, r), dual.jump.stress_scale
+    change, traction = dual.local_change(x, r)
+    limit = max(change, EDGE * traction)
+    target = dual.decoupled_minimiser(x, r)
+    rows = np.zeros(len(x), dtype=np.bool_)
+    rows[lam.normal] = np.abs(target * scale)[lam.normal] <= limit
+    return rows, discs_at_edge(lam, target, scale, limit)
+
+
+def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
+    """Return whether the minimiser of each disc lies on its circle, within the error.
+
+    The result is an array (n_discs,), False for discs without friction.
+
+    Args:
+        lam: Lambda, whose radii are the slip bounds.
+        target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
+        stress_scale: (size,) factors from multipliers to stresses.
+        error: error of a traction [stress].
+    """
+    scale = np.ones(len(lam.radius))
+    scale[lam.node] = stress_scale[lam.tangential]
+    has_friction = np.isfinite(lam.radius) & (lam.radius > 0.0)
+    distance = np.abs(lam.norms(target) - np.where(has_friction, lam.radius, 0.0)) * scale
+    return np.asarray(has_friction & (distance < error))

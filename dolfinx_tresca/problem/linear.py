@@ -23,17 +23,18 @@ from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
+from dolfinx_tresca.derivatives.goals import GoalError, goal_error
+from dolfinx_tresca.derivatives.linearised import LinearisedContact
+from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.guaranteed.bound import STEPS, GuaranteedError, guaranteed_error
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
-from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.goal_error import GoalError, goal_error
-from dolfinx_tresca.solution.gradient import Forms
+from dolfinx_tresca.solution.forms import Forms
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -343,8 +344,9 @@ class ContactProblem(ContactProcess):
         solved = self._solved_for("the error of a goal")
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
+        contact = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
         secondary = self._contact.surfaces.secondary
-        return goal_error(goal, dual, secondary, solved.multipliers, fields, energy_error)
+        return goal_error(goal, contact, secondary, fields.u, energy_error)
 
     @collective(comm_of_self)
     def guaranteed_error(self, *, steps: int = STEPS) -> GuaranteedError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,30 +20,28 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.dual.adjoint import EdgeState
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
+from dolfinx_tresca.derivatives.controls import checked_controls, checked_directions
+from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
+from dolfinx_tresca.derivatives.gradient_and_tangent import (
+    ContactTangent,
+    as_derivatives,
+    gradient,
+    tangent_of,
+)
+from dolfinx_tresca.derivatives.linearised import EdgeState, LinearisedContact
+from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
-from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.control_vector import checked_controls
-from dolfinx_tresca.solution.goal_error import value_of
-from dolfinx_tresca.solution.gradient import (
-    Differentiation,
-    Forms,
-    as_derivatives,
-    check_control,
-    checked_form_or_goal,
-)
+from dolfinx_tresca.solution.forms import Forms
 from dolfinx_tresca.solution.reaction import reaction_at
 from dolfinx_tresca.solution.resultants import Resultant
-from dolfinx_tresca.solution.solved_step import SolvedStep
-from dolfinx_tresca.solution.tangent import ContactTangent, checked_directions, tangent_of
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -347,7 +344,8 @@ class ContactProcess(PetscOwner, Tabulated):
         solved = self._contact.solved
         if solved is None:
             raise ContactError("there is no solution for the value of a goal: call solve() first.")
-        return value_of(goal, solved.dual, solved.multipliers, solved.fields.u)
+        jump = solved.dual.jump
+        return value_of(goal, jump, solved.multipliers, jump.of_displacement(solved.fields.u))
 
     @collective(comm_of_self)
     def gradient(
@@ -400,12 +398,9 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_not_destroyed()
         goal = self._checked_goal(goal)
         controls = checked_controls(controls)
-        step, forms = self._step_to_differentiate(controls, at_edge)
-        goal = self._goal_at(goal, step.u)
-        values = self._contact.surfaces.nodal_values
-        find_differences = partial(obstacle_differences, self._contact)
-        derivatives = Differentiation(self.pairs, forms, step.u, values, controls, find_differences)
-        return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
+        data = self._data_of_solution(controls, at_edge)
+        goals = [(1.0, self._goal_at(goal, data.u))]
+        return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
 
     @collective(comm_of_self)
     def tangent(
@@ -440,17 +435,13 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_not_destroyed()
         controls = checked_controls(controls)
         directions = checked_directions(controls, directions)
-        step, forms = self._step_to_differentiate(controls, at_edge)
+        data = self._data_of_solution(controls, at_edge)
         return tangent_of(
-            step,
-            self.pairs,
+            data,
             self._contact.surfaces.secondary,
-            forms,
-            self._contact.surfaces.nodal_values,
             controls,
             directions,
-            partial(obstacle_differences, self._contact),
-            lambda goal: self._goal_at(self._checked_goal(goal), step.u),
+            lambda goal: self._goal_at(self._checked_goal(goal), data.u),
         )
 
     def _checked_goal(self, goal: Any) -> Goal | ufl.Form:
@@ -464,10 +455,8 @@ class ContactProcess(PetscOwner, Tabulated):
             return ufl.replace(goal, {present: u})
         return goal
 
-    def _step_to_differentiate(
-        self, controls: Sequence[Any], at_edge: Any
-    ) -> tuple[SolvedStep, Forms]:
-        """Return the last solution, and the forms at its displacement. Collective.
+    def _data_of_solution(self, controls: Sequence[Any], at_edge: Any) -> DataOfSolution:
+        """Return the data of the last solution, to differentiate them. Collective.
 
         The number of nodes at the edge of their state is logged.
 
@@ -477,17 +466,15 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         if at_edge not in (None, "held", "released"):
             raise InputError(f'at_edge must be "held", "released" or None, found {shown(at_edge)}.')
-        for control in controls:
-            check_control(control, self.pairs)
         self._check_pairing_fixed()
-        solved, surfaces = self._solved_for("a derivative"), self._contact.surfaces
+        self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
-        for control in controls:
-            surfaces.obstacles.depending_on(control, surfaces.jump)
-        bounds = surfaces.slip_bounds()
-        step = SolvedStep(solved.dual, solved.multipliers, solved.fields.u, bounds, at_edge)
-        step.log_edge()
-        return step, self._forms_at(step.u)
+        contact = LinearisedContact.of_last_solve(self._contact, at_edge)
+        contact.log_edge()
+        data = DataOfSolution(self._contact, self._forms_at(contact.u), contact.u)
+        data.check_controls(controls)
+        data.linearise(contact)
+        return data
 
     @collective(comm_of_self, ignored=("where",))
     def reaction(self, where: Any, point: npt.ArrayLike | None = None) -> Resultant:

@@ -17,7 +17,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.solution.gradient import Forms
+from dolfinx_tresca.solution.forms import Forms
 from dolfinx_tresca.solution.resultants import Resultant, centre_of_forces, resultants_on
 from dolfinx_tresca.stiffness.frames import BodyFrames
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 from weakref import ref
@@ -24,26 +23,17 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
-from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.controls import checked_controls
+from dolfinx_tresca.derivatives.goals import WeightedGoals, checked_form_or_goal
+from dolfinx_tresca.derivatives.gradient_and_tangent import as_derivatives, gradient
+from dolfinx_tresca.derivatives.linearised import LinearisedContact
+from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
-from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.control_vector import checked_controls
-from dolfinx_tresca.solution.gradient import (
-    Control,
-    Differentiation,
-    Forms,
-    WeightedGoals,
-    as_derivatives,
-    check_control,
-    checked_form_or_goal,
-    sum_of_known,
-)
-from dolfinx_tresca.solution.solved_step import SolvedStep
+from dolfinx_tresca.solution.forms import Forms
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
@@ -55,7 +45,7 @@ class _Recorded:
     """An accepted step.
 
     Attributes:
-        solved: the solution with its problem; None if it is to be computed again from a checkpoint.
+        contact: the solution; None if it is to be computed again from a checkpoint.
         u: weak reference to the displacement that the solve returned; goals that are forms may
             depend on it. A call of the reference returns None if the user has dropped it.
         values: values of all inputs of the problem in this step.
@@ -64,7 +54,7 @@ class _Recorded:
         laws: `ContactSystem.law_values` of the step.
     """
 
-    solved: SolvedStep | None
+    contact: LinearisedContact | None
     u: Callable[[], fem.Function | None]
     values: Sequence[Array]
     options: SolverOptions
@@ -187,21 +177,20 @@ class ProcessTape:
         self._has_places &= began_at_zero and stayed
         same = not self._steps or self._compliance is self._surfaces.compliance
         self._compliance = self._surfaces.compliance if same else None
-        solved = None if self._every else self._solved_step()
-        if self._every:
-            if not stayed:
-                raise ContactError(
-                    "an obstacle has moved since the recording began, and a tape with checkpoints "
-                    "has no place for that: record without checkpoint_every."
-                )
-            if len(self) % self._every == 0:
-                self._add_checkpoint(last.multipliers)
+        if self._every and not stayed:
+            raise ContactError(
+                "an obstacle has moved since the recording began, and a tape with checkpoints has "
+                "no place for that: record without checkpoint_every."
+            )
+        solved = None if self._every else self._linearised()
+        if self._every and len(self) % self._every == 0:
+            self._add_checkpoint(last.multipliers)
         yield
         self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
-            one if one is not None and np.array_equal(one, now) else now.copy()
-            for one, now in zip(before, map(values_of, self._inputs), strict=True)
+            former if former is not None and np.array_equal(former, now) else now.copy()
+            for former, now in zip(before, map(values_of, self._inputs), strict=True)
         ]
         self._steps.append(
             _Recorded(
@@ -209,13 +198,12 @@ class ProcessTape:
             )
         )
 
-    def _solved_step(self) -> SolvedStep:
+    def _linearised(self) -> LinearisedContact:
         """Return the last solution with its problem. Collective."""
-        last = self._contact.solved
-        assert last is not None
+        contact = LinearisedContact.of_last_solve(self._contact)
         # without the sum of slips at all nodes, which takes as much memory as u
-        dual = replace(last.dual, history=replace(last.dual.history, slipped=()))
-        return SolvedStep(dual, last.multipliers, last.fields.u, self._surfaces.slip_bounds())
+        history = replace(contact.dual.history, slipped=())
+        return replace(contact, dual=replace(contact.dual, history=history))
 
     def _add_checkpoint(self, multipliers: Array) -> None:
         """Keep what is needed to solve again for the step that is being added. Collective.
@@ -267,7 +255,7 @@ class ProcessTape:
         slipped = SlipHistory.none(self._surfaces.jump).slipped
         return replace(state, history=replace(state.history, slipped=slipped))
 
-    def _solved_steps(self, numbers: range) -> list[SolvedStep]:
+    def _solved_steps(self, numbers: range) -> list[LinearisedContact]:
         """Return the solutions of steps, solved again from a checkpoint if needed. Collective.
 
         Raises:
@@ -276,7 +264,7 @@ class ProcessTape:
         """
         contact, steps = self._contact, self._steps[numbers.start : numbers.stop]
         if not self._every:
-            return [one.solved for one in steps if one.solved is not None]
+            return [step.contact for step in steps if step.contact is not None]
         result = []
         with contact.restored():
             self._surfaces.return_to(self._checkpoint(numbers.start))
@@ -284,7 +272,7 @@ class ProcessTape:
                 with replaced(self._inputs, step.values):
                     self._surfaces.begin_solve()
                     contact.solve(step.options, None, lambda _: False)
-                    result.append(self._solved_step())
+                    result.append(self._linearised())
                     self._surfaces.accept(False)
         return result
 
@@ -319,8 +307,12 @@ class ProcessTape:
         """
         controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
-        total = [sum_of_known(parts) for parts in zip(*steps, strict=True)]
-        return as_derivatives(total, controls, self.comm)
+        totals: list[Any] = [None] * len(controls)
+        for by_control in steps:
+            for k, values in enumerate(by_control):
+                if values is not None:
+                    totals[k] = values if totals[k] is None else totals[k] + values
+        return as_derivatives(totals, controls, self.comm)
 
     @collective(comm_of_self)
     def gradient_by_step(
@@ -355,7 +347,7 @@ class ProcessTape:
 
         Collective.
 
-        See `Differentiation.backwards`.
+        See `gradient`.
 
         Raises:
             ContactError: the problem was destroyed, or K or the pairing has changed since steps
@@ -365,8 +357,9 @@ class ProcessTape:
         contact = self._contact
         contact.check_not_destroyed()
         goals_of_step = self._checked_goals(goals)
-        for control in controls:
-            check_control(control, contact.pairs)
+        u = fem.Function(contact.linear.V)
+        data = DataOfSolution(contact, self._forms_at(u), u, in_all_steps=True)
+        data.check_controls(controls)
         if self._steps and self._compliance is not self._surfaces.compliance:
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
@@ -374,33 +367,22 @@ class ProcessTape:
                 "before obstacles are moved."
             )
         self._check_places(controls)
-        u = fem.Function(contact.linear.V)
-        find_differences = partial(obstacle_differences, contact, in_all_steps=True)
-        differentiation = Differentiation(
-            contact.pairs,
-            self._forms_at(u),
-            u,
-            self._surfaces.nodal_values,
-            controls,
-            find_differences,
-        )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
         steps, every = max(goals_of_step, default=-1) + 1, self._every or 1
-        for first in reversed(range(0, steps, every)):
-            numbers = range(first, min(first + every, steps))
-            solved = self._solved_steps(numbers)
+        for start in reversed(range(0, steps, every)):
+            numbers = range(start, min(start + every, steps))
+            solutions = self._solved_steps(numbers)
             for number in reversed(numbers):
-                step, here = self._steps[number], solved.pop()
-                goals_here = [
-                    (weight, _with_displacement(goal, step.u(), here.u))
+                step, solution = self._steps[number], solutions.pop()
+                weighted = [
+                    (weight, _with_displacement(goal, step.u(), solution.u))
                     for weight, goal in goals_of_step.get(number, [])
                 ]
                 with replaced(self._inputs, step.values):
                     self._check_laws(step, number)
-                    result[number], on_origin = differentiation.backwards(
-                        here, goals_here, on_origin
-                    )
+                    data.linearise(solution)
+                    result[number], on_origin = gradient(data, weighted, controls, on_origin)
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:
@@ -478,26 +460,3 @@ def _with_displacement(goal: Any, before: fem.Function | None, u: fem.Function) 
     """Return a goal, in which u replaces the displacement `before` if the goal is a form."""
     replaces = isinstance(goal, ufl.Form) and before is not None and before is not u
     return ufl.replace(goal, {before: u}) if replaces else goal
-
-
-def inputs_of_problem(
-    forms: Sequence[Any], pairs: Sequence[ContactPair], bcs: Sequence[Any]
-) -> list[Any]:
-    """Return all Constants and Functions on which solutions depend, each once.
-
-    Values of Dirichlet conditions may be C++ objects of DOLFINx; `values_of` accepts them, too.
-    """
-    found: list[Any] = []
-    for form in forms:
-        if form is not None:
-            found += [*form.coefficients(), *form.constants()]
-    for pair in pairs:
-        fields = [pair.gap]
-        if isinstance(pair.friction, DryFriction):
-            terms = pair.friction.terms
-            curve = getattr(terms.curve, "function", None)
-            fields += [terms.constant, terms.coefficient, terms.limit, curve]
-        for field in fields:
-            found += inputs_of(field)
-    found += [bc.g for bc in bcs]
-    return list(dict.fromkeys(found))

@@ -1,4 +1,4 @@
-"""Controls as one array of numbers, for optimisers such as those of scipy."""
+"""Controls: what users may give, and their values as one array for optimisers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.derivatives.change_of_data import owned_size
 from dolfinx_tresca.errors import InputError, shown
 
 
@@ -36,6 +37,48 @@ def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
                 f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
             )
     return list(controls)
+
+
+def checked_directions(
+    controls: Sequence[fem.Constant | fem.Function], directions: Any
+) -> list[Any]:
+    """Check changes of controls, and return them: arrays for Constants, or Functions.
+
+    Not collective.
+
+    Raises:
+        InputError: there is not one direction of the right type for each control.
+    """
+    directions = list(directions) if isinstance(directions, Sequence) else [directions]
+    if len(directions) != len(controls):
+        raise InputError(
+            f"directions must be a list with one for each control, found {len(directions)} for "
+            f"{len(controls)} control(s)."
+        )
+    result = []
+    for control, given in zip(controls, directions, strict=True):
+        direction = given
+        if isinstance(control, fem.Function):
+            if (
+                not isinstance(direction, fem.Function)
+                or direction.function_space != control.function_space
+            ):
+                raise InputError(
+                    f"the direction of the Function {control.name} must be a Function on its space,"
+                    f" found {shown(direction)}."
+                )
+            values = direction.x.array
+        else:
+            direction = values = np.asarray(given, dtype=np.float64)
+            if values.shape != control.ufl_shape:
+                raise InputError(
+                    f"the direction of a Constant must have its shape {control.ufl_shape}, found "
+                    f"{shown(given)}."
+                )
+        if not np.isfinite(values).all():
+            raise InputError(f"the direction of {shown(control)} is NaN or infinite.")
+        result.append(direction)
+    return result
 
 
 class ControlVector:
@@ -113,7 +156,7 @@ class ControlVector:
             if isinstance(control, fem.Constant):
                 control.value[...] = (scale * part).reshape(control.ufl_shape)
             else:
-                owned = _owned(control)
+                owned = owned_size(control)
                 first = control.x.index_map.local_range[0] * control.x.block_size
                 control.x.array[:owned] = scale * part[first : first + owned]
                 control.x.scatter_forward()
@@ -142,11 +185,6 @@ class ControlVector:
         return np.concatenate([*parts, np.zeros(0)])
 
 
-def _owned(function: fem.Function) -> int:
-    """Return the number of values of a Function that this rank owns. Not collective."""
-    return int(function.x.index_map.size_local * function.x.block_size)
-
-
 def _size(control: Any) -> int:
     """Return the number of values of a control on all ranks. Not collective."""
     if isinstance(control, fem.Constant):
@@ -158,5 +196,5 @@ def _gathered(values: Any) -> Array:
     """Return the values of a control or of a derivative, gathered from all ranks. Collective."""
     if isinstance(values, fem.Function):
         comm = values.function_space.mesh.comm
-        return np.concatenate(comm.allgather(values.x.array[: _owned(values)]))
+        return np.concatenate(comm.allgather(values.x.array[: owned_size(values)]))
     return np.ravel(values.value if isinstance(values, fem.Constant) else values).astype(np.float64)

@@ -1,0 +1,350 @@
+"""Derivatives of a solution: of a goal by all controls, or of all fields in one direction.
+
+The gradient is one adjoint solve, multiplied with the changes of the data by each control; the
+tangent is one solve with the change of the data in the given direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca._base.agreement import collective, comm_of_self
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.derivatives.change_of_data import (
+    Control,
+    DataOfSolution,
+    DataVector,
+    owned_size,
+)
+from dolfinx_tresca.derivatives.goals import WeightedGoals, weights_of
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.solution.fields import Surface
+
+
+def derivatives_by_data(
+    data: DataOfSolution,
+    goals: WeightedGoals,
+    on_jump: Array,
+    on_displacement: Array | None = None,
+) -> DataVector:
+    """Return the derivatives of a sum of goals with respect to the data. Collective.
+
+    The sum may contain further terms, of which only the derivatives `on_jump` and `on_displacement`
+    are given. With the derivatives q_u and q_x of the sum with respect to u and to the multipliers,
+    the derivatives with respect to the prescribed values are q_u - B'y - K z, and those with
+    respect to the radii of slipping nodes are t'(q_x - B z), with the directions t of the
+    tractions.
+
+    Args:
+        data: the data of the solution.
+        goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on u.
+        on_jump: (size,) derivatives of further terms with respect to B u.
+        on_displacement: derivatives of further terms with respect to the values of u that this rank
+            owns; None: zeros.
+
+    Raises:
+        InputError: the patch of a goal has no node, or a form does not depend on u.
+        ConvergenceError: the adjoint has no solution.
+    """
+    contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
+    owned, by_u = owned_size(u), fem.Function(u.function_space)
+    on_jump, on_x = on_jump.copy(), np.zeros_like(on_jump)
+    if on_displacement is not None:
+        by_u.x.array[:owned] = on_displacement[:owned]
+    for weight, goal in goals:
+        if isinstance(goal, ufl.Form):
+            by_values = data.by_values(goal, u)
+            if by_values is None:
+                raise InputError(
+                    "the goal is a form that does not depend on the displacement of its solution: "
+                    "write it in terms of solution.u."
+                )
+            by_u.x.array[:owned] += weight * by_values
+        else:
+            by_jump, by_x = weights_of(goal, jump, contact.multipliers)
+            on_jump += weight * by_jump
+            on_x += weight * by_x
+    prescribed = by_u.copy()
+    by_u.x.petsc_vec.array[jump.system.prescribed] = 0.0
+    z, y = contact.adjoint(on_jump, on_x, by_u.x.petsc_vec)
+    prescribed.x.array[:owned] += jump.whole_force(on_jump - y).array - data.reaction_of(z)
+    radius = contact.face.radial_parts(on_x - jump.of_displacement(z))
+    return DataVector(z, prescribed, y, radius)
+
+
+def gradient(
+    data: DataOfSolution,
+    goals: WeightedGoals,
+    controls: Sequence[Control],
+    on_origin: Array | None = None,
+    on_displacement: Array | None = None,
+) -> tuple[list[Any], Array]:
+    """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
+
+    The derivative with respect to the slip origin s is y, like the derivative with respect to the
+    gap. A node that stuck in the previous load step keeps the s of this previous step; for any
+    other node s is its tangential jump T u in the previous step. So y carries the derivatives of a
+    step's goals back to the previous step.
+
+    Args:
+        data: the data of the solution.
+        goals: see `derivatives_by_data`.
+        controls: the Constants and Functions.
+        on_origin: (size,) derivatives of further terms with respect to the slip origin of the next
+            step; None: zeros.
+        on_displacement: see `derivatives_by_data`.
+
+    Returns:
+        for each control the derivatives with respect to its values (for a Function, those that this
+        rank owns), or None if nothing depends on the control; and (size,) the derivatives with
+        respect to the slip origin of this step.
+
+    Raises:
+        InputError: the patch of a goal has no node, or a form does not depend on u; or the
+            derivative with respect to a control is not known.
+        ConvergenceError: the adjoint has no solution.
+    """
+    discs, sticks = data.contact.face.discs, data.contact.face.stick
+    sticking, other_rows = np.zeros((2, discs.size), dtype=np.bool_)
+    sticking[discs.tangential] = sticks[discs.node]
+    other_rows[discs.tangential] = ~sticks[discs.node]
+    if on_origin is None:
+        on_origin = np.zeros(discs.size)
+    on_jump = np.where(other_rows, on_origin, 0.0)
+    derivatives = derivatives_by_data(data, goals, on_jump, on_displacement)
+    y = derivatives.offset
+    by_controls = [
+        _by_function(data, derivatives, goals, control)
+        if isinstance(control, fem.Function)
+        else _by_constant(data, derivatives, goals, on_jump, control)
+        for control in controls
+    ]
+    return by_controls, np.where(sticking, y + on_origin, np.where(other_rows, y, 0.0))
+
+
+def _by_function(
+    data: DataOfSolution, derivatives: DataVector, goals: WeightedGoals, control: fem.Function
+) -> Array | None:
+    result = data.pulled_back(control, derivatives)
+    for weight, goal in goals:
+        explicit = data.by_values(goal, control) if isinstance(goal, ufl.Form) else None
+        if explicit is not None:
+            result = weight * explicit + (0.0 if result is None else result)
+    return result
+
+
+def _by_constant(
+    data: DataOfSolution,
+    derivatives: DataVector,
+    goals: WeightedGoals,
+    on_jump: Array,
+    control: fem.Constant,
+) -> Array | None:
+    inner, depends = data.contact.dual.inner, False
+    result = np.zeros(control.value.size)
+    for k, unit in enumerate(np.eye(result.size)):
+        direction = unit.reshape(control.ufl_shape)
+        change, (data_depend,) = data.change([control], [direction])
+        rates = [data.explicit_rate(goal, [control], [direction], change) for _, goal in goals]
+        depends |= data_depend or any(rate is not None for rate in rates)
+        result[k] = derivatives.inner(change, inner)
+        for rows in change.moved:  # the jumps of this step, from which the next step's slip counts
+            result[k] += float(inner(on_jump, rows.rate(lambda _, jump_of_u: jump_of_u)))
+        result[k] += sum(
+            weight * (rate or 0.0) for (weight, _), rate in zip(goals, rates, strict=True)
+        )
+    return result.reshape(control.ufl_shape) if depends else None
+
+
+def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
+    """Return derivatives of `gradient` as arrays and Functions. Collective.
+
+    Args:
+        values: for each control the derivatives with respect to its values; None: nothing depends
+            on the control, and the log says so.
+        controls: the Constants and Functions to which the derivatives belong.
+        comm: communicator.
+
+    Returns:
+        for each Constant an array of its shape, for each Function a Function on its space.
+    """
+    result: list[Any] = []
+    for control, derivatives in zip(controls, values, strict=True):
+        if derivatives is None:
+            name = getattr(control, "name", control)
+            log(comm, "gradient: nothing depends on the control %s: its derivative is zero", name)
+        by_values = 0.0 if derivatives is None else derivatives
+        if isinstance(control, fem.Constant):
+            result.append(np.array(np.broadcast_to(by_values, control.ufl_shape)))
+            continue
+        function = fem.Function(control.function_space, name=f"derivative by {control.name}")
+        function.x.array[: owned_size(control)] = by_values
+        function.x.scatter_forward()
+        result.append(function)
+    return result
+
+
+@dataclass(frozen=True)
+class SurfaceTangent:
+    """Changes of fields on the secondary surface of a pair; see `SurfaceFields` for the fields.
+
+    The units are those of the fields, since a direction is a change of the controls in their units.
+
+    Attributes:
+        name: name of the pair.
+        mesh: the mesh of the surface.
+        pressure: change of the contact pressure [stress].
+        traction: change of the tangential traction [stress]; None without friction.
+        slip: change of the slip [length], zero where friction holds the surfaces; None without
+            friction.
+        gap: change of the gap [length], zero at pressed nodes.
+    """
+
+    name: str
+    mesh: Any
+    pressure: fem.Function
+    traction: fem.Function | None
+    slip: fem.Function | None
+    gap: fem.Function
+
+    def __repr__(self) -> str:
+        return f"<SurfaceTangent of {self.name}>"
+
+
+@dataclass(frozen=True)
+class ContactTangent:
+    """The change of a solution along a direction of the controls, to first order.
+
+    `ContactProblem.tangent` returns this object.
+
+    Attributes:
+        u: change of the displacement [length].
+        surfaces: changes of the fields on each pair's secondary surface.
+    """
+
+    u: fem.Function
+    surfaces: tuple[SurfaceTangent, ...]
+    _of: Callable[[Goal | ufl.Form], float] = field(repr=False)
+
+    def __repr__(self) -> str:
+        return f"<ContactTangent of {len(self.surfaces)} pair(s)>"
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.u.function_space.mesh.comm
+
+    @collective(comm_of_self)
+    def of(self, goal: Goal | ufl.Form) -> float:
+        """Return the directional derivative of a goal. Collective.
+
+        The result equals the derivatives of `ContactProblem.gradient` times the direction.
+
+        Args:
+            goal: see `ContactProblem.gradient`.
+
+        Raises:
+            InputError: the goal does not suit this problem.
+        """
+        return self._of(goal)
+
+
+def tangent_of(
+    data: DataOfSolution,
+    surfaces: Sequence[Surface],
+    controls: Sequence[Control],
+    directions: Sequence[Any],
+    checked_goal: Callable[[Any], Goal | ufl.Form],
+) -> ContactTangent:
+    """Return the change of a solution: two solves with K and some products with A. Collective.
+
+    Each node keeps its contact state; see `linearised` for the equations.
+
+    Args:
+        data: the data of the solution.
+        surfaces: secondary surfaces of the pairs.
+        controls: Constants and Functions that change.
+        directions: changes of the controls, see `checked_directions`.
+        checked_goal: function (goal) -> the checked goal, for goals that users give to
+            `ContactTangent.of`.
+
+    Raises:
+        InputError: the derivative with respect to a control is not known.
+        ConvergenceError: the tangent has no solution.
+    """
+    contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
+    x, comm, prescribed = contact.multipliers, data.comm, jump.system.prescribed
+    change, depends = data.change(controls, directions)
+    for control, is_input in zip(controls, depends, strict=True):
+        if not is_input:
+            log(
+                comm,
+                "tangent: nothing depends on the control %s",
+                getattr(control, "name", control),
+            )
+    force, owned = change.force.x.petsc_vec, owned_size(contact.u)
+    if comm.allreduce(bool(change.prescribed.x.array.any()), op=MPI.LOR):
+        force.array -= data.pull_of(change.prescribed)
+    force.array[prescribed] = change.prescribed.x.array[:owned][prescribed]
+    du, dx = contact.tangent(force, change.offset, change.radius)
+    jump_change = jump.of_displacement(du)
+    # gap and slip count from offsets, but not from those that stretch the rows of ellipses
+    apart = sum((rows.offset for rows in change.moved), np.zeros_like(dx))
+    for normal, _ in jump.slices:
+        apart[normal] = change.offset[normal]
+    slip, stress = (jump_change - apart) * jump.length_scale, dx * jump.stress_scale
+
+    def change_of(goal: Any) -> float:
+        goal = checked_goal(goal)
+        explicit = data.explicit_rate(goal, controls, directions, change) or 0.0
+        if isinstance(goal, ufl.Form):
+            return explicit + (data.explicit_rate(goal, [contact.u], [du], change) or 0.0)
+        on_jump, on_x = weights_of(goal, jump, x)
+        return explicit + float(dual.inner(on_jump, jump_change) + dual.inner(on_x, dx))
+
+    def turned(k: int, values: Array, scale: str) -> Array:
+        """Return the change of a pair's tangential vectors (n, d) with the tangents of its rows."""
+
+        def vectors(operator: JumpOperator, _: Array) -> Array:
+            rows = operator.by_pair[k]
+            components = values * getattr(operator, scale)
+            return rows.operators.tangential_vectors(components[rows.tangential])
+
+        return np.asarray(sum(moved.rate(vectors) for moved in change.moved))
+
+    result = []
+    for k, (rows, surface) in enumerate(zip(jump.by_pair, surfaces, strict=True)):
+        pair, friction = rows.operators, {}
+        pressure, gap = np.zeros((2, len(pair.nodes)))
+        pressure[pair.normal_node], gap[pair.normal_node] = stress[rows.normal], -slip[rows.normal]
+        for name, components, values, scale in (
+            ("traction", stress, x, "stress_scale"),
+            ("slip", slip, -contact.gradient, "length_scale"),
+        ):
+            vectors = pair.tangential_vectors(components[rows.tangential])
+            vectors = vectors + turned(k, values, scale)
+            friction[name] = surface.function(name, pair.nodes, vectors)
+        has_friction = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
+        result.append(
+            SurfaceTangent(
+                name=str(surface.pair),
+                mesh=surface.mesh,
+                pressure=surface.function("pressure", pair.nodes, pressure),
+                traction=friction["traction"] if has_friction else None,
+                slip=friction["slip"] if has_friction else None,
+                gap=surface.function("gap", pair.nodes, gap),
+            )
+        )
+    return ContactTangent(du, tuple(result), change_of)

@@ -1,0 +1,438 @@
+"""A solution, linearised at fixed contact states; its tangent and its adjoint.
+
+With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
+along their circles, which grow with the pressure if the law says so), a solution with the
+displacement u and the multipliers x obeys
+
+    K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
+
+where P projects onto the face, C is the curvature of the circles, and Q contains the slope of the
+slip bounds. Let the load change by df, the offsets (d; s) (gaps and slip origins) by do, and the
+radii of the circles by dg. With the unit vectors n along the multipliers on the circles, the
+tangent (du, dx) obeys
+
+    K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
+
+For a goal q_u'u + q_x'x, the adjoint (z, y) obeys
+
+    K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
+
+For Q = 0, both systems have the same matrix; slip bounds that follow the pressure make it
+unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. If bodies float, K z + B'y = q_u
+has a solution only if y balances q_u in the way in which contact forces balance the load: y
+satisfies the equations of equilibrium (`floating/equilibrium.py`) with q_u in place of the load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+from petsc4py import PETSc
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FULL_ACCURACY, ROUGH
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.dual.program import DualProgram, at_edge
+from dolfinx_tresca.dual.slip_bounds import NodalBounds
+from dolfinx_tresca.errors import ConvergenceError, InputError
+from dolfinx_tresca.solvers.feasible_set import Face
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.nodal_maps import NodalMaps, NodalPattern
+from dolfinx_tresca.solvers.reductions import norm
+
+#: Relative error of the multipliers of a tangent or adjoint in the energy norm, for derivatives.
+#: `ACCURACY` is for a K that is factored; `ITERATIVE_ACCURACY` is for an iterative solver for K,
+#: whose products have this relative error.
+ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
+
+#: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
+#: the relative error of the adjoint's energy.
+ADJOINT_ACCURACY = ROUGH
+
+#: The right-hand side of the equations for GCR is a difference of two terms. The residual of GCR
+#: counts as rounding up to this multiple of the sum of the terms' absolute values.
+RESIDUAL_ROUNDING = 1e-10
+
+#: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this
+#: multiple of the size of the data (derivatives of the goal, or changes of the load).
+UNMET = 1e-6
+
+#: Requested error of the displacement after a step of GCR, divided by the size of the step, both in
+#: the energy norm. The first step is the displacement at y = 0. With twice the value derivatives of
+#: a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors of products enter y.
+STEP_ACCURACY = 0.05
+
+#: Error of z that an iterative solver for K may leave at the end, divided by the tolerable error of
+#: y, both in the energy norm.
+SHARE = 0.03
+
+#: State that is assumed for nodes that are about to change their state: as in the solution (None),
+#: pressed and sticking ("held"), or open and slipping ("released").
+EdgeState: TypeAlias = 'Literal["held", "released"] | None'
+
+
+@dataclass(frozen=True)
+class LinearisedContact:
+    """A solution with the problem that it solves, and the contact states that derivatives keep.
+
+    Attributes:
+        dual: the dual problem of the solve.
+        multipliers: (size,) multipliers x of the solution.
+        u: displacement of the solution [length].
+        bounds: slip bounds at the nodes of each pair.
+        edge: state that is assumed for nodes between two states, which `at_edge` finds.
+    """
+
+    dual: DualProgram
+    multipliers: Array
+    u: fem.Function
+    bounds: Sequence[NodalBounds]
+    edge: EdgeState = None
+
+    @classmethod
+    def of_last_solve(cls, system: ContactSystem, edge: EdgeState = None) -> LinearisedContact:
+        """Return the last solution of a problem that has one. Collective."""
+        solved, bounds = system.solved, system.surfaces.slip_bounds()
+        assert solved is not None
+        return cls(solved.dual, solved.multipliers, solved.fields.u, bounds, edge)
+
+    @property
+    def accuracy(self) -> float:
+        """Relative error of derivatives, which depends on the solver for K. Not collective."""
+        return ACCURACY if self.dual.operator.exact else ITERATIVE_ACCURACY
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(size,) gradient r = (d; s) - B u of the dual energy, with gaps d and slip origins s.
+
+        Collective at the first access.
+        """
+        return self.dual.response.gradient_of(self.u.x.petsc_vec)
+
+    @property
+    def face(self) -> Face:
+        """The states of the nodes, with the projector P. Collective at the first access.
+
+        Raises:
+            InputError: a slip bound depends on the slip.
+        """
+        return self._states[0]
+
+    @property
+    def curvature(self) -> Array:
+        """(size,) diagonal of C, the curvature of the circles of slipping nodes."""
+        return self._states[1]
+
+    @cached_property
+    def _states(self) -> tuple[Face, Array, csr_array]:
+        """The face, the curvature, and I + Q (size, size) with the change Q of slip bounds."""
+        dual, x, r = self.dual, self.multipliers, self.gradient
+        cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
+        if self.edge is not None:
+            rows, discs = at_edge(dual, x, r)
+            held = self.edge == "held"
+            x, target = x.copy(), target.copy()
+            target[rows] = 1.0 if held else -1.0
+            if not held:
+                x[rows] = 0.0  # a bound that depends on this pressure becomes zero as well
+            lam = cones.section(x)
+            norms, factor = lam.norms(target), np.ones_like(lam.radius)
+            beyond = 0.0 if held else 2.0 * lam.radius
+            np.divide(beyond, norms, out=factor, where=discs & (norms > 0.0))
+            target = lam.scaled_discs(target, factor)
+        lam = cones.section(x)
+        face = lam.face(target)
+        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
+        if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
+            raise InputError(
+                "the coefficient of friction depends on the slip, and derivatives and errors of "
+                "numbers are not known for such laws: make it a function of the pressure alone."
+            )
+        change = cones.with_bound_change(x, face, np.ones_like(x))
+        matrix = NodalPattern(dual.jump.row_nodes).matrix(lambda v: change(v, v))
+        return face, lam.circle_stiffness(r, face), matrix
+
+    def log_edge(self) -> None:
+        """Log how many nodes are about to change their state, if there are any. Collective."""
+        normal, discs = at_edge(self.dual, self.multipliers, self.gradient)
+        comm = self.dual.jump.comm
+        rows, stick = reduce_array(comm, np.array([normal.sum(), discs.sum()]))
+        if rows or stick:
+            log(
+                comm,
+                "derivative: %d node(s) are about to open or close, and %d to slip or stick: it is "
+                'one-sided; at_edge="held" and "released" give those of other sides',
+                int(rows),
+                int(stick),
+            )
+
+    def tangent(
+        self, force: PETSc.Vec, offset: Array, radius: Array, accuracy: float | None = None
+    ) -> tuple[fem.Function, Array]:
+        """Return the tangent (du, dx): the change of the solution by given changes of the data.
+
+        Here du is a displacement and dx (size,) are multipliers, see the module. Products with A
+        are kept for later solves. Collective.
+
+        Args:
+            force: change df of the right-hand side of K u = f; rows of prescribed values have the
+                change of these values.
+            offset: (size,) change of (d; s), divided by `JumpOperator.length_scale`.
+            radius: (n_discs,) change of the radii of the discs.
+            accuracy: relative error of dx in the energy norm; None: `accuracy`.
+
+        Raises:
+            ConvergenceError: no tangent exists.
+        """
+        grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
+        right = self.dual.jump.contact_force(grown).copy()
+        right.aypx(-1.0, force)
+        du, dx = self._solve(right, offset, accuracy, transpose=False)
+        right.destroy()
+        return du, dx + grown
+
+    def adjoint(
+        self,
+        on_jump: Array,
+        on_x: Array,
+        on_u: PETSc.Vec | None = None,
+        accuracy: float | None = None,
+    ) -> tuple[fem.Function, Array]:
+        """Return the adjoint (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
+
+        Here z is a displacement, zero where u is prescribed, and y (size,) are multipliers, see the
+        module. Products with A are kept for later solves.
+
+        Args:
+            on_jump: (size,) derivative of the goal with respect to B u.
+            on_x: (size,) derivative of the goal with respect to x.
+            on_u: derivative of the goal with respect to u, zero where u is prescribed; None: zeros.
+            accuracy: relative error of y in the energy norm; None: `accuracy`.
+
+        Raises:
+            ConvergenceError: no adjoint exists.
+        """
+        right = self.dual.jump.contact_force(on_jump).copy()
+        if on_u is not None:
+            right.axpy(1.0, on_u)
+        z, y = self._solve(right, on_x, accuracy, transpose=True)
+        right.destroy()
+        return z, y
+
+    def _solve(
+        self, force: PETSc.Vec, offset: Array, accuracy: float | None, transpose: bool
+    ) -> tuple[fem.Function, Array]:
+        """Return (v, y) with K v + B'y = force, and the equations of y. Collective.
+
+        They are T (B v - C y) = T offset, with T = P (I + Q') and y = P y for the adjoint
+        (`transpose`), and with T = P and y = (I + Q) P y for the tangent. In terms of y alone, with
+        rigid motions c of floating bodies, they are
+
+            T ((A + C) y - G c) = T (B K^-1 force - offset),    G'y + S c = missing,
+
+        where G and S belong to the equilibrium of floating bodies. The method is GCR (minimal
+        residuals), which needs no symmetry. Its preconditioner is the same system, with A replaced
+        by its model from all known products, including products of this call. The equation
+        G'y + S c = missing therefore holds from the first step on.
+
+        Raises:
+            ConvergenceError: no solution exists.
+        """
+        dual, curvature, constraints = self.dual, self.curvature, self.dual.constraints
+        accuracy = self.accuracy if accuracy is None else accuracy
+        prescribed = dual.jump.system.prescribed
+        v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
+        displacement = _FollowedDisplacement(dual, force, v.x.petsc_vec)
+        missing, size = np.zeros(constraints.columns.shape[1]), 0.0
+        if dual.equilibrium is not None:
+            free = force.copy()
+            free.array[prescribed] = 0.0
+            missing, size = dual.equilibrium.resultants(free)
+            free.destroy()
+        unmet = missing
+        jump_at_start = displacement.solve_start()
+        store = dual.known_products()
+        model = store.model()
+        maps = self._maps(model.diagonal, transpose)
+        weight = 1.0 / (model.diagonal + curvature)
+        root = np.sqrt(weight)
+        residual = right = maps.test(jump_at_start - offset)
+        # if all nodes slip, the difference may be nothing but the rounding error of its terms
+        terms = np.abs(jump_at_start) + np.abs(offset)
+        rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
+        # y, c, and the values of v that follow them; and orthogonal steps of all three
+        ends = len(right), len(right) + len(missing)
+        point = np.concatenate([np.zeros(ends[1]), displacement.values])
+        steps: list[Array] = []
+        images: Array = np.empty((len(right), 0))
+        wanted, converged = 0.0, False
+        for count in range(MOST_STEPS):
+            maps = self._maps(model.diagonal, transpose)
+            step_y, step_c = model.solve_between(
+                maps, residual, constraints.columns, constraints.softness, missing
+            )
+            length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
+            if count and (length <= wanted or norm(dual, root * residual) <= rounding):
+                point[: ends[1]] += np.append(step_y, step_c)
+                converged = True
+                break
+            product, error, change = displacement.product(point[: ends[0]], step_y, length)
+            store.add(step_y, product, error)
+            image = maps.test(product + curvature * step_y - constraints.columns @ step_c)
+            step: Array = np.concatenate([step_y, step_c, change])
+            factor = 1.0
+            if count == 0:
+                wanted, missing = accuracy * length, np.zeros_like(missing)
+            else:
+                before, overlaps = norm(dual, root * image), dual.inner(images, weight * image)
+                image = image - images @ overlaps
+                new = norm(dual, root * image)
+                if new <= RESIDUAL_ROUNDING * before:  # errors of products, or no solution exists
+                    break
+                for overlap, earlier in zip(overlaps, steps, strict=True):
+                    step -= overlap * earlier
+                step, image = 1.0 / new * step, 1.0 / new * image
+                steps.append(step)
+                images = np.column_stack([images, image])
+                factor = float(dual.inner(image, weight * residual))
+            point, residual = point + factor * step, residual - factor * image
+            displacement.values = point[ends[1] :]
+            model = store.model()
+        y, c = point[: ends[0]], point[ends[0] : ends[1]]
+        accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
+        if not converged and norm(dual, root * residual) > max(accepted, rounding):
+            raise _none(transpose)
+        unmet = unmet - dual.inner(constraints.columns, y) - constraints.softness @ c
+        largest = size if transpose else size + norm(dual, y)
+        if size > 0.0 and np.linalg.norm(unmet) > UNMET * largest:
+            raise _none(transpose)
+        displacement.end_at(y, SHARE * accuracy)
+        if dual.equilibrium is not None:
+            dual.equilibrium.move(y, v.x.petsc_vec, c)
+        v.x.petsc_vec.array[prescribed] = force.array[prescribed]
+        v.x.scatter_forward()
+        return v, y
+
+    def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
+        """Return T and the other maps of `NodalMaps`, for `_solve`. Not collective.
+
+        Args:
+            diagonal: (size,) diagonal D of the model of A.
+            transpose: whether the maps are those of the adjoint.
+        """
+        project, change = self.face.project, self._states[2]
+        weight = 1.0 / (diagonal + self.curvature)
+
+        def test(v: Array) -> Array:
+            return project(change.T @ v) if transpose else project(v)
+
+        def inverse(v: Array) -> Array:
+            weighted = np.asarray((weight * test(v).T).T)
+            return weighted if transpose else change @ weighted
+
+        def rest(v: Array) -> Array:
+            along = project(v)
+            curved = np.asarray((self.curvature * along.T).T)
+            left = v - (along if transpose else change @ along)
+            return (test(curved) if transpose else curved) + (left.T * diagonal).T
+
+        return NodalMaps(test=test, added=rest, inverse=inverse)
+
+
+class _FollowedDisplacement:
+    """The displacement v with K v = f - B'y while GCR changes y.
+
+    With a direct solver for K each product is one solve, and v is computed once, at the end. An
+    iterative solver starts from the last v, and stops when the error is a given part of the step.
+    As steps become smaller, v becomes more accurate, and all steps together cost little more than
+    one accurate solve. (If each product had the accuracy of the result instead, the derivatives of
+    a goal on the two bricks with N = 16 would take 90 to 117 iterations of the solver for K in
+    place of 33 to 40.) The product A s of a step s is then the difference of two jumps B v.
+    """
+
+    def __init__(self, dual: DualProgram, f: PETSc.Vec, v: PETSc.Vec) -> None:
+        """Begin with y = 0, before any solve. Not collective.
+
+        Args:
+            dual: the problem.
+            f: right-hand side, with prescribed values in their rows.
+            v: vector of zeros for the result.
+        """
+        self._operator, self._jump, self._f, self._v = dual.operator, dual.jump, f, v
+        self._error = 0.0
+
+    @property
+    def values(self) -> Array:
+        """The values of v that follow y; none with a direct solver, which ends with v."""
+        return np.zeros(0) if self._operator.exact else np.array(self._v.array)
+
+    @values.setter
+    def values(self, values: Array) -> None:
+        if not self._operator.exact:
+            self._v.array = values
+
+    def solve_start(self) -> Array:
+        """Return B v (size,) for y = 0: one solve with K, unless f is zero. Collective."""
+        if self._f.norm() > 0.0:
+            self._operator.products += 1
+            self._error = self._improve(None, self._v, STEP_ACCURACY, 0.0)
+        return self._jump.of(self._v)
+
+    def _improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
+        """Solve K v = f - B'y; keep prescribed values, which iterations change. Collective."""
+        force, prescribed = self._f, self._jump.system.prescribed
+        if y is not None:
+            force = self._jump.contact_force(y)
+            force.aypx(-1.0, self._f)
+        error = self._operator.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
+        v.array[prescribed] = self._f.array[prescribed]
+        return error
+
+    def product(self, y: Array, step: Array, length: float) -> tuple[Array, float, Array]:
+        """Return A s (size,) for a step s from y, its error, and the step of `values`. Collective.
+
+        Args:
+            y: (size,) present multipliers.
+            step: (size,) s.
+            length: the energy norm sqrt(s'A s), approximately.
+
+        Returns:
+            the product, the norm sqrt(e'A^-1 e) of its error e, and the change of `values`.
+        """
+        if self._operator.exact:
+            return *self._operator.product(step), np.zeros(0)
+        self._operator.products += 1
+        v, before = self._v.copy(), self._error
+        self._error = self._improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
+        product, change = self._jump.of(self._v) - self._jump.of(v), v.array - self._v.array
+        v.destroy()
+        return product, float(np.hypot(self._error, before)), change
+
+    def end_at(self, y: Array, rtol: float) -> None:
+        """Solve for v at multipliers y (size,) near the present multipliers. Collective."""
+        self._improve(y, self._v, rtol, 0.0)
+
+
+def _none(transpose: bool) -> ConvergenceError:
+    """Return the error to raise if no adjoint (`transpose`) or no tangent exists."""
+    if transpose:
+        return ConvergenceError(
+            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+            "slipping) nothing, or hardly anything, holds a body against the motion that the "
+            "number depends on. Ask for another number, or refine for the energy error."
+        )
+    return ConvergenceError(
+        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
+        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
+        "cause. Take another direction, or the difference of two solutions."
+    )
