@@ -1,0 +1,402 @@
+"""Contact surfaces with admissible tractions, and what they lack of the law of contact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import dolfinx.la
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
+from dolfinx_tresca.dual.jump import RowsOfPair
+from dolfinx_tresca.dual.nodal_values import NodalValues
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.guaranteed.cells import mean_products, opposite
+from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells
+from dolfinx_tresca.scene.friction import Bonded, Frictionless
+from dolfinx_tresca.scene.obstacle import RigidPlane
+from dolfinx_tresca.scene.pair import ContactPair
+
+#: Difference of unit normals, and of entries of the primary side's means from 1, that count as
+#: rounding; for distances relative to the size of the mesh.
+FLATNESS = 1e-8
+
+
+class ContactSurface:
+    """The secondary surface of a pair, with tractions that are linear between nodes.
+
+    Attributes:
+        pair: the contact pair.
+        bonded: whether its surfaces are bonded.
+        cell: (m,) the cells of the secondary facets.
+        facet: (m,) the numbers of these facets in their cells.
+        normals: (m, d) their unit normals.
+        tractions: (m, d, d) tractions on the secondary facets at their vertices [stress].
+        sides: cells (m,), numbers of facets (m,) and tractions (m, d, d) of the secondary side, and
+            of the primary side if it is a body.
+    """
+
+    def __init__(
+        self,
+        owned: OwnedCells,
+        dual: DualProgram,
+        pair: ContactPair,
+        rows: RowsOfPair,
+        multipliers: Array,
+        bounds: Array,
+        prescribed: Mask,
+    ) -> None:
+        """Interpolate the multipliers of a pair between nodes. Collective.
+
+        Args:
+            owned: the cells of this rank.
+            dual: the dual problem.
+            pair: the pair.
+            rows: rows of B that act on the pair.
+            multipliers: (size,) the multipliers.
+            bounds: (nodes of all pairs,) slip bounds [stress].
+            prescribed: (nodes of this rank, d) prescribed degrees of freedom.
+
+        Raises:
+            InputError: the bound does not cover such surfaces, or such friction.
+        """
+        self.pair, self._owned, self._prescribed = pair, owned, prescribed
+        self.bonded = isinstance(pair.friction, Bonded)
+        V, on, d = owned.V, rows.operators, owned.cells.d
+        self._check(dual, rows, bounds)
+        count = V.dofmap.index_map.size_local
+        cell, facet, nodes = self._tagged("secondary")
+        # nodes with multipliers, and those of the same facets that are prescribed
+        paired = np.zeros(count, dtype=np.bool_)
+        paired[on.nodes] = True
+        stress = multipliers * dual.jump.stress_scale
+        origin = (dual.response.offset - dual.jump.gap) * dual.jump.length_scale
+        pressure, friction = np.zeros((count, 1)), np.zeros((count, d))
+        pressed, rubbed = paired & False, paired & False
+        pressed[on.nodes[on.normal_node]] = True
+        pressure[on.nodes[on.normal_node], 0] = stress[rows.normal]
+        friction[on.nodes] = -on.tangential_vectors(stress[rows.tangential])
+        rubbed[on.nodes] = np.bincount(on.tangent_node, minlength=len(on.nodes)) == d - 1
+        rubbed[on.nodes] |= isinstance(pair.friction, Frictionless)
+        data = np.zeros((count, 2 * d + 2))
+        radius = np.zeros(len(on.nodes)) if self.bonded else bounds[rows.nodes]
+        origins = on.tangential_vectors(origin[rows.tangential])
+        data[on.nodes] = np.column_stack([on.normals, origins, radius, on.distance])
+        pressure, _ = _with_means(V, nodes, pressure, pressed)
+        friction, _ = _with_means(V, nodes, friction, rubbed)
+        data, touching = _with_means(V, nodes, data, paired)
+        touching &= _spread(V, paired[:, None])[:, 0].astype(np.bool_) | prescribed.all(axis=1)
+        normals, self._origins, radius, distance = np.split(data, [d, 2 * d, 2 * d + 1], axis=1)
+        friction -= (friction * normals).sum(axis=1, keepdims=True) * normals
+        if not self.bonded:
+            pressure = np.maximum(pressure, 0.0)
+            sizes = np.linalg.norm(friction, axis=1, keepdims=True)
+            friction *= np.minimum(1.0, radius / np.maximum(sizes, LEAST_DIVISOR))
+        tractions = friction - pressure * normals
+
+        self.nodes: Indices = np.flatnonzero(touching[:count])
+        points = V.tabulate_dof_coordinates()
+        gaps = distance[:, 0]
+        if isinstance(pair.primary, RigidPlane):
+            heights, of_plane = pair.primary.at(points)
+            cosine = -np.einsum("nd,nd->n", normals, of_plane[:, :d])
+            gaps = heights / np.where(touching, cosine, 1.0)
+        own_gaps = gaps[:count].copy()
+        if pair.gap is not None:
+            own_gaps[self.nodes] += NodalValues(V).at(
+                pair.gap, self.nodes.astype(np.int32), f"the gap of contact pair {pair}"
+            )
+        self._gaps = _spread(V, own_gaps[:, None])[:, 0]
+        self._normals, self._bounds, self._pressure = normals, radius[:, 0], pressure[:, 0]
+
+        keep = touching[nodes].all(axis=1)
+        near = FLATNESS * np.ptp(points, axis=0).max(initial=0.0)
+        self.cell, self.facet, self._facet_nodes = cell[keep], facet[keep], nodes[keep]
+        self.normals = owned.cells.normals[self.cell, self.facet]
+        self.tractions = tractions[self._facet_nodes]
+        turned = np.abs(normals[self._facet_nodes] - self.normals[:, None])
+        tilted = np.ptp(distance[self._facet_nodes, 0], axis=1)
+        with errors_on_all_ranks(V.mesh.comm):
+            if tractions[nodes[~keep]][touching[nodes[~keep]]].any():
+                raise InputError(
+                    "a guaranteed bound needs multipliers at all nodes of pressed facets, and "
+                    f"contact pair {pair} has pressed facets at a rim."
+                )
+            if turned.max(initial=0.0) > FLATNESS:
+                raise InputError(
+                    "a guaranteed bound needs contact normals that do not turn, and those of "
+                    f"contact pair {pair} do. Replace curved surfaces by planes."
+                )
+            if not isinstance(pair.primary, RigidPlane) and tilted.max(initial=0.0) > near:
+                raise self._no_match()
+        self._partners: Copies | None = None
+        self.sides = [(self.cell, self.facet, self.tractions)]
+        if not isinstance(pair.primary, RigidPlane):
+            partner = np.full(count, -1)
+            partner[on.nodes] = on.primary.indices
+            self._pair_nodes(partner, points[:, :d] + distance * normals, near)
+            self.sides.append(self._opposite(tractions))
+        corners = owned.nodes.shape[1] - d - 1  # edges of a cell, for degree 2
+        self._edges = np.zeros((len(self.cell), 0), dtype=np.intp)
+        if corners:
+            numbers = np.zeros((d + 1, d + 1), dtype=np.intp)
+            numbers[np.triu_indices(d + 1, 1)] = np.arange(corners) + d + 1
+            i, j = np.triu_indices(d, 1)
+            ends = opposite(d)[self.facet]
+            self._edges = owned.nodes[self.cell[:, None], numbers[ends[:, i], ends[:, j]]]
+
+    def _check(self, dual: DualProgram, rows: RowsOfPair, bounds: Array) -> None:
+        """Refuse what the bound does not cover. Collective."""
+        pair, on = self.pair, rows.operators
+        matches = (np.diff(on.primary.indptr) == 1).all()
+        matches = matches and bool((np.abs(on.primary.data - 1.0) < FLATNESS).all())
+        with errors_on_all_ranks(self._owned.V.mesh.comm):
+            if not isinstance(pair.primary, RigidPlane | int):
+                raise InputError(
+                    f"a guaranteed bound needs rigid planes or meshes that match, and contact pair "
+                    f"{pair} has {pair.primary} as its primary side."
+                )
+            if isinstance(pair.primary, int) and not matches:
+                raise self._no_match()
+            finite = on.bonded or np.isfinite(bounds[rows.nodes]).all()
+            if (on.semi_axes != 1.0).any() or not finite:
+                raise InputError(
+                    "a guaranteed bound needs one finite slip bound for all directions, and "
+                    f"contact pair {pair} has two, or an infinite one."
+                )
+            if any(member.friction != pair.friction for member in on.undeformed.group.pairs):
+                raise InputError(
+                    "a guaranteed bound needs the same law for all pairs of the surface of contact "
+                    f"pair {pair}. Leave a gap between surfaces of different laws."
+                )
+            if len(np.unique(on.nodes)) < len(on.nodes):
+                raise InputError(
+                    f"a guaranteed bound needs flat surfaces, and contact pair {pair} has sharp "
+                    "edges. Make a pair of each side."
+                )
+
+    def _no_match(self) -> InputError:
+        return InputError(
+            "a guaranteed bound needs rigid planes, or bodies of degree 1 whose meshes match on "
+            f"flat surfaces, and those of contact pair {self.pair} do not. Mesh both surfaces "
+            "alike."
+        )
+
+    def _tagged(self, side: str) -> tuple[Indices, Indices, Indices]:
+        """Return the cells (m,) of a side's facets, their numbers (m,), and their nodes (m, d)."""
+        tags, numbers = self.pair.given_tags(side)
+        facets = np.concatenate([tags.find(number) for number in numbers])
+        cell, facet = np.nonzero(np.isin(self._owned.facets, facets))
+        return cell, facet, self._owned.nodes[cell[:, None], opposite(self._owned.cells.d)[facet]]
+
+    def _pair_nodes(self, partner: GlobalNumbers, places: Array, near: float) -> None:
+        """Find the opposite nodes of all touching nodes. Collective.
+
+        Args:
+            partner: (owned nodes,) global number of the opposite node, or -1.
+            places: (nodes, d) where the opposite nodes are.
+            near: distance [length] that counts as rounding.
+        """
+        V, d = self._owned.V, self._owned.cells.d
+        comm, index_map = V.mesh.comm, V.dofmap.index_map
+        ranges = np.array(comm.allgather(index_map.local_range[0]))
+
+        def owners(numbers: GlobalNumbers) -> Indices:
+            return np.searchsorted(ranges, numbers, side="right") - 1
+
+        # prescribed nodes at the rim have no multipliers: the nearest node without a partner
+        own = partner[partner >= 0]
+        taken, _ = exchange(comm, own, owners(own))
+        side = np.unique(self._tagged("primary")[2])
+        lonely = np.zeros((len(partner) + index_map.num_ghosts, 1))
+        lonely[side] = 1.0
+        lonely = _summed(V, np.arange(len(lonely)), lonely)[: len(partner), 0]
+        lonely[taken - index_map.local_range[0]] = 0.0
+        (numbers,) = np.nonzero(lonely)
+        here = V.tabulate_dof_coordinates()[numbers, :d]
+        rim = gather_rows(comm, np.column_stack([here, numbers + index_map.local_range[0]]))
+        missing = self.nodes[partner[self.nodes] < 0]
+        distance = np.full(len(missing), np.inf)
+        if len(rim):
+            distance, nearest = cKDTree(rim[:, :d]).query(places[missing])
+            partner[missing] = rim[nearest, d]
+        with errors_on_all_ranks(comm):
+            if distance.max(initial=0.0) > near:
+                raise self._no_match()
+        rank = owners(partner[self.nodes])
+        self.nodes = self.nodes[np.argsort(rank, kind="stable")]  # the order of the answers
+        rows, sources = exchange(comm, partner[self.nodes], np.sort(rank))
+        self._partners = Copies(comm, rows - index_map.local_range[0], sources)
+
+    def _opposite(self, tractions: Array) -> tuple[Indices, Indices, Array]:
+        """Return the primary side's cells, numbers of facets, and tractions. Collective."""
+        V = self._owned.V
+        assert self._partners is not None
+        sent = np.column_stack([-tractions[self.nodes], np.ones(len(self.nodes))])
+        there = _spread(V, self._partners.summed(sent, V.dofmap.index_map.size_local))
+        cell, facet, nodes = self._tagged("primary")
+        keep = (there[nodes, -1] > 0.0).all(axis=1)
+        if V.mesh.comm.allreduce(int(keep.sum()) - len(self.cell)):
+            raise self._no_match()
+        return cell[keep], facet[keep], there[nodes[keep], :-1]
+
+    def _jumps(self, v: fem.Function) -> Array:
+        """Return jumps (nodes, d) of a displacement at the nodes of this rank. Collective."""
+        V = self._owned.V
+        values: Array = v.x.array.reshape(-1, self._owned.cells.d)
+        if self._partners is None:
+            return values
+        owned = np.zeros_like(values[: V.dofmap.index_map.size_local])
+        owned[self.nodes] = values[self.nodes] - self._partners.spread(values)
+        return _spread(V, owned)
+
+    def coefficients(self, v: fem.Function) -> Array:
+        """Return Bernstein's coefficients (m, k, d) of jumps on the secondary facets. Collective.
+
+        Jumps are between their least and largest coefficients: those at the vertices, and for
+        degree 2 twice the value in the middle of each edge minus the mean of its ends.
+        """
+        jumps = self._jumps(v)
+        corners, middles = jumps[self._facet_nodes], 2.0 * jumps[self._edges]
+        i, j = np.triu_indices(corners.shape[1], 1)
+        middles -= 0.5 * (corners[:, i] + corners[:, j])[:, : middles.shape[1]]
+        return np.concatenate([corners, middles], axis=1)
+
+    def _excess(self, jumps: Array, normals: Array, gaps: Array, pressed: Mask) -> Array:
+        """Return by how much jumps (..., d) are wrong: they penetrate, or are open but pressed."""
+        if self.bonded:
+            return jumps
+        depth = np.einsum("...d,...d->...", jumps, normals) - gaps
+        return np.where(pressed, depth, np.maximum(depth, 0.0))[..., None] * normals
+
+    def _allowed(self, nodes: Any, excess: Array, normals: Array) -> Array:
+        """Return the moves (..., d) of nodes that take an excess of jumps, where they are free."""
+        free = ~self._prescribed[nodes]
+        if self.bonded:
+            return np.where(free, excess, 0.0)
+        along = normals * free
+        squares = (along * along).sum(axis=-1, keepdims=True)
+        lengths = (excess * normals).sum(axis=-1, keepdims=True)
+        return along * np.divide(lengths, squares, out=np.zeros_like(lengths), where=squares > 0.1)
+
+    def lift(self, v: fem.Function, stiffness: Array) -> None:
+        """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
+
+        Pressed nodes also close their gaps. Nodes of the secondary side move, where they are
+        prescribed the opposite nodes.
+
+        Args:
+            v: the displacement, which changes.
+            stiffness: (n,) stress per strain of the owned cells; gaps that the pressure would not
+                close on a layer of cells stay open.
+        """
+        V, d, own = self._owned.V, self._owned.cells.d, self.nodes
+        values = v.x.array.reshape(-1, d)
+        count = V.dofmap.index_map.size_local
+        softness = (self._owned.cells.heights[self.cell, self.facet] / stiffness[self.cell])[:, None]
+        softness = np.repeat(softness, d, axis=1)[:, :, None]
+        softness = _summed(V, self._facet_nodes, softness)[:, 0]
+        pressed = self._jumps(v)
+        opening = self._gaps - (pressed * self._normals).sum(axis=1)
+        pressed = (self._pressure > 0.0) & (opening < softness * self._pressure)
+        normals = self._normals[own]
+        for primary in (False, True)[: 1 if self._partners is None else 2]:
+            excess = self._excess(self._jumps(v)[own], normals, self._gaps[own], pressed[own])
+            if primary and self._partners is not None:  # what prescribed nodes leave
+                sent = self._partners.summed(np.hstack([excess, normals]), count)
+                values[:count] += self._allowed(slice(count), sent[:, :d], sent[:, d:])
+            else:
+                values[own] -= self._allowed(own, excess, normals)
+            v.x.scatter_forward()
+        if self._edges.size or V.element.basix_element.degree > 1:
+            i, j = np.triu_indices(d, 1)
+            middles = self.coefficients(v)[:, d:]
+            ends = self._facet_nodes[:, i], self._facet_nodes[:, j]
+            normals = np.repeat(self.normals[:, None], len(i), axis=1)
+            gaps = 0.5 * (self._gaps[ends[0]] + self._gaps[ends[1]])
+            excess = self._excess(middles, normals, gaps, pressed[ends[0]] & pressed[ends[1]])
+            # a coefficient moves twice as far as the middle of its edge
+            moves = self._allowed(self._edges, 0.5 * excess, normals)
+            # the owner of a node takes the mean of the moves for all its facets
+            sums = _summed(
+                V, self._edges, np.concatenate([moves, np.ones((*moves.shape[:2], 1))], axis=2)
+            )
+            values -= sums[:, :d] / np.maximum(sums[:, d:], 1.0)
+
+    def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
+        """Return by how much tractions and jumps miss the law of contact. Collective.
+
+        Returns:
+            the integrals (m,) over facets of p (d - v_n), upper bounds (m,) of those of
+            g |v_t - s| + t (v_t - s), and the largest penetration, or jump of bonded surfaces.
+        """
+        jumps, d = self.coefficients(v), self._owned.cells.d
+        if self.bonded:
+            nothing = np.zeros(len(jumps))
+            return nothing, nothing, float(np.abs(jumps).max(initial=0.0))
+        # integrals of products of the hats of vertices and Bernstein's functions
+        degree = 1 if jumps.shape[1] == d else 2
+        mass, elevation = mean_products(d, 2), np.eye(d)
+        if degree == 2:
+            i, j = np.triu_indices(d, 1)
+            products = mean_products(d, 3)
+            squares = np.einsum("kll->kl", products)
+            mass = np.concatenate([squares, 2.0 * products[:, i, j]], axis=1)
+            elevation = np.vstack([elevation, 0.5 * (elevation[i] + elevation[j])])
+        normal = np.einsum("mkd,md->mk", jumps, self.normals)
+        pressure = -np.einsum("mkd,md->mk", self.tractions, self.normals)
+        friction = self.tractions + pressure[:, :, None] * self.normals[:, None]
+        slips = jumps - normal[:, :, None] * self.normals[:, None]
+        slips = slips - elevation @ self._origins[self._facet_nodes]
+        openings = self._gaps[self._facet_nodes] @ elevation.T - normal
+        areas = self._owned.cells.areas[self.cell, self.facet]
+        bounds = self._bounds[self._facet_nodes]
+        complementarity = np.einsum("mk,kl,ml->m", pressure, mass, openings)
+        lack = np.einsum("mk,kl,ml->m", bounds, mass, np.linalg.norm(slips, axis=2))
+        lack += np.einsum("mkd,kl,mld->m", friction, mass, slips)
+        return areas * complementarity, areas * lack, float((-openings).max(initial=0.0))
+
+
+def _spread(V: Any, owned: Array) -> Array:
+    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, owned.shape[1])
+    vector.array[: owned.size] = owned.ravel()
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, owned.shape[1])
+
+
+def _summed(V: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at nodes (...) of any rank. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, values.shape[-1])
+
+
+def _with_means(V: Any, nodes: Indices, values: Array, valid: Mask) -> tuple[Array, Mask]:
+    """Return values (nodes, k) where they are valid, and else means over the neighbours. Collective.
+
+    Args:
+        V: the space of the displacement.
+        nodes: (m, d) the nodes of facets; neighbours are on the same facet.
+        values: (owned nodes, k).
+        valid: (owned nodes,) whether a node has values.
+
+    Returns:
+        the values, and whether a node, or a neighbour, has them (nodes,).
+    """
+    table = _spread(V, np.column_stack([values, np.ones(len(values))]) * valid[:, None])
+    sums = table[nodes].sum(axis=1, keepdims=True)
+    means = sums / np.maximum(sums[:, :, -1:], 1.0)
+    around = _summed(V, nodes, np.repeat(means, nodes.shape[1], axis=1))
+    around[:, :-1] /= np.maximum(around[:, -1:], 1.0)
+    result = np.where(table[:, -1:] > 0.0, table, around)
+    return result[:, :-1], result[:, -1] > 0.0
