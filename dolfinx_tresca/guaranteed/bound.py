@@ -10,7 +10,6 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
-import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
@@ -21,7 +20,6 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.guaranteed.cells import (
     StressEnergies,
-    basis_products,
     mean_products,
     opposite,
     rigid_motions,
@@ -30,7 +28,7 @@ from dolfinx_tresca.guaranteed.cells import (
 )
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
-from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells
+from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread, summed
 from dolfinx_tresca.guaranteed.stars import CellData, Stars
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -115,8 +113,10 @@ def guaranteed_error(
     cells, comm, d = owned.cells, linear.V.mesh.comm, owned.cells.d
     stiffness = elasticity(a, owned, linear.entity_maps)
     given = loads(L, owned, linear.entity_maps)
-    prescribed = _on_nodes(linear.V, linear.prescribed)
-    held = _held(owned, prescribed)
+    prescribed = spread(linear.V, linear.prescribed.reshape(-1, d)) > 0.0
+    exterior = dolfinx.mesh.exterior_facet_indices(linear.V.mesh.topology)
+    held = prescribed[owned.nodes[:, owned.on_facets]].all(axis=2)
+    held &= np.isin(owned.facets, exterior)[:, :, None]
     at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
     areas = np.concatenate([on.weights for on in dual.jump.pairs])
     bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -127,9 +127,9 @@ def guaranteed_error(
     for surface in surfaces:
         for cell, facet, tractions in surface.sides:
             given.traction[cell, facet] += tractions
-    v, largest = u.copy(), np.linalg.eigvalsh(stiffness)[:, -1]
+    v, moduli = u.copy(), np.asarray(np.linalg.eigvalsh(stiffness))
     for surface in surfaces:
-        surface.lift(v, largest)
+        surface.lift(v, moduli[:, -1])
     defects = _defects(owned, surfaces, held, v)
     energies = StressEnergies(cells, np.asarray(np.linalg.inv(stiffness)))
     balanced = _in_equilibrium(linear, dual, u, owned, given)
@@ -140,7 +140,7 @@ def guaranteed_error(
     distances = np.sqrt(energies.of(difference))
     oscillation = cells.poincare_factors * given.load_distance
     oscillation += (cells.trace_factors * given.traction_distance * ~held.all(axis=2)).sum(axis=1)
-    oscillation /= np.sqrt(np.linalg.eigvalsh(stiffness)[:, 0])
+    oscillation /= np.sqrt(moduli[:, 0])
     moved, lack = energies.of(of_u - of_v), defects.sum(axis=0)
     # the mean of both stresses is the centre of a ball that contains the exact stress
     from_centre = energies.of(of_u - of_v - 0.5 * difference)
@@ -191,40 +191,10 @@ def _checked_forms(linear: LinearSystem, dual: DualProgram) -> tuple[Any, Any]:
     return linear.ufl_forms
 
 
-def _on_nodes(V: Any, flags: Any) -> Mask:
-    """Return flags (owned degrees of freedom,) at this rank's nodes (nodes, d). Collective."""
-    dofmap = V.dofmap
-    spread = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
-    spread.array[: len(flags)] = flags
-    spread.scatter_forward()
-    return np.asarray(spread.array.reshape(-1, dofmap.index_map_bs) > 0.0)
-
-
-def _basis(owned: OwnedCells) -> Array:
-    return basis_products(owned.cells.d + 1, owned.V.element.basix_element.degree)
-
-
-def _held(owned: OwnedCells, prescribed: Mask) -> Mask:
-    """Return on which facets of owned cells the displacement is prescribed (n, d + 1, d).
-
-    Args:
-        owned: the cells.
-        prescribed: (nodes of this rank, d) prescribed degrees of freedom.
-    """
-    exterior = dolfinx.mesh.exterior_facet_indices(owned.V.mesh.topology)
-    outside = np.isin(owned.facets, exterior)
-    on_cells = prescribed[owned.nodes]
-    result = np.empty((*outside.shape, on_cells.shape[2]), dtype=np.bool_)
-    for j, ends in enumerate(opposite(owned.cells.d)):
-        on_facet = _basis(owned)[:, ends][:, :, ends].any(axis=(1, 2))
-        result[:, j] = on_cells[:, on_facet].all(axis=1) & outside[:, j, None]
-    return result
-
-
 def _stresses(owned: OwnedCells, stiffness: Array, w: fem.Function) -> Array:
     """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of owned cells."""
     values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
-    slopes = 2.0 * np.einsum("kab,nki->naib", _basis(owned), values)
+    slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
     tensors = stress_element(owned.cells.d).basis
     strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
     return np.asarray(np.tensordot(strains @ stiffness, tensors, axes=1))
@@ -234,7 +204,7 @@ def _in_equilibrium(
     linear: LinearSystem, dual: DualProgram, u: fem.Function, owned: OwnedCells, given: Loads
 ) -> fem.Function:
     """Return the displacement, near u, that balances loads and tractions. Collective."""
-    cells, basis = owned.cells, _basis(owned)
+    cells, basis = owned.cells, owned.basis
     weights = np.einsum("kab,abc->kc", basis, mean_products(cells.d + 1, 3))
     forces = cells.volumes[:, None, None] * (weights @ given.load)
     for j, ends in enumerate(opposite(cells.d)):
@@ -242,8 +212,7 @@ def _in_equilibrium(
         weights = np.einsum("kab,abc->kc", on_facet, mean_products(cells.d, 3))
         forces += cells.areas[:, j, None, None] * (weights @ given.traction[:, j])
     right, change, result = zero_like(u, "force"), zero_like(u, "change"), u.copy()
-    np.add.at(right.x.array.reshape(-1, cells.d), owned.nodes, forces)
-    right.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    right.x.array[:] = summed(owned.V, owned.nodes, forces).ravel()
     residual = linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
     dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
     residual.destroy()

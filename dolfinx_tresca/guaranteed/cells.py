@@ -233,9 +233,10 @@ def stress_element(d: int) -> StressElement:
     matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
     least = least.reshape(n * size, nsym, -1)  # orthonormal at the nodes of each subcell
-    i, j = np.triu_indices(nsym)
+    rows, columns = np.triu_indices(nsym)
     products = np.einsum("pax,pby->abxy", least, least, optimize=True)
-    products = (products[i, j] + products[j, i]) * np.where(i == j, 0.5, 1.0)[:, None, None]
+    products = products[rows, columns] + products[columns, rows]
+    products[rows == columns] *= 0.5
     return StressElement(basis, products)
 
 
@@ -283,7 +284,7 @@ class StressEnergies:
         return np.asarray((data * self.derivative(data)).sum(axis=(1, 2)))
 
     def facet_stiffness(self) -> Array:
-        """Return the sums (n, d + 1) of the energies of unit tractions at vertices of each facet."""
+        """Return the sums (n, d + 1) of the energies of unit tractions on each facet."""
         d, n = self.cells.d, len(self._matrices)
         k = np.arange(self.count)
         blocks = self._matrices.reshape(n, -1, d, self.count + d + 1, d)[:, k, :, k]

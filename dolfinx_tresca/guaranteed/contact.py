@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, GlobalNumbers, Indices, Mask
@@ -17,8 +16,8 @@ from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.guaranteed.cells import mean_products, opposite
-from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells
+from dolfinx_tresca.guaranteed.cells import mean_products
+from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread, summed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
@@ -71,7 +70,8 @@ class ContactSurface:
         V, on, d = owned.V, rows.operators, owned.cells.d
         self._check(dual, rows, bounds)
         count = V.dofmap.index_map.size_local
-        cell, facet, nodes = self._tagged("secondary")
+        cell, facet, all_nodes = self._tagged("secondary")
+        nodes = all_nodes[:, :d]
         # nodes with multipliers, and those of the same facets that are prescribed
         paired = np.zeros(count, dtype=np.bool_)
         paired[on.nodes] = True
@@ -91,7 +91,7 @@ class ContactSurface:
         pressure, _ = _with_means(V, nodes, pressure, pressed)
         friction, _ = _with_means(V, nodes, friction, rubbed)
         data, touching = _with_means(V, nodes, data, paired)
-        touching &= _spread(V, paired[:, None])[:, 0].astype(np.bool_) | prescribed.all(axis=1)
+        touching &= spread(V, paired[:, None])[:, 0].astype(np.bool_) | prescribed.all(axis=1)
         normals, self._origins, radius, distance = np.split(data, [d, 2 * d, 2 * d + 1], axis=1)
         friction -= (friction * normals).sum(axis=1, keepdims=True) * normals
         if not self.bonded:
@@ -112,16 +112,17 @@ class ContactSurface:
             own_gaps[self.nodes] += NodalValues(V).at(
                 pair.gap, self.nodes.astype(np.int32), f"the gap of contact pair {pair}"
             )
-        self._gaps = _spread(V, own_gaps[:, None])[:, 0]
+        self._gaps = spread(V, own_gaps[:, None])[:, 0]
         self._normals, self._bounds, self._pressure = normals, radius[:, 0], pressure[:, 0]
 
         keep = touching[nodes].all(axis=1)
         near = FLATNESS * np.ptp(points, axis=0).max(initial=0.0)
-        self.cell, self.facet, self._facet_nodes = cell[keep], facet[keep], nodes[keep]
+        self.cell, self.facet = cell[keep], facet[keep]
+        self._corners, self._middles = np.split(all_nodes[keep], [d], axis=1)
         self.normals = owned.cells.normals[self.cell, self.facet]
-        self.tractions = tractions[self._facet_nodes]
-        turned = np.abs(normals[self._facet_nodes] - self.normals[:, None])
-        tilted = np.ptp(distance[self._facet_nodes, 0], axis=1)
+        self.tractions = tractions[self._corners]
+        turned = np.abs(normals[self._corners] - self.normals[:, None])
+        tilted = np.ptp(distance[self._corners, 0], axis=1)
         with errors_on_all_ranks(V.mesh.comm):
             if tractions[nodes[~keep]][touching[nodes[~keep]]].any():
                 raise InputError(
@@ -142,14 +143,6 @@ class ContactSurface:
             partner[on.nodes] = on.primary.indices
             self._pair_nodes(partner, points[:, :d] + distance * normals, near)
             self.sides.append(self._opposite(tractions))
-        corners = owned.nodes.shape[1] - d - 1  # edges of a cell, for degree 2
-        self._edges = np.zeros((len(self.cell), 0), dtype=np.intp)
-        if corners:
-            numbers = np.zeros((d + 1, d + 1), dtype=np.intp)
-            numbers[np.triu_indices(d + 1, 1)] = np.arange(corners) + d + 1
-            i, j = np.triu_indices(d, 1)
-            ends = opposite(d)[self.facet]
-            self._edges = owned.nodes[self.cell[:, None], numbers[ends[:, i], ends[:, j]]]
 
     def _check(self, dual: DualProgram, rows: RowsOfPair, bounds: Array) -> None:
         """Refuse what the bound does not cover. Collective."""
@@ -188,12 +181,15 @@ class ContactSurface:
             "alike."
         )
 
-    def _tagged(self, side: str) -> tuple[Indices, Indices, Indices]:
-        """Return the cells (m,) of a side's facets, their numbers (m,), and their nodes (m, d)."""
+    def _tagged(self, side: Literal["secondary", "primary"]) -> tuple[Indices, Indices, Indices]:
+        """Return the cells (m,) of a side's facets, their numbers (m,), and their nodes (m, k).
+
+        The nodes are those at the vertices, then those in the middles of the edges.
+        """
         tags, numbers = self.pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._owned.facets, facets))
-        return cell, facet, self._owned.nodes[cell[:, None], opposite(self._owned.cells.d)[facet]]
+        return cell, facet, self._owned.nodes[cell[:, None], self._owned.on_facets[facet]]
 
     def _pair_nodes(self, partner: GlobalNumbers, places: Array, near: float) -> None:
         """Find the opposite nodes of all touching nodes. Collective.
@@ -213,10 +209,10 @@ class ContactSurface:
         # prescribed nodes at the rim have no multipliers: the nearest node without a partner
         own = partner[partner >= 0]
         taken, _ = exchange(comm, own, owners(own))
-        side = np.unique(self._tagged("primary")[2])
+        side = np.unique(self._tagged("primary")[2][:, :d])
         lonely = np.zeros((len(partner) + index_map.num_ghosts, 1))
         lonely[side] = 1.0
-        lonely = _summed(V, np.arange(len(lonely)), lonely)[: len(partner), 0]
+        lonely = summed(V, np.arange(len(lonely)), lonely)[: len(partner), 0]
         lonely[taken - index_map.local_range[0]] = 0.0
         (numbers,) = np.nonzero(lonely)
         here = V.tabulate_dof_coordinates()[numbers, :d]
@@ -239,7 +235,7 @@ class ContactSurface:
         V = self._owned.V
         assert self._partners is not None
         sent = np.column_stack([-tractions[self.nodes], np.ones(len(self.nodes))])
-        there = _spread(V, self._partners.summed(sent, V.dofmap.index_map.size_local))
+        there = spread(V, self._partners.summed(sent, V.dofmap.index_map.size_local))
         cell, facet, nodes = self._tagged("primary")
         keep = (there[nodes, -1] > 0.0).all(axis=1)
         if V.mesh.comm.allreduce(int(keep.sum()) - len(self.cell)):
@@ -254,18 +250,20 @@ class ContactSurface:
             return values
         owned = np.zeros_like(values[: V.dofmap.index_map.size_local])
         owned[self.nodes] = values[self.nodes] - self._partners.spread(values)
-        return _spread(V, owned)
+        return spread(V, owned)
 
     def coefficients(self, v: fem.Function) -> Array:
         """Return Bernstein's coefficients (m, k, d) of jumps on the secondary facets. Collective.
 
-        Jumps are between their least and largest coefficients: those at the vertices, and for
-        degree 2 twice the value in the middle of each edge minus the mean of its ends.
+        Jumps, taken as quadratic functions, are between their least and largest coefficients: the
+        values at the vertices, and for each edge twice the value in its middle minus the mean of
+        its ends.
         """
         jumps = self._jumps(v)
-        corners, middles = jumps[self._facet_nodes], 2.0 * jumps[self._edges]
+        corners = jumps[self._corners]
         i, j = np.triu_indices(corners.shape[1], 1)
-        middles -= 0.5 * (corners[:, i] + corners[:, j])[:, : middles.shape[1]]
+        means = 0.5 * (corners[:, i] + corners[:, j])
+        middles = 2.0 * jumps[self._middles] - means if self._middles.size else means
         return np.concatenate([corners, middles], axis=1)
 
     def _excess(self, jumps: Array, normals: Array, gaps: Array, pressed: Mask) -> Array:
@@ -273,17 +271,19 @@ class ContactSurface:
         if self.bonded:
             return jumps
         depth = np.einsum("...d,...d->...", jumps, normals) - gaps
-        return np.where(pressed, depth, np.maximum(depth, 0.0))[..., None] * normals
+        depth = np.where(pressed, depth, np.maximum(depth, 0.0))
+        return np.asarray(depth[..., None] * normals)
 
     def _allowed(self, nodes: Any, excess: Array, normals: Array) -> Array:
         """Return the moves (..., d) of nodes that take an excess of jumps, where they are free."""
         free = ~self._prescribed[nodes]
         if self.bonded:
-            return np.where(free, excess, 0.0)
+            return np.asarray(np.where(free, excess, 0.0))
         along = normals * free
         squares = (along * along).sum(axis=-1, keepdims=True)
         lengths = (excess * normals).sum(axis=-1, keepdims=True)
-        return along * np.divide(lengths, squares, out=np.zeros_like(lengths), where=squares > 0.1)
+        factors = np.divide(lengths, squares, out=np.zeros_like(lengths), where=squares > 0.1)
+        return np.asarray(factors * along)
 
     def lift(self, v: fem.Function, stiffness: Array) -> None:
         """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
@@ -299,12 +299,11 @@ class ContactSurface:
         V, d, own = self._owned.V, self._owned.cells.d, self.nodes
         values = v.x.array.reshape(-1, d)
         count = V.dofmap.index_map.size_local
-        softness = (self._owned.cells.heights[self.cell, self.facet] / stiffness[self.cell])[:, None]
-        softness = np.repeat(softness, d, axis=1)[:, :, None]
-        softness = _summed(V, self._facet_nodes, softness)[:, 0]
-        pressed = self._jumps(v)
-        opening = self._gaps - (pressed * self._normals).sum(axis=1)
-        pressed = (self._pressure > 0.0) & (opening < softness * self._pressure)
+        softness = self._owned.cells.heights[self.cell, self.facet] / stiffness[self.cell]
+        softness = np.repeat(softness[:, None, None], d, axis=1)
+        closed = summed(V, self._corners, softness)[:, 0] * self._pressure
+        opening = self._gaps - (self._jumps(v) * self._normals).sum(axis=1)
+        pressed = (self._pressure > 0.0) & (opening < closed)
         normals = self._normals[own]
         for primary in (False, True)[: 1 if self._partners is None else 2]:
             excess = self._excess(self._jumps(v)[own], normals, self._gaps[own], pressed[own])
@@ -314,19 +313,18 @@ class ContactSurface:
             else:
                 values[own] -= self._allowed(own, excess, normals)
             v.x.scatter_forward()
-        if self._edges.size or V.element.basix_element.degree > 1:
+        if V.element.basix_element.degree > 1:
             i, j = np.triu_indices(d, 1)
             middles = self.coefficients(v)[:, d:]
-            ends = self._facet_nodes[:, i], self._facet_nodes[:, j]
+            ends = self._corners[:, i], self._corners[:, j]
             normals = np.repeat(self.normals[:, None], len(i), axis=1)
             gaps = 0.5 * (self._gaps[ends[0]] + self._gaps[ends[1]])
             excess = self._excess(middles, normals, gaps, pressed[ends[0]] & pressed[ends[1]])
             # a coefficient moves twice as far as the middle of its edge
-            moves = self._allowed(self._edges, 0.5 * excess, normals)
-            # the owner of a node takes the mean of the moves for all its facets
-            sums = _summed(
-                V, self._edges, np.concatenate([moves, np.ones((*moves.shape[:2], 1))], axis=2)
-            )
+            moves = self._allowed(self._middles, 0.5 * excess, normals)
+            # a node takes the mean of the moves for all its facets
+            moves = np.concatenate([moves, np.ones((*self._middles.shape, 1))], axis=2)
+            sums = summed(V, self._middles, moves)
             values -= sums[:, :d] / np.maximum(sums[:, d:], 1.0)
 
     def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
@@ -340,49 +338,27 @@ class ContactSurface:
         if self.bonded:
             nothing = np.zeros(len(jumps))
             return nothing, nothing, float(np.abs(jumps).max(initial=0.0))
-        # integrals of products of the hats of vertices and Bernstein's functions
-        degree = 1 if jumps.shape[1] == d else 2
-        mass, elevation = mean_products(d, 2), np.eye(d)
-        if degree == 2:
-            i, j = np.triu_indices(d, 1)
-            products = mean_products(d, 3)
-            squares = np.einsum("kll->kl", products)
-            mass = np.concatenate([squares, 2.0 * products[:, i, j]], axis=1)
-            elevation = np.vstack([elevation, 0.5 * (elevation[i] + elevation[j])])
+        # integrals of products of the hats of vertices and Bernstein's quadratic functions
+        i, j = np.triu_indices(d, 1)
+        products, hats = mean_products(d, 3), np.eye(d)
+        mass = np.concatenate([np.einsum("kll->kl", products), 2.0 * products[:, i, j]], axis=1)
+        elevation = np.vstack([hats, 0.5 * (hats[i] + hats[j])])
         normal = np.einsum("mkd,md->mk", jumps, self.normals)
         pressure = -np.einsum("mkd,md->mk", self.tractions, self.normals)
         friction = self.tractions + pressure[:, :, None] * self.normals[:, None]
         slips = jumps - normal[:, :, None] * self.normals[:, None]
-        slips = slips - elevation @ self._origins[self._facet_nodes]
-        openings = self._gaps[self._facet_nodes] @ elevation.T - normal
+        slips = slips - elevation @ self._origins[self._corners]
+        openings = self._gaps[self._corners] @ elevation.T - normal
         areas = self._owned.cells.areas[self.cell, self.facet]
-        bounds = self._bounds[self._facet_nodes]
+        bounds = self._bounds[self._corners]
         complementarity = np.einsum("mk,kl,ml->m", pressure, mass, openings)
         lack = np.einsum("mk,kl,ml->m", bounds, mass, np.linalg.norm(slips, axis=2))
         lack += np.einsum("mkd,kl,mld->m", friction, mass, slips)
         return areas * complementarity, areas * lack, float((-openings).max(initial=0.0))
 
 
-def _spread(V: Any, owned: Array) -> Array:
-    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
-    vector = dolfinx.la.vector(V.dofmap.index_map, owned.shape[1])
-    vector.array[: owned.size] = owned.ravel()
-    vector.scatter_forward()
-    return np.array(vector.array).reshape(-1, owned.shape[1])
-
-
-def _summed(V: Any, nodes: Indices, values: Array) -> Array:
-    """Return sums (nodes, k) of values (..., k) at nodes (...) of any rank. Collective."""
-    vector = dolfinx.la.vector(V.dofmap.index_map, values.shape[-1])
-    vector.array[:] = 0.0
-    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
-    vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    vector.scatter_forward()
-    return np.array(vector.array).reshape(-1, values.shape[-1])
-
-
 def _with_means(V: Any, nodes: Indices, values: Array, valid: Mask) -> tuple[Array, Mask]:
-    """Return values (nodes, k) where they are valid, and else means over the neighbours. Collective.
+    """Return values (nodes, k) completed by means over the neighbours. Collective.
 
     Args:
         V: the space of the displacement.
@@ -393,10 +369,10 @@ def _with_means(V: Any, nodes: Indices, values: Array, valid: Mask) -> tuple[Arr
     Returns:
         the values, and whether a node, or a neighbour, has them (nodes,).
     """
-    table = _spread(V, np.column_stack([values, np.ones(len(values))]) * valid[:, None])
+    table = spread(V, np.column_stack([values, np.ones(len(values))]) * valid[:, None])
     sums = table[nodes].sum(axis=1, keepdims=True)
     means = sums / np.maximum(sums[:, :, -1:], 1.0)
-    around = _summed(V, nodes, np.repeat(means, nodes.shape[1], axis=1))
+    around = summed(V, nodes, np.repeat(means, nodes.shape[1], axis=1))
     around[:, :-1] /= np.maximum(around[:, -1:], 1.0)
     result = np.where(table[:, -1:] > 0.0, table, around)
     return result[:, :-1], result[:, -1] > 0.0

@@ -135,17 +135,17 @@ def loads(L: ufl.Form | None, owned: OwnedCells, maps: EntityMaps | None) -> Loa
     off = ufl.FacetNormal(mesh) - normal
     on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
     (argument,) = L.arguments()
-    for integral in apply_derivatives(apply_algebra_lowering(L)).integrals():
+    if has_stresses(L):
+        raise InputError(
+            f"{NEEDED}a form L of the displacement itself; this one depends on its gradient, as an "
+            "initial stress does."
+        )
+    for integral in L.integrals():
         kind = integral.integral_type()
         if kind not in ("cell", "exterior_facet"):
             raise InputError(
                 f"{NEEDED}loads on cells and on the boundary, found an integral of the kind "
                 f"'{kind}' in L."
-            )
-        if has_stresses(ufl.Form([integral])):
-            raise InputError(
-                f"{NEEDED}a form L of the displacement itself; this one depends on its gradient, "
-                "as an initial stress does."
             )
         indicator = 1.0 if kind == "cell" else on_facet
         load = [ufl.replace(integral.integrand(), {argument: axis}) for axis in _axes(d)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -10,11 +11,12 @@ from mpi4py import MPI
 import numpy as np
 
 import basix
+import dolfinx.la
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca.guaranteed.cells import Simplices
+from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, opposite
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,19 @@ class OwnedCells:
     vertices: GlobalNumbers
     facets: Indices
     nodes: Indices
+
+    @cached_property
+    def basis(self) -> Array:
+        """The basis functions at `nodes`, see `basis_products`."""
+        return basis_products(self.cells.d + 1, self.V.element.basix_element.degree)
+
+    @cached_property
+    def on_facets(self) -> Indices:
+        """(d + 1, k) positions in `nodes` of the nodes on each facet, vertices before edges."""
+        facets = opposite(self.cells.d)
+        return np.array(
+            [np.flatnonzero(self.basis[:, ends][:, :, ends].any(axis=(1, 2))) for ends in facets]
+        )
 
     @classmethod
     def of(cls, V: Any) -> OwnedCells:
@@ -64,6 +79,24 @@ class OwnedCells:
             facets=np.take_along_axis(facets, order, axis=1),
             nodes=np.take_along_axis(nodes, own[:, : nodes.shape[1]], axis=1),
         )
+
+
+def spread(V: Any, owned: Array) -> Array:
+    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, owned.shape[1])
+    vector.array[: owned.size] = owned.ravel()
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, owned.shape[1])
+
+
+def summed(V: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at nodes (...) of any rank. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, values.shape[-1])
 
 
 class Copies:

@@ -17,6 +17,7 @@ from dolfinx_tresca.guaranteed.cells import Simplices, mean_products, opposite, 
 #: to a rigid motion that nothing holds. Those eigenvalues are zero up to rounding.
 FREE_EIGENVALUE = 1e-9
 
+
 @dataclass(frozen=True)
 class CellData:
     """The cells of stars, with the stresses and loads that tractions must balance.
@@ -98,9 +99,7 @@ class Stars:
         keys, column = np.unique(star[:, None] * len(self.counts) + facets, return_inverse=True)
         self.uses = np.bincount(keys % len(self.counts), minlength=len(self.counts))
         by_star = self._block_rows(blocks, column, len(keys))
-        softened = self._block_rows(
-            blocks * softness[facets.ravel()][:, None], column, len(keys)
-        )
+        softened = self._block_rows(blocks * softness[facets.ravel()][:, None], column, len(keys))
         self._factor((softened @ by_star.T).tobsr(blocksize=2 * self.motions.shape[1:2]), start)
         self.resultants = self._block_rows(blocks, facets, len(self.counts))
         self.transposed = self.resultants.T
@@ -163,7 +162,7 @@ class Stars:
         solved = cho_solve_banded((self.factor, True), flat.ravel(), check_finite=False)
         result = np.empty_like(flat)
         result[self.order] = solved.reshape(flat.shape)
-        return result.ravel()
+        return np.asarray(result.ravel())
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return tractions on the cells without resultants that decrease a quadratic function.
@@ -252,4 +251,4 @@ class Stars:
         total[fixed] = 0.0
         result = np.zeros_like(residual)
         result[:, i, j] = total[edge] * (cells.volumes[:, None] / around[edge])[:, :, None]
-        return result + np.swapaxes(result, 1, 2)
+        return np.asarray(result + np.swapaxes(result, 1, 2))

@@ -73,7 +73,7 @@ class DividedSimplex:
         where = np.arange(self.count).reshape(1, self.count, 1), np.arange(d)
         dofs = self.dofs.reshape(n, self.count, d)
         signs = np.broadcast_to(self.signs, self.dofs.shape).reshape(dofs.shape)
-        data[dofs, cell, *where] = signs
+        data[dofs, cell, where[0], where[1]] = signs
         loads = np.arange(self.size, total).reshape(n, d + 1, d)
         data[loads, cell, np.arange(self.count, self.count + d + 1)[:, None], np.arange(d)] = 1.0
         energies = StressEnergies(self.cells, identity(d, n))
