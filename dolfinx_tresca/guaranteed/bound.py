@@ -41,7 +41,7 @@ IMBALANCE = 1e-7
 PENETRATION = 1e-10
 
 #: Steps of the conjugate gradient method by which the stress comes nearer to the stress of the
-#: displacement. With the double of it the bound is 2 % (triangles) or 5 % (tetrahedra) smaller.
+#: displacement. With the double of it the bound is 2 % (triangles) or 10 % (tetrahedra) smaller.
 STEPS = 5
 
 
@@ -58,7 +58,8 @@ class GuaranteedError:
         error: bound of |u - u*| [energy^(1/2)].
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of their squares is at most some percent larger than `error`.
+            root of the sum of their squares is at most some percent larger than `error` if `lift`
+            is small.
         stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
             displacement [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
@@ -66,8 +67,8 @@ class GuaranteedError:
             on facets.
         complementarity: integral of pressure times gap [energy].
         friction: integral of what the work of friction lacks of its bound [energy].
-        lift: |u - v|, the distance of u from a displacement v that does not penetrate
-            [energy^(1/2)].
+        lift: |u - v|, the distance of u from a displacement v that does not penetrate, and has no
+            gap where it is pressed [energy^(1/2)].
     """
 
     error: float
