@@ -63,8 +63,7 @@ class GuaranteedError:
         stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
             displacement [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
-            [energy^(1/2)]; zero for loads that are constant in cells and tractions that are linear
-            on facets.
+            [energy^(1/2)]; zero for loads that are linear in cells, and tractions on facets.
         complementarity: integral of pressure times gap [energy].
         friction: integral of what the work of friction lacks of its bound [energy].
         lift: |u - v|, the distance of u from a displacement v that does not penetrate, and has no

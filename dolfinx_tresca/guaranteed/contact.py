@@ -18,6 +18,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.cells import mean_products
 from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread, summed
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
@@ -67,64 +68,27 @@ class ContactSurface:
         """
         self.pair, self._owned, self._prescribed = pair, owned, prescribed
         self.bonded = isinstance(pair.friction, Bonded)
-        V, on, d = owned.V, rows.operators, owned.cells.d
+        V, d = owned.V, owned.cells.d
         self._check(dual, rows, bounds)
-        count = V.dofmap.index_map.size_local
-        cell, facet, all_nodes = self._tagged("secondary")
-        nodes = all_nodes[:, :d]
-        # nodes with multipliers, and those of the same facets that are prescribed
-        paired = np.zeros(count, dtype=np.bool_)
-        paired[on.nodes] = True
-        stress = multipliers * dual.jump.stress_scale
-        origin = (dual.response.offset - dual.jump.gap) * dual.jump.length_scale
-        pressure, friction = np.zeros((count, 1)), np.zeros((count, d))
-        pressed, rubbed = paired & False, paired & False
-        pressed[on.nodes[on.normal_node]] = True
-        pressure[on.nodes[on.normal_node], 0] = stress[rows.normal]
-        friction[on.nodes] = -on.tangential_vectors(stress[rows.tangential])
-        rubbed[on.nodes] = np.bincount(on.tangent_node, minlength=len(on.nodes)) == d - 1
-        rubbed[on.nodes] |= isinstance(pair.friction, Frictionless)
-        data = np.zeros((count, 2 * d + 2))
-        radius = np.zeros(len(on.nodes)) if self.bonded else bounds[rows.nodes]
-        origins = on.tangential_vectors(origin[rows.tangential])
-        data[on.nodes] = np.column_stack([on.normals, origins, radius, on.distance])
-        pressure, _ = _with_means(V, nodes, pressure, pressed)
-        friction, _ = _with_means(V, nodes, friction, rubbed)
-        data, touching = _with_means(V, nodes, data, paired)
-        touching &= spread(V, paired[:, None])[:, 0].astype(np.bool_) | prescribed.all(axis=1)
-        normals, self._origins, radius, distance = np.split(data, [d, 2 * d, 2 * d + 1], axis=1)
-        friction -= (friction * normals).sum(axis=1, keepdims=True) * normals
-        if not self.bonded:
-            pressure = np.maximum(pressure, 0.0)
-            sizes = np.linalg.norm(friction, axis=1, keepdims=True)
-            friction *= np.minimum(1.0, radius / np.maximum(sizes, LEAST_DIVISOR))
-        tractions = friction - pressure * normals
-
-        self.nodes: Indices = np.flatnonzero(touching[:count])
+        cell, facet, nodes = self._tagged("secondary")
+        tractions, distance, touching = self._interpolate(
+            nodes[:, :d], dual, rows, multipliers, bounds
+        )
         points = V.tabulate_dof_coordinates()
-        gaps = distance[:, 0]
-        if isinstance(pair.primary, RigidPlane):
-            heights, of_plane = pair.primary.at(points)
-            cosine = -np.einsum("nd,nd->n", normals, of_plane[:, :d])
-            gaps = heights / np.where(touching, cosine, 1.0)
-        own_gaps = gaps[:count].copy()
-        if pair.gap is not None:
-            own_gaps[self.nodes] += NodalValues(V).at(
-                pair.gap, self.nodes.astype(np.int32), f"the gap of contact pair {pair}"
-            )
-        self._gaps = spread(V, own_gaps[:, None])[:, 0]
-        self._normals, self._bounds, self._pressure = normals, radius[:, 0], pressure[:, 0]
+        self.nodes: Indices = np.flatnonzero(touching[: V.dofmap.index_map.size_local])
+        self._gaps = self._nodal_gaps(points, distance, touching)
 
-        keep = touching[nodes].all(axis=1)
+        keep = touching[nodes[:, :d]].all(axis=1)
+        outside = nodes[~keep, :d]
         near = FLATNESS * np.ptp(points, axis=0).max(initial=0.0)
         self.cell, self.facet = cell[keep], facet[keep]
-        self._corners, self._middles = np.split(all_nodes[keep], [d], axis=1)
+        self._corners, self._middles = np.split(nodes[keep], [d], axis=1)
         self.normals = owned.cells.normals[self.cell, self.facet]
         self.tractions = tractions[self._corners]
-        turned = np.abs(normals[self._corners] - self.normals[:, None])
-        tilted = np.ptp(distance[self._corners, 0], axis=1)
+        turned = np.abs(self._normals[self._corners] - self.normals[:, None])
+        tilted = np.ptp(distance[self._corners], axis=1)
         with errors_on_all_ranks(V.mesh.comm):
-            if tractions[nodes[~keep]][touching[nodes[~keep]]].any():
+            if tractions[outside][touching[outside]].any():
                 raise InputError(
                     "a guaranteed bound needs multipliers at all nodes of pressed facets, and "
                     f"contact pair {pair} has pressed facets at a rim."
@@ -139,9 +103,8 @@ class ContactSurface:
         self._partners: Copies | None = None
         self.sides = [(self.cell, self.facet, self.tractions)]
         if not isinstance(pair.primary, RigidPlane):
-            partner = np.full(count, -1)
-            partner[on.nodes] = on.primary.indices
-            self._pair_nodes(partner, points[:, :d] + distance * normals, near)
+            places = points[:, :d] + distance[:, None] * self._normals
+            self._pair_nodes(rows.operators, places, near)
             self.sides.append(self._opposite(tractions))
 
     def _check(self, dual: DualProgram, rows: RowsOfPair, bounds: Array) -> None:
@@ -174,6 +137,56 @@ class ContactSurface:
                     "edges. Make a pair of each side."
                 )
 
+    def _interpolate(
+        self, nodes: Indices, dual: DualProgram, rows: RowsOfPair, multipliers: Array, bounds: Array
+    ) -> tuple[Array, Array, Mask]:
+        """Set the data of the law at nodes, ghosts included. Collective.
+
+        Returns:
+            the tractions (nodes, d), initial distances (nodes,) of the surfaces, and whether a node
+            has a multiplier, or is prescribed and on a facet with multipliers (nodes,).
+        """
+        V, on, d = self._owned.V, rows.operators, self._owned.cells.d
+        count = V.dofmap.index_map.size_local
+        stress = multipliers * dual.jump.stress_scale
+        origin = (dual.response.offset - dual.jump.gap) * dual.jump.length_scale
+        pressure, friction = np.zeros((count, 1)), np.zeros((count, d))
+        pressure[on.nodes[on.normal_node], 0] = stress[rows.normal]
+        friction[on.nodes] = -on.tangential_vectors(stress[rows.tangential])
+        radius = np.zeros(len(on.nodes)) if self.bonded else bounds[rows.nodes]
+        origins = on.tangential_vectors(origin[rows.tangential])
+        data = np.zeros((count, 2 * d + 2))
+        data[on.nodes] = np.column_stack([on.normals, origins, radius, on.distance])
+        rubs = np.bincount(on.tangent_node, minlength=len(on.nodes)) == d - 1
+        rubs |= isinstance(self.pair.friction, Frictionless)
+        # components of multipliers that prescribed displacements replace are means of neighbours'
+        pressure, _ = _with_means(V, nodes, pressure, on.nodes[on.normal_node])
+        friction, _ = _with_means(V, nodes, friction, on.nodes[rubs])
+        data, touching = _with_means(V, nodes, data, on.nodes)
+        paired = np.zeros((count, 1))
+        paired[on.nodes] = 1.0
+        touching &= (spread(V, paired)[:, 0] > 0.0) | self._prescribed.all(axis=1)
+        normals, self._origins, radius, distance = np.split(data, [d, 2 * d, 2 * d + 1], axis=1)
+        friction -= (friction * normals).sum(axis=1, keepdims=True) * normals
+        if not self.bonded:
+            pressure = np.maximum(pressure, 0.0)
+            sizes = np.linalg.norm(friction, axis=1, keepdims=True)
+            friction *= np.minimum(1.0, radius / np.maximum(sizes, LEAST_DIVISOR))
+        self._normals, self._bounds, self._pressure = normals, radius[:, 0], pressure[:, 0]
+        return friction - pressure * normals, distance[:, 0], touching
+
+    def _nodal_gaps(self, points: Array, distance: Array, touching: Mask) -> Array:
+        """Return the gaps (nodes,) of touching nodes. Collective."""
+        V, pair, own = self._owned.V, self.pair, self.nodes.astype(np.int32)
+        if isinstance(pair.primary, RigidPlane):
+            heights, normals = pair.primary.at(points)
+            cosine = -np.einsum("nd,nd->n", self._normals, normals[:, : self._owned.cells.d])
+            distance = heights / np.where(touching, cosine, 1.0)
+        gaps = distance[: V.dofmap.index_map.size_local, None].copy()
+        if pair.gap is not None:
+            gaps[own, 0] += NodalValues(V).at(pair.gap, own, f"the gap of contact pair {pair}")
+        return spread(V, gaps)[:, 0]
+
     def _no_match(self) -> InputError:
         return InputError(
             "a guaranteed bound needs rigid planes, or bodies of degree 1 whose meshes match on "
@@ -191,11 +204,11 @@ class ContactSurface:
         cell, facet = np.nonzero(np.isin(self._owned.facets, facets))
         return cell, facet, self._owned.nodes[cell[:, None], self._owned.on_facets[facet]]
 
-    def _pair_nodes(self, partner: GlobalNumbers, places: Array, near: float) -> None:
+    def _pair_nodes(self, on: PairOperators, places: Array, near: float) -> None:
         """Find the opposite nodes of all touching nodes. Collective.
 
         Args:
-            partner: (owned nodes,) global number of the opposite node, or -1.
+            on: the operators of the pair.
             places: (nodes, d) where the opposite nodes are.
             near: distance [length] that counts as rounding.
         """
@@ -207,14 +220,13 @@ class ContactSurface:
             return np.searchsorted(ranges, numbers, side="right") - 1
 
         # prescribed nodes at the rim have no multipliers: the nearest node without a partner
-        own = partner[partner >= 0]
-        taken, _ = exchange(comm, own, owners(own))
-        side = np.unique(self._tagged("primary")[2][:, :d])
-        lonely = np.zeros((len(partner) + index_map.num_ghosts, 1))
-        lonely[side] = 1.0
-        lonely = summed(V, np.arange(len(lonely)), lonely)[: len(partner), 0]
-        lonely[taken - index_map.local_range[0]] = 0.0
-        (numbers,) = np.nonzero(lonely)
+        partner = np.full(index_map.size_local, -1)
+        partner[on.nodes] = on.primary.indices
+        taken, _ = exchange(comm, on.primary.indices, owners(on.primary.indices))
+        _, _, side = self._tagged("primary")
+        uses = summed(V, side, np.ones((*side.shape, 1)))[: len(partner), 0]
+        uses[taken - index_map.local_range[0]] = 0.0
+        (numbers,) = np.nonzero(uses)
         here = V.tabulate_dof_coordinates()[numbers, :d]
         rim = gather_rows(comm, np.column_stack([here, numbers + index_map.local_range[0]]))
         missing = self.nodes[partner[self.nodes] < 0]
@@ -357,19 +369,21 @@ class ContactSurface:
         return areas * complementarity, areas * lack, float((-openings).max(initial=0.0))
 
 
-def _with_means(V: Any, nodes: Indices, values: Array, valid: Mask) -> tuple[Array, Mask]:
-    """Return values (nodes, k) completed by means over the neighbours. Collective.
+def _with_means(V: Any, nodes: Indices, values: Array, present: Indices) -> tuple[Array, Mask]:
+    """Return values (nodes, k), completed by means over neighbours. Collective.
 
     Args:
         V: the space of the displacement.
         nodes: (m, d) the nodes of facets; neighbours are on the same facet.
         values: (owned nodes, k).
-        valid: (owned nodes,) whether a node has values.
+        present: the owned nodes that have values.
 
     Returns:
         the values, and whether a node, or a neighbour, has them (nodes,).
     """
-    table = spread(V, np.column_stack([values, np.ones(len(values))]) * valid[:, None])
+    given = np.zeros((len(values), values.shape[1] + 1))
+    given[present] = np.column_stack([values[present], np.ones(len(present))])
+    table = spread(V, given)
     sums = table[nodes].sum(axis=1, keepdims=True)
     means = sums / np.maximum(sums[:, :, -1:], 1.0)
     around = summed(V, nodes, np.repeat(means, nodes.shape[1], axis=1))
