@@ -220,9 +220,10 @@ class ContactSurface:
             return np.searchsorted(ranges, numbers, side="right") - 1
 
         # prescribed nodes at the rim have no multipliers: the nearest node without a partner
-        partner = np.full(index_map.size_local, -1)
+        partner = np.full(index_map.size_local, -1, dtype=np.int64)
         partner[on.nodes] = on.primary.indices
-        taken, _ = exchange(comm, on.primary.indices, owners(on.primary.indices))
+        own = partner[on.nodes]  # of one type on all ranks
+        taken, _ = exchange(comm, own, owners(own))
         _, _, side = self._tagged("primary")
         uses = summed(V, side, np.ones((*side.shape, 1)))[: len(partner), 0]
         uses[taken - index_map.local_range[0]] = 0.0
