@@ -9,7 +9,14 @@ from scipy.spatial import cKDTree
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import (
+    LEAST_DIVISOR,
+    Array,
+    GlobalNumbers,
+    Indices,
+    LocalNumbers,
+    Mask,
+)
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.dual.jump import RowsOfPair
@@ -370,7 +377,7 @@ class ContactSurface:
         return areas * complementarity, areas * lack, float((-openings).max(initial=0.0))
 
 
-def _with_means(V: Any, nodes: Indices, values: Array, present: Indices) -> tuple[Array, Mask]:
+def _with_means(V: Any, nodes: Indices, values: Array, present: LocalNumbers) -> tuple[Array, Mask]:
     """Return values (nodes, k), completed by means over neighbours. Collective.
 
     Args:
