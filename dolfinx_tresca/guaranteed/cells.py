@@ -19,8 +19,8 @@ from dolfinx_tresca._base.arrays import Array, Indices
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
 #: nearest rigid motion. Their proof is in docs/theory/guaranteed.md, and
 #: tests/guaranteed/test_constants.py computes them.
-POINCARE = {2: 0.616, 3: 0.847}
-TRACE = {2: 1.970, 3: 5.552}
+POINCARE = {2: 0.616, 3: 0.840}
+TRACE = {2: 1.963, 3: 5.122}
 
 
 def mean_products(corners: int, factors: int) -> Array:
@@ -164,7 +164,7 @@ class Simplices:
 
 @dataclass(frozen=True)
 class StressElement:
-    """The stress element on the simplex with the vertices 0, e_1, ..., e_d.
+    """The stress element on the regular simplex with edges of length 1.
 
     The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
     Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the vertices
@@ -184,6 +184,11 @@ class StressElement:
 
     basis: Array
     products: Array
+
+
+def _regular_frame(d: int) -> Array:
+    """Return the matrix (d, d) whose columns are the edges at a vertex of the regular simplex."""
+    return np.asarray(np.linalg.cholesky(0.5 * (np.eye(d) + 1.0)).T)
 
 
 @cache
@@ -206,7 +211,8 @@ def stress_element(d: int) -> StressElement:
     unknown = np.eye(n * size * nsym).reshape(n, size, nsym, -1)
     scaled = np.einsum("pq,iqaz->ipaz", root, unknown)
     stress = np.einsum("ipaz,akl->ipklz", scaled, basis)
-    gradients = np.vstack([-np.ones(d), np.eye(d)])
+    inner = np.linalg.inv(_regular_frame(d))
+    gradients = np.vstack([-inner.sum(axis=0), inner])
     data = np.eye(n * d * d + n * d).reshape(n * d + n, d, -1)
     tractions = data[: n * d].reshape(n, d, d, -1)
     equations, right = [], []
@@ -256,7 +262,8 @@ class StressEnergies:
                 `StressElement.basis`.
         """
         d, self.cells = cells.d, cells
-        element, frames = stress_element(d), cells.frames
+        element = stress_element(d)
+        frames = cells.frames @ np.linalg.inv(_regular_frame(d))
         self.count = d * (d + 1)  # of tractions
         inner = np.swapaxes(np.linalg.inv(frames), 1, 2)
         scales = np.ones((len(frames), self.count + d + 1))
