@@ -29,10 +29,10 @@ from scenes.two_bricks import two_bricks
 #: Scene, cell, degree, and cells along x.
 MESHES: dict[str, tuple[str, int, tuple[int, ...]]] = {
     "lifts": ("triangle", 1, (8, 16, 32, 64)),
-    "slips": ("triangle", 1, (8, 16, 32, 64)),
+    "slips": ("triangle", 1, (8, 16, 32, 64, 128)),
     "slips_degree_2": ("triangle", 2, (8, 16, 32)),
     "two_blocks": ("triangle", 1, (4, 8, 16)),
-    "two_blocks_3d": ("tetrahedron", 1, (3, 6)),
+    "two_blocks_3d": ("tetrahedron", 1, (3, 6, 12)),
     "bricks_free_end_1": ("tetrahedron", 1, (3, 6, 8)),
     "bricks_free_end_2": ("tetrahedron", 1, (3, 6, 8)),
 }

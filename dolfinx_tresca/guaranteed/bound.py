@@ -2,46 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-import basix
 import dolfinx
-import dolfinx.la
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.compat import geometry_degree, geometry_dofmap
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.guaranteed.cell_copies import CellCopies
-from dolfinx_tresca.guaranteed.contact_facets import (
-    PENETRATION,
-    coefficients,
-    contact_facets,
-    defects,
-    jumps,
-    lifted,
+from dolfinx_tresca.guaranteed.cells import (
+    StressEnergies,
+    mean_products,
+    opposite,
+    rigid_motions,
+    stress_data,
+    stress_element,
 )
-from dolfinx_tresca.guaranteed.forms import displacement_gradients, elasticity, loads
-from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
+from dolfinx_tresca.guaranteed.contact import ContactSurface
+from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
+from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread, summed
 from dolfinx_tresca.guaranteed.stars import CellData, Stars
-from dolfinx_tresca.guaranteed.stress_element import CellStresses, stress_element
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-#: Force that a star lacks, relative to the forces on its cells, above which the displacement is not
-#: in equilibrium: a force at a point, or a failed solve.
+#: Force that a cell lacks, relative to the largest force on a cell, above which the displacement is
+#: not in equilibrium: a force at a point, or a failed solve.
 IMBALANCE = 1e-7
 
+#: Penetration relative to the largest displacement that counts as rounding.
+PENETRATION = 1e-10
+
 #: Steps of the conjugate gradient method by which the stress comes nearer to the stress of the
-#: displacement. With the double of it the bound is 2 % (triangles) or 5 % (tetrahedra) smaller.
+#: displacement. With the double of it the bound is 2 % (triangles) or 10 % (tetrahedra) smaller.
 STEPS = 5
 
 
@@ -58,16 +58,16 @@ class GuaranteedError:
         error: bound of |u - u*| [energy^(1/2)].
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of their squares is at most some percent larger than `error`.
+            root of the sum of their squares is at most some percent larger than `error` if `lift`
+            is small.
         stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
             displacement [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
-            [energy^(1/2)]; zero for loads that are constant in cells and tractions that are linear
-            on facets.
+            [energy^(1/2)]; zero for loads that are linear in cells, and tractions on facets.
         complementarity: integral of pressure times gap [energy].
         friction: integral of what the work of friction lacks of its bound [energy].
-        lift: |u - v|, the distance of u from a displacement v that does not penetrate
-            [energy^(1/2)].
+        lift: |u - v|, the distance of u from a displacement v that does not penetrate, and has no
+            gap where it is pressed [energy^(1/2)].
     """
 
     error: float
@@ -108,135 +108,61 @@ def guaranteed_error(
         InputError: the bound does not cover the problem.
         ContactError: the displacement is not in equilibrium.
     """
-    V, mesh = linear.V, linear.V.mesh
-    comm, dim = mesh.comm, mesh.geometry.dim
     a, L = _checked_forms(linear, dual)
-    degree = V.element.basix_element.degree
-    topology = mesh.topology
-    for pair in ((dim, 0), (dim, dim - 1), (dim - 1, dim)):
-        topology.create_connectivity(*pair)
-    count = topology.index_map(dim).size_local
-    cells = Simplices(mesh.geometry.x[geometry_dofmap(mesh)[:count], :dim])
-    nodes = V.dofmap.list[:count]
-    edges = np.array(basix.topology(mesh.basix_cell())[1])
-    stiffness = elasticity(a, cells, mesh, linear.entity_maps)
-    given = loads(L, cells, mesh, linear.entity_maps)
-    prescribed = _on_nodes(V, linear.prescribed)
-    held = _held(mesh, prescribed[nodes], edges, degree)
+    owned = OwnedCells.of(linear.V)
+    cells, comm, d = owned.cells, linear.V.mesh.comm, owned.cells.d
+    stiffness = elasticity(a, owned, linear.entity_maps)
+    given = loads(L, owned, linear.entity_maps)
+    prescribed = spread(linear.V, linear.prescribed.reshape(-1, d)) > 0.0
+    exterior = dolfinx.mesh.exterior_facet_indices(linear.V.mesh.topology)
+    held = prescribed[owned.nodes[:, owned.on_facets]].all(axis=2)
+    held &= np.isin(owned.facets, exterior)[:, :, None]
     at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
     areas = np.concatenate([on.weights for on in dual.jump.pairs])
     bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
-    contacts = [
-        contact_facets(V, dual, pair, rows, multipliers, bounds, prescribed)
+    surfaces = [
+        ContactSurface(owned, dual, pair, rows, multipliers, bounds, prescribed)
         for pair, rows in zip(pairs, dual.jump.by_pair, strict=True)
     ]
-    for side in (side for contact in contacts for side in contact.sides):
-        products = np.einsum("kla,mad->mkld", mean_products(dim, 3), side.tractions)
-        products *= cells.areas[side.cell, side.facet, None, None, None]
-        cell, facet = side.cell[:, None, None], side.facet[:, None, None]
-        corners = side.corners[:, :, None], side.corners[:, None]
-        np.add.at(given.traction, (cell, facet, *corners), products)
-    balanced = _in_equilibrium(linear, dual, u, given.load, given.traction, nodes, edges)
-    v = lifted(V, contacts, u, prescribed)
-    lacks = []
-    for contact in contacts:
-        jump = coefficients(contact, jumps(V, contact, v), nodes)
-        side = contact.sides[0]
-        lacks.append(defects(contact, jump, cells.areas[side.cell, side.facet]))
-        size = np.abs(v.x.array).max(initial=0.0) + np.abs(jump).max(initial=0.0)
-        deepest = lacks[-1][2].max(initial=0.0)
-        with errors_on_all_ranks(comm):
-            if held[side.cell, side.facet].any():
-                raise InputError(
-                    "a guaranteed bound needs contact surfaces without prescribed displacements, "
-                    f"and some facets of contact pair {contact.pair} have them."
-                )
-            if deepest > PENETRATION * size:
-                raise InputError(
-                    f"prescribed displacements penetrate at contact pair {contact.pair}, by "
-                    f"{deepest:.2e}: there is no exact solution."
-                )
+    for surface in surfaces:
+        for cell, facet, tractions in surface.sides:
+            given.traction[cell, facet] += tractions
+    v, moduli = u.copy(), np.asarray(np.linalg.eigvalsh(stiffness))
+    for surface in surfaces:
+        surface.lift(v, moduli[:, -1])
+    defects = _defects(owned, surfaces, held, v)
+    energies = StressEnergies(cells, np.asarray(np.linalg.inv(stiffness)))
+    balanced = _in_equilibrium(linear, dual, u, owned, given)
+    of_balanced, of_u, of_v = (_stresses(owned, stiffness, w) for w in (balanced, u, v))
+    of_u, of_v = stress_data(cells, of_u), stress_data(cells, of_v)
+    difference = _nearest_stress(owned, energies, of_balanced, given, held, of_v, steps)
 
-    def stresses(w: fem.Function) -> Array:
-        values = w.x.array.reshape(-1, dim)[nodes]
-        slopes = displacement_gradients(values, cells, edges)
-        basis = stress_element(dim).basis
-        strains = np.tensordot(slopes, basis, axes=([2, 3], [1, 2]))
-        values = np.einsum("nab,nkb,aij->nkij", stiffness, strains, basis, optimize=True)
-        return np.asarray(values)
-
-    of_u, of_v = stresses(u), stresses(v)
-    copies = CellCopies(mesh)
-    own = CellStresses(cells, np.asarray(np.linalg.inv(stiffness)))
-    stars = Stars(
-        CellStresses(Simplices(copies.spread(cells.points)), copies.spread(own.compliance)),
-        copies.vertices,
-        copies.owned,
-        CellData(*map(copies.spread, (stresses(balanced), given.load, given.traction, held))),
-        degree > 1,
-    )
-    with errors_on_all_ranks(comm):
-        tractions = stars.equilibrated()
-    imbalance, size = reduce_array(comm, [stars.imbalance, stars.size], MPI.MAX)
-    if imbalance > IMBALANCE * size:
-        raise ContactError(
-            f"the displacement is not in equilibrium: around a node, forces of {imbalance:.1e} are "
-            f"missing, where nodal forces are up to {size:.1e}. A displacement that is prescribed "
-            "at a point, and not on facets, cannot hold a force."
-        )
-    tractions = copies.summed(tractions)
-    inverse = np.linalg.inv(mean_products(dim + 1, 2))
-    projection = inverse @ given.load.sum(axis=2) / cells.volumes[:, None, None]
-    difference = own.of_tractions(tractions, -projection) - own.of_linear(of_v)
-    descent = -own.gradient(difference)
-    direction, previous = np.zeros_like(tractions), 0.0
-    for _ in range(steps):
-        near = copies.summed(stars.preconditioned(copies.spread(descent)))
-        slope = float(reduce_array(comm, (near * descent).sum()))
-        if not slope > 0.0:
-            break
-        direction = near + (slope / previous * direction if previous else 0.0)
-        previous = slope
-        change = own.of_tractions(direction)
-        curvature = float(reduce_array(comm, own.energies(change).sum()))
-        length = slope / curvature
-        difference = difference + length * change
-        descent = descent - length * own.gradient(change)
-    energies = own.energies(difference)
-    softness = np.sqrt(np.linalg.eigvalsh(own.compliance)[:, -1])
-    fluctuation = cells.poincare_factors * given.load_rest
-    fluctuation += (cells.trace_factors * given.traction_rest * ~held.all(axis=2)).sum(axis=1)
-    fluctuation *= softness
-    terms = np.sqrt(energies) + fluctuation
-    squares = terms**2
-    complementarity = friction = 0.0
-    for contact, (pressed, slipping, _) in zip(contacts, lacks, strict=True):
-        complementarity += pressed.sum()
-        friction += slipping.sum()
-        np.add.at(squares, contact.sides[0].cell, 2.0 * np.maximum(pressed + slipping, 0.0))
-    moved = own.energies(own.of_linear(of_u - of_v)).sum()
-    whole = own.energies(own.of_linear(of_u)).sum()
-    totals = reduce_array(
-        comm,
-        np.array(
-            [
-                *((terms**2).sum(), energies.sum(), (fluctuation**2).sum()),
-                *(complementarity, friction, moved, whole),
-            ]
-        ),
-    )
-    eta, lift, norm = np.sqrt(totals[[0, 5, 6]])
-    lack = max(float(totals[3] + totals[4]), 0.0)
-    error = float(0.5 * eta + np.sqrt(0.25 * eta**2 + lack) + lift)
-    result = fem.Function(fem.functionspace(mesh, ("DG", 0)), name="guaranteed_cell_errors")
-    result.x.array[result.function_space.dofmap.list[:count, 0]] = np.sqrt(squares)
+    distances = np.sqrt(energies.of(difference))
+    oscillation = cells.poincare_factors * given.load_distance
+    oscillation += (cells.trace_factors * given.traction_distance * ~held.all(axis=2)).sum(axis=1)
+    oscillation /= np.sqrt(moduli[:, 0])
+    moved, lack = energies.of(of_u - of_v), defects.sum(axis=0)
+    # the mean of both stresses is the centre of a ball that contains the exact stress
+    from_centre = energies.of(of_u - of_v - 0.5 * difference)
+    whole = energies.of(of_u)
+    terms = [(distances + oscillation) ** 2, distances**2, oscillation**2, *defects]
+    totals = reduce_array(comm, [term.sum() for term in (*terms, moved, from_centre, whole)])
+    eta, stress, oscillations = np.sqrt(totals[:3])
+    lift, offset, norm = np.sqrt(totals[5:])
+    gap = max(float(totals[3] + totals[4]), 0.0)
+    error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + gap)
+    radius = np.sqrt(0.25 * stress**2 + gap + oscillations * error_of_v)
+    error = float(min(error_of_v + lift, offset + radius))
+    result = fem.Function(fem.functionspace(owned.V.mesh, ("DG", 0)), name="guaranteed_cell_errors")
+    squares = terms[0] + 2.0 * np.maximum(lack, 0.0) + moved
+    result.x.array[result.function_space.dofmap.list[: len(squares), 0]] = np.sqrt(squares)
     result.x.scatter_forward()
     return GuaranteedError(
         error=error,
         relative_error=error / float(norm) if norm > 0.0 else float("inf"),
         cell_errors=result,
-        stress=float(np.sqrt(totals[1])),
-        oscillation=float(np.sqrt(totals[2])),
+        stress=float(stress),
+        oscillation=float(oscillations),
         complementarity=float(totals[3]),
         friction=float(totals[4]),
         lift=float(lift),
@@ -265,73 +191,129 @@ def _checked_forms(linear: LinearSystem, dual: DualProgram) -> tuple[Any, Any]:
     return linear.ufl_forms
 
 
-def _on_nodes(V: Any, flags: Any) -> Any:
-    """Return flags (owned degrees of freedom,) at this rank's nodes (nodes, d). Collective."""
-    dofmap = V.dofmap
-    spread = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
-    spread.array[: len(flags)] = flags
-    spread.scatter_forward()
-    return spread.array.reshape(-1, dofmap.index_map_bs) > 0.0
-
-
-def _held(mesh: Any, prescribed: Any, edges: Array, degree: int) -> Any:
-    """Return on which facets of owned cells the displacement is prescribed (n, d + 1, d).
-
-    Args:
-        mesh: the mesh.
-        prescribed: (n, k, d) prescribed degrees of freedom of each cell.
-        edges: (e, 2) vertices of each edge of a cell.
-        degree: degree of the displacement.
-    """
-    tdim = mesh.topology.dim
-    count, corners = len(prescribed), tdim + 1
-    exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    facets = mesh.topology.connectivity(tdim, tdim - 1).array.reshape(-1, corners)[:count]
-    result = np.repeat(np.isin(facets, exterior)[:, :, None], prescribed.shape[2], axis=2)
-    for j in range(corners):
-        on_facet = [k for k in range(corners) if k != j]
-        if degree > 1:
-            on_facet += [corners + e for e, ends in enumerate(edges) if j not in ends]
-        result[:, j] &= prescribed[:, on_facet].all(axis=1)
-    return result
+def _stresses(owned: OwnedCells, stiffness: Array, w: fem.Function) -> Array:
+    """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of owned cells."""
+    values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
+    slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
+    tensors = stress_element(owned.cells.d).basis
+    strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
+    return np.asarray(np.tensordot(strains @ stiffness, tensors, axes=1))
 
 
 def _in_equilibrium(
-    linear: LinearSystem,
-    dual: DualProgram,
-    u: fem.Function,
-    load: Array,
-    traction: Array,
-    nodes: Indices,
-    edges: Array,
+    linear: LinearSystem, dual: DualProgram, u: fem.Function, owned: OwnedCells, given: Loads
 ) -> fem.Function:
-    """Return the displacement, near u, that balances loads and tractions. Collective.
-
-    Args:
-        linear: the system K u = f.
-        dual: the dual problem, with the solver for K.
-        u: the displacement of the solution.
-        load: see `CellData`.
-        traction: see `CellData`.
-        nodes: (n, k) nodes of each cell.
-        edges: (e, 2) vertices of each edge of a cell.
-    """
-    products = load + traction.sum(axis=1)
-    if nodes.shape[1] == products.shape[1]:
-        forces = products.sum(axis=2)
-    else:
-        squares = np.einsum("nkkd->nkd", products)
-        i, j = edges.T
-        forces = np.concatenate(
-            [2.0 * squares - products.sum(axis=2), 4.0 * products[:, i, j]], axis=1
-        )
-    right, result = zero_like(u, "force"), u.copy()
-    np.add.at(right.x.array.reshape(-1, forces.shape[2]), nodes, forces)
-    right.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    change = zero_like(u, "change")
+    """Return the displacement, near u, that balances loads and tractions. Collective."""
+    cells, basis = owned.cells, owned.basis
+    weights = np.einsum("kab,abc->kc", basis, mean_products(cells.d + 1, 3))
+    forces = cells.volumes[:, None, None] * (weights @ given.load)
+    for j, ends in enumerate(opposite(cells.d)):
+        on_facet = basis[:, ends][:, :, ends]
+        weights = np.einsum("kab,abc->kc", on_facet, mean_products(cells.d, 3))
+        forces += cells.areas[:, j, None, None] * (weights @ given.traction[:, j])
+    right, change, result = zero_like(u, "force"), zero_like(u, "change"), u.copy()
+    right.x.array[:] = summed(owned.V, owned.nodes, forces).ravel()
     residual = linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
     dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
     residual.destroy()
     change.x.scatter_forward()
     result.x.array[:] += change.x.array
+    return result
+
+
+def _defects(
+    owned: OwnedCells, surfaces: list[ContactSurface], held: Mask, v: fem.Function
+) -> Array:
+    """Return what tractions and jumps lack of the law of contact (2, n), by cell. Collective.
+
+    The rows are the integrals of complementarity and of friction.
+
+    Raises:
+        InputError: displacements are prescribed on contact surfaces, or penetrate.
+    """
+    result = np.zeros((2, len(held)))
+    comm = owned.V.mesh.comm
+    largest = float(reduce_array(comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX))
+    for surface in surfaces:
+        pressed, slipping, deepest = surface.defects(v)
+        np.add.at(result[0], surface.cell, pressed)
+        np.add.at(result[1], surface.cell, slipping)
+        with errors_on_all_ranks(comm):
+            if held[surface.cell, surface.facet].any():
+                raise InputError(
+                    "a guaranteed bound needs contact surfaces without prescribed displacements, "
+                    f"and some facets of contact pair {surface.pair} have them."
+                )
+            if deepest > PENETRATION * largest:
+                raise InputError(
+                    f"prescribed displacements penetrate at contact pair {surface.pair}, by "
+                    f"{deepest:.2e}: there is no exact solution."
+                )
+    return result
+
+
+def _nearest_stress(
+    owned: OwnedCells,
+    energies: StressEnergies,
+    of_balanced: Array,
+    given: Loads,
+    held: Mask,
+    of_v: Array,
+    steps: int,
+) -> Array:
+    """Return a stress in equilibrium minus the stress of v, as `StressEnergies` data. Collective.
+
+    Args:
+        owned: the cells.
+        energies: the energies of stresses in them.
+        of_balanced: (n, d + 1, d, d) stress of a displacement that balances loads and tractions.
+        given: loads and tractions.
+        held: see `CellData`.
+        of_v: data of the stress of v.
+        steps: steps of the conjugate gradient method.
+
+    Raises:
+        ContactError: the displacement is not in equilibrium.
+    """
+    cells, comm, d = owned.cells, owned.V.mesh.comm, owned.cells.d
+    n, count = len(held), d * (d + 1)
+    copies, owner = Copies.around_vertices(owned)
+    numbers = owned.V.mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
+    spread = (
+        *(cells.points, owned.vertices, numbers.reshape(owned.facets.shape), owner),
+        *(energies.facet_stiffness(), of_balanced, given.load, given.traction, held),
+    )
+    data = CellData(*map(copies.spread, spread))
+    with errors_on_all_ranks(comm):
+        stars = Stars(replace(data, owned=data.owned == comm.rank))
+        tractions = stars.equilibrated()
+    tractions = copies.summed(tractions, n)
+
+    forces = cells.facet_forces(tractions)
+    largest = np.abs(forces).max(initial=0.0)
+    forces += cells.volume_forces(given.load)
+    arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
+    lacking = np.abs(np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces)).max(initial=0.0)
+    lacking, largest = reduce_array(comm, [lacking, largest], MPI.MAX)
+    if lacking > IMBALANCE * largest:
+        raise ContactError(
+            f"the displacement is not in equilibrium: on a cell, forces of {lacking:.1e} are "
+            f"missing, where forces on cells are up to {largest:.1e}. A displacement that is "
+            "prescribed at a point, and not on facets, cannot hold a force."
+        )
+    result: Array = np.concatenate([tractions.reshape(n, count, d), -given.load], axis=1) - of_v
+    descent = -energies.derivative(result)[:, :count]
+    direction, previous = np.zeros_like(descent), 0.0
+    for _ in range(steps):
+        residual = copies.spread(descent.reshape(tractions.shape))
+        near = copies.summed(stars.preconditioned(residual), n).reshape(descent.shape)
+        slope = float(reduce_array(comm, (near * descent).sum()))
+        if not slope > 0.0:
+            break
+        direction = near + (slope / previous * direction if previous else 0.0)
+        previous = slope
+        change = energies.derivative(direction)
+        length = slope / float(reduce_array(comm, (direction * change).sum()))
+        result[:, :count] += length * direction
+        descent -= length * change
     return result

@@ -16,12 +16,12 @@ from ufl.classes import Argument, Grad
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.compat import EntityMaps, interpolation_points
+from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.bounds.estimate import with_gradient
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products
-from dolfinx_tresca.guaranteed.stress_element import stress_element
+from dolfinx_tresca.guaranteed.cells import mean_products, opposite, stress_element
+from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that
@@ -34,7 +34,7 @@ NORMAL_ROUNDING = 1e-8
 NEEDED = "a guaranteed bound needs "
 
 
-def elasticity(a: ufl.Form, cells: Simplices, mesh: Any, maps: EntityMaps | None) -> Array:
+def elasticity(a: ufl.Form, owned: OwnedCells, maps: EntityMaps | None) -> Array:
     """Return the elasticity tensors (n, nsym, nsym) of owned cells in `StressElement.basis`.
 
     Collective.
@@ -42,55 +42,45 @@ def elasticity(a: ufl.Form, cells: Simplices, mesh: Any, maps: EntityMaps | None
     Raises:
         InputError: a depends on more than the symmetric gradient, or a tensor varies in a cell.
     """
-    for integral in apply_derivatives(apply_algebra_lowering(a)).integrals():
-        if integral.integral_type() != "cell":
-            raise InputError(
-                f"{NEEDED}a form a of integrals over cells alone, found one of the kind "
-                f"'{integral.integral_type()}'."
-            )
-        bare = [
-            node
-            for node in unique_pre_traversal(integral.integrand())
-            if any(isinstance(child, Argument) for child in node.ufl_operands)
-            and not isinstance(node, Grad)
-        ]
-        if bare:
-            raise InputError(
-                f"{NEEDED}a form a of the strain alone; this one also depends on the displacement "
-                "itself, as springs do, or on a volume's mean."
-            )
-    dim = mesh.geometry.dim
-    space = fem.functionspace(mesh, ("DG", 1))
-    gradient = fem.Constant(mesh, np.zeros((dim, dim)))
-    form = _compiled(with_gradient(a, gradient, ufl.TestFunction(space)), maps)
-    scale = (dim + 1) / cells.volumes[:, None]
-    dofs = space.dofmap.list[: len(cells.points)]
-
-    def energies(tensor: Array) -> Array:
-        gradient.value = tensor
-        return np.asarray(scale * np.asarray(fem.assemble_vector(form).array)[dofs])
-
-    basis = stress_element(dim).basis
-    diagonal = [energies(tensor) for tensor in basis]
-    at_vertices = np.empty((len(dofs), dim + 1, len(basis), len(basis)))
-    for i, energy in enumerate(diagonal):
-        at_vertices[:, :, i, i] = energy
-    for i, j in combinations(range(len(basis)), 2):
-        both = 0.5 * (energies(basis[i] + basis[j]) - diagonal[i] - diagonal[j])
-        at_vertices[:, :, i, j] = at_vertices[:, :, j, i] = both
-    result: Array = at_vertices.mean(axis=1)
+    integrals = apply_derivatives(apply_algebra_lowering(a)).integrals()
+    kinds = {integral.integral_type() for integral in integrals} - {"cell"}
+    if kinds:
+        raise InputError(
+            f"{NEEDED}a form a of integrals over cells alone, found one of the kind "
+            f"'{kinds.pop()}'."
+        )
+    if any(
+        isinstance(child, Argument) and not isinstance(node, Grad)
+        for integral in integrals
+        for node in unique_pre_traversal(integral.integrand())
+        for child in node.ufl_operands
+    ):
+        raise InputError(
+            f"{NEEDED}a form a of the strain alone; this one also depends on the displacement "
+            "itself, as springs do, or on a volume's mean."
+        )
+    mesh, d = owned.V.mesh, owned.cells.d
+    tensors, at_vertices = (fem.functionspace(mesh, ("DG", k, (d, d))) for k in (0, 1))
+    gradient = fem.Function(tensors)
+    form = with_gradient(a, gradient, 0.5)
+    for direction in (ufl.TestFunction(tensors), ufl.TrialFunction(at_vertices)):
+        form = ufl.derivative(form, gradient, direction)
+    matrix = fem.assemble_matrix(_compiled(form, maps)).to_scipy().tobsr((d * d, d * d))
+    n = len(owned.order)
+    values = matrix.data.reshape(-1, d + 1, d * d, d * d)[tensors.dofmap.list[:n, 0]]
+    values *= (d + 1) / owned.cells.volumes[:, None, None, None]
+    basis = stress_element(d).basis.reshape(-1, d * d)
+    every = basis @ values @ basis.T
+    result: Array = every.mean(axis=1)
     size = np.trace(result, axis1=1, axis2=2)
-    turned = np.zeros(len(dofs))
-    for i, j in combinations(range(dim), 2):
-        rotation = np.zeros((dim, dim))
-        rotation[i, j], rotation[j, i] = 1.0, -1.0
-        turned = np.maximum(turned, np.abs(energies(rotation)).max(axis=1))
+    rotations = np.array([np.outer(i, j) - np.outer(j, i) for i, j in combinations(np.eye(d), 2)])
+    turned = np.abs(rotations.reshape(-1, d * d) @ values).max(axis=(1, 2, 3), initial=0.0)
     with errors_on_all_ranks(mesh.comm):  # the cells of one rank may be at fault
         if (turned > STIFFNESS_ROUNDING * size).any():
             raise InputError(
                 f"{NEEDED}a form a of the symmetric gradient; this one gives rotations an energy."
             )
-        spread = np.abs(at_vertices - result[:, None]).max(axis=(1, 2, 3), initial=0.0)
+        spread = np.abs(every - result[:, None]).max(axis=(1, 2, 3), initial=0.0)
         if (spread > STIFFNESS_ROUNDING * size).any():
             raise InputError(
                 f"{NEEDED}a stiffness that is constant in each cell. Interpolate the moduli into a "
@@ -101,24 +91,24 @@ def elasticity(a: ufl.Form, cells: Simplices, mesh: Any, maps: EntityMaps | None
     return result
 
 
-@dataclass
+@dataclass(frozen=True)
 class Loads:
-    """The loads of owned cells, as in `CellData`, and their differences from what is balanced.
+    """The linear projections of the loads of owned cells, and their distances from the loads.
 
     Attributes:
-        load: (n, d + 1, d + 1, d) integrals of f lambda_i lambda_k over cells.
-        traction: (n, d + 1, d + 1, d + 1, d) integrals of t lambda_i lambda_k over facets j.
-        load_rest: (n,) bound of the norm of f minus its linear projection.
-        traction_rest: (n, d + 1) bound of the norm of t minus its linear projection on facets.
+        load: (n, d + 1, d) load at the vertices.
+        traction: (n, d + 1, d, d) tractions on the boundary, facet by facet at its vertices.
+        load_distance: (n,) bound of the norm of the load minus its projection.
+        traction_distance: (n, d + 1) bound of the same norm on each facet.
     """
 
     load: Array
     traction: Array
-    load_rest: Array
-    traction_rest: Array
+    load_distance: Array
+    traction_distance: Array
 
 
-def loads(L: ufl.Form | None, cells: Simplices, mesh: Any, maps: EntityMaps | None) -> Loads:
+def loads(L: ufl.Form | None, owned: OwnedCells, maps: EntityMaps | None) -> Loads:
     """Return the loads of a linear form. Collective.
 
     Integrals have the degree that UFL estimates: exact for polynomials.
@@ -126,106 +116,72 @@ def loads(L: ufl.Form | None, cells: Simplices, mesh: Any, maps: EntityMaps | No
     Raises:
         InputError: L has integrals over interior facets, or depends on the gradient.
     """
-    n, corners, dim = cells.points.shape
+    mesh, cells = owned.V.mesh, owned.cells
+    n, corners, d = cells.points.shape
     result = Loads(
-        np.zeros((n, corners, corners, dim)),
-        np.zeros((n, corners, corners, corners, dim)),
+        np.zeros((n, corners, d)),
+        np.zeros((n, corners, d, d)),
         np.zeros(n),
         np.zeros((n, corners)),
     )
     if L is None:
         return result
-    spaces = {k: fem.functionspace(mesh, ("DG", k, (dim,) if k else ())) for k in range(3)}
-    moments_of, weight = ufl.TestFunction(spaces[2]), ufl.TestFunction(spaces[0])
-    linear = fem.Function(spaces[1])
-    points = interpolation_points(spaces[2].element)
-    hats = np.column_stack([1.0 - points.sum(axis=1), points])
-    pairs = np.einsum("ai,ak->aik", hats, hats)
-    axes = [ufl.as_vector(row) for row in np.eye(dim)]
-    normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (dim,))))
-
-    def by_cell(form: fem.Form, degree: int, width: int) -> Array:
-        values = np.asarray(fem.assemble_vector(form).array).reshape(-1, width)
-        return np.asarray(values[spaces[degree].dofmap.list[:n]])
-
-    def set_values(function: fem.Function, values: Array) -> None:
-        dofs = function.function_space.dofmap.list[:n]
-        function.x.array.reshape(-1, dim)[dofs] = values.reshape(*dofs.shape, dim)
-
-    for integral in apply_derivatives(apply_algebra_lowering(L)).integrals():
-        kind, integrand = integral.integral_type(), integral.integrand()
+    constant = fem.functionspace(mesh, ("DG", 0))
+    linear = fem.functionspace(mesh, ("DG", 1, (d,)))
+    weight, moments = ufl.TestFunction(constant), ufl.TestFunction(linear)
+    projection = fem.Function(linear)
+    dofs = np.take_along_axis(linear.dofmap.list[:n], owned.order, axis=1)
+    normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
+    off = ufl.FacetNormal(mesh) - normal
+    on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
+    (argument,) = L.arguments()
+    if has_stresses(L):
+        raise InputError(
+            f"{NEEDED}a form L of the displacement itself; this one depends on its gradient, as an "
+            "initial stress does."
+        )
+    for integral in L.integrals():
+        kind = integral.integral_type()
         if kind not in ("cell", "exterior_facet"):
             raise InputError(
                 f"{NEEDED}loads on cells and on the boundary, found an integral of the kind "
                 f"'{kind}' in L."
             )
-        if has_stresses(ufl.Form([integral])):
-            raise InputError(
-                f"{NEEDED}a form L of the displacement itself; this one depends on its gradient, "
-                "as an initial stress does."
+        indicator = 1.0 if kind == "cell" else on_facet
+        load = [ufl.replace(integral.integrand(), {argument: axis}) for axis in _axes(d)]
+        distance = sum((load[i] - projection[i]) ** 2 for i in range(d))
+        forms = [
+            _compiled(
+                ufl.Form([integral.reconstruct(integrand=indicator * integrand, metadata={})]), maps
             )
-        there: Any = 1.0
-        if kind == "exterior_facet":
-            off = ufl.FacetNormal(mesh) - normal
-            there = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
-        (argument,) = L.arguments()
-        whole, rest = (
-            _compiled(ufl.Form([integral.reconstruct(integrand=there * one, metadata={})]), maps)
-            for one in (
-                ufl.replace(integrand, {argument: moments_of}),
-                weight
-                * sum(
-                    (ufl.replace(integrand, {argument: axis}) - linear[i]) ** 2
-                    for i, axis in enumerate(axes)
-                ),
+            for integrand in (
+                ufl.replace(integral.integrand(), {argument: moments}),
+                distance * weight,
             )
-        )
-        for j in range(corners if kind == "exterior_facet" else 1):
-            set_values(normal, cells.normals[:, j])
-            products = np.einsum("nax,aik->nikx", by_cell(whole, 2, dim), pairs)
+        ]
+        for j in range(1 if kind == "cell" else corners):
+            vertices = np.arange(corners) if kind == "cell" else opposite(d)[j]
+            sizes = cells.volumes if kind == "cell" else cells.areas[:, j]
+            normal.x.array.reshape(-1, d)[constant.dofmap.list[:n, 0]] = cells.normals[:, j]
+            forces = fem.assemble_vector(forms[0]).array.reshape(-1, d)[dofs[:, vertices]]
+            inverse = np.linalg.inv(mean_products(len(vertices), 2))
+            values = inverse @ forces / sizes[:, None, None]
+            projection.x.array[:] = 0.0
+            projection.x.array.reshape(-1, d)[dofs[:, vertices]] = values
+            squares = fem.assemble_vector(forms[1]).array[constant.dofmap.list[:n, 0]]
+            norms = np.sqrt(np.maximum(squares, 0.0))
             if kind == "cell":
-                inverse = np.linalg.inv(mean_products(corners, 2))
-                projected = inverse @ products.sum(axis=2) / cells.volumes[:, None, None]
-                result.load += products
+                result.load[:] += values
+                result.load_distance[:] += norms
             else:
-                on_facet = np.arange(corners) != j
-                projected = np.zeros((n, corners, dim))
-                inverse = np.linalg.inv(mean_products(dim, 2))
-                projected[:, on_facet] = (
-                    inverse @ products.sum(axis=2)[:, on_facet] / cells.areas[:, j, None, None]
-                )
-                result.traction[:, j] += products
-            set_values(linear, projected)
-            distance = np.sqrt(np.maximum(by_cell(rest, 0, 1)[:, 0, 0], 0.0))
-            if kind == "cell":
-                result.load_rest += distance
-            else:
-                result.traction_rest[:, j] += distance
+                result.traction[:, j] += values
+                result.traction_distance[:, j] += norms
     return result
+
+
+def _axes(d: int) -> list[Any]:
+    return [ufl.as_vector(row) for row in np.eye(d)]
 
 
 def _compiled(form: ufl.Form, maps: EntityMaps | None) -> fem.Form:
     return fem.form(form, **({} if maps is None else {"entity_maps": maps}))
-
-
-def displacement_gradients(values: Array, cells: Simplices, edges: Array) -> Array:
-    """Return the gradients (n, d + 1, d, d) of displacements at the vertices of cells.
-
-    Args:
-        values: (n, k, d) displacement at the vertices of each cell, and for degree 2 also at the
-            midpoints of its edges.
-        cells: the cells.
-        edges: (e, 2) the vertices of each edge.
-    """
-    corners = cells.points.shape[1]
-    slopes = cells.gradients
-    if values.shape[1] == corners:
-        constant = np.einsum("nka,nkb->nab", values, slopes)
-        return np.repeat(constant[:, None], corners, axis=1)
-    # of lambda_k (2 lambda_k - 1) and 4 lambda_i lambda_j
-    own = 4.0 * np.eye(corners) - 1.0
-    result: Array = np.einsum("vk,nka,nkb->nvab", own, values[:, :corners], slopes, optimize=True)
-    for (i, j), middle in zip(edges, np.swapaxes(values[:, corners:], 0, 1), strict=True):
-        result[:, i] += 4.0 * np.einsum("na,nb->nab", middle, slopes[:, j])
-        result[:, j] += 4.0 * np.einsum("na,nb->nab", middle, slopes[:, i])
-    return result

@@ -122,14 +122,13 @@ def test_two_bodies_whose_meshes_match(comm):
 
 
 def test_tetrahedra(comm):
-    """Loads oscillate: the constant of Korn's inequality in 3D makes their term large."""
+    """Curved loads on a coarse mesh."""
     scene = blocks_scene(comm, "tetrahedron", 1, (3, 3))
     with scene.problem(stiffness="multigrid") as problem:
         solution = problem.solve(accuracy=1e-6)
         bound = problem.guaranteed_error()
     error = norm(comm, scene.data.energy(solution.u - scene.data.exact))
-    assert error <= bound.error
-    assert bound.stress <= 1.15 * error
+    assert error <= bound.error <= 1.3 * error
 
 
 @pytest.mark.parallel(end=["free_end_2"])
@@ -155,7 +154,7 @@ def test_degree_2_and_planes(comm, degree):
         solution = problem.solve(rtol=1e-8)
         bound = problem.guaranteed_error()
     error = scene.data.error(solution.u)
-    assert error <= bound.error <= (1.3 if degree == 1 else 5.0) * error
+    assert error <= bound.error <= (1.2 if degree == 1 else 1.8) * error
     assert (bound.lift > 1e-3 * error) == (degree == 2)
 
 

@@ -7,17 +7,141 @@ import itertools
 import numpy as np
 import pytest
 
-from dolfinx_tresca.guaranteed.simplices import Simplices, mean_products, moments
-from dolfinx_tresca.guaranteed.stress_element import CellStresses, stress_element
+from dolfinx_tresca.guaranteed.cells import (
+    POINCARE,
+    TRACE,
+    Simplices,
+    StressEnergies,
+    mean_products,
+    opposite,
+    rigid_motions,
+    stress_data,
+)
 
 SHAPES = {
     "equilateral": [(0, 0), (1, 0), (0.5, 0.75**0.5)],
     "right": [(0, 0), (1, 0), (0, 1)],
     "flat": [(0, 0), (1, 0), (0.4, 0.2)],
     "regular": [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)],
-    "Kuhn": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1)],
+    "reference": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1)],
     "corner": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
 }
+
+
+def identity(d: int, n: int) -> np.ndarray:
+    """Return the compliance with which energies are squared norms."""
+    return np.repeat(np.eye(d * (d + 1) // 2)[None], n, axis=0)
+
+
+def divided(d: int, k: int) -> np.ndarray:
+    """Return the k^d parts (n, d + 1, d) of the reference simplex, all alike, of size 1 / k."""
+    parts = []
+    for corner in itertools.product(range(k), repeat=d):
+        for order in itertools.permutations(range(d)):
+            points = np.vstack([corner, corner + np.cumsum(np.eye(d)[list(order)], axis=0)])
+            if (np.diff(points.mean(axis=0)) < 0.0).all():  # where x_1 > x_2 > ...
+                parts.append(points)
+    return np.array(parts) / k
+
+
+class DividedSimplex:
+    """The reference simplex in k^d parts, with tractions on their facets and loads in them."""
+
+    def __init__(self, d: int, k: int) -> None:
+        self.k, self.cells = k, Simplices(divided(d, k))
+        n, self.count = k**d, d * (d + 1)
+        assert len(self.cells.points) == n
+        keys, self.dofs = {}, np.zeros((n, d + 1, d, d), dtype=int)
+        self.signs, facets = np.ones((n, d + 1, 1, 1)), np.empty((n, d + 1), dtype=int)
+        for cell, j in np.ndindex(n, d + 1):
+            points = self.cells.points[cell, opposite(d)[j]]
+            order = np.lexsort(points.T)
+            key = tuple(map(tuple, points[order].round(6)))
+            self.signs[cell, j] = -1.0 if key in keys else 1.0
+            number = facets[cell, j] = keys.setdefault(key, len(keys))
+            self.dofs[cell, j, order] = number * d * d + np.arange(d * d).reshape(d, d)
+        self.facet_points = np.array(list(keys))
+        self.size = len(keys) * d * d
+        self.inside = np.flatnonzero(np.bincount(facets.ravel()) == 2)
+
+    def matrices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the energy of tractions and loads, and the forces and moments of all cells."""
+        n, d = len(self.cells.points), self.cells.d
+        total = self.size + n * (d + 1) * d
+        data = np.zeros((total, n, self.count + d + 1, d))
+        cell = np.arange(n)[:, None, None]
+        where = np.arange(self.count).reshape(1, self.count, 1), np.arange(d)
+        dofs = self.dofs.reshape(n, self.count, d)
+        signs = np.broadcast_to(self.signs, self.dofs.shape).reshape(dofs.shape)
+        data[dofs, cell, where[0], where[1]] = signs
+        loads = np.arange(self.size, total).reshape(n, d + 1, d)
+        data[loads, cell, np.arange(self.count, self.count + d + 1)[:, None], np.arange(d)] = 1.0
+        energies = StressEnergies(self.cells, identity(d, n))
+        derivatives = np.stack([energies.derivative(x) for x in data]).reshape(total, -1)
+        motions = rigid_motions(self.cells.points)
+        forces = np.stack(
+            [
+                self.cells.facet_forces(x[:, : self.count].reshape(n, d + 1, d, d))
+                - self.cells.volume_forces(x[:, self.count :])
+                for x in data
+            ]
+        )
+        balance = np.einsum("nrkd,xnkd->nrx", motions, forces, optimize=True)
+        return derivatives @ data.reshape(total, -1).T, balance.reshape(-1, total)
+
+    def least_energy(self, side: int | None) -> float:
+        """Return the largest norm of the least stresses for balanced loads of norm 1.
+
+        The loads are linear in each part, or tractions that are linear on the parts of facet
+        `side`.
+        """
+        d, energy, balance = self.cells.d, *self.matrices()
+        if side is None:
+            given = np.arange(self.size, len(energy))
+            block = self.cells.volumes[0] * np.kron(mean_products(d + 1, 2), np.eye(d))
+        else:
+            corners = np.vstack([np.zeros(d), np.cumsum(np.eye(d), axis=0)])
+            whole = Simplices(corners[None])
+            heights = (self.facet_points - corners[side]) @ whole.gradients[0, side] + 1.0
+            (facets,) = np.nonzero(np.abs(heights).max(axis=1) < 1e-9)
+            assert len(facets) == self.k ** (d - 1)
+            given = (facets[:, None] * d * d + np.arange(d * d)).ravel()
+            area = whole.areas[0, side] / len(facets)
+            block = area * np.kron(mean_products(d, 2), np.eye(d))
+        free = (self.inside[:, None] * d * d + np.arange(d * d)).ravel()
+        root = np.linalg.inv(np.linalg.cholesky(block)).T
+        root = np.kron(np.eye(len(given) // len(root)), root)
+        # loads that tractions inside can balance, orthonormal
+        left, values, _ = np.linalg.svd(balance[:, free])
+        conditions = left[:, (values > 1e-9).sum() :].T @ balance[:, given] @ root
+        _, values, right = np.linalg.svd(conditions)
+        loads = root @ right[(values > 1e-9).sum() :].T
+        # the least energy by the optimality conditions
+        nothing = np.zeros((len(balance), len(balance)))
+        matrix = np.block(
+            [[energy[np.ix_(free, free)], balance[:, free].T], [balance[:, free], nothing]]
+        )
+        right = -np.vstack([energy[np.ix_(free, given)], balance[:, given]]) @ loads
+        answer = np.zeros((len(energy), loads.shape[1]))
+        answer[given] = loads
+        answer[free] = (np.linalg.pinv(matrix, 1e-11) @ right)[: len(free)]
+        assert np.allclose(balance @ answer, 0.0, atol=1e-9)
+        return float(np.sqrt(np.linalg.eigvalsh(answer.T @ energy @ answer)[-1]))
+
+
+@pytest.mark.parametrize(("d", "k"), [(2, 8), (3, 3)])
+def test_constants_of_the_reference_simplex(d, k):
+    """As proved in docs/theory/guaranteed.md, from the simplex in parts that are like the whole."""
+    simplex = DividedSimplex(d, k)
+    constant = simplex.least_energy(None) / np.sqrt(1.0 - 1.0 / k**2)
+    assert POINCARE[d] == pytest.approx(constant, abs=1e-3)
+    assert constant <= POINCARE[d]
+    squares = np.array([simplex.least_energy(side) ** 2 for side in range(d + 1)])
+    squares += squares.max() / (1.0 - 1.0 / k) / k
+    corners = np.vstack([np.zeros(d), np.cumsum(np.eye(d), axis=0)])
+    constant = np.sqrt((squares / Simplices(corners[None]).areas[0]).max())
+    assert TRACE[d] == pytest.approx(constant, abs=1e-3)
+    assert constant <= TRACE[d]
 
 
 def polynomials(points: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,10 +210,10 @@ def test_constants_exceed_the_ratios_of_polynomials(shape):
     def ratio(values: np.ndarray, weights: np.ndarray) -> float:
         return float(np.sqrt(np.linalg.eigvalsh(vectors.T @ form(values, weights) @ vectors)[-1]))
 
-    assert 1.0 < ratio(slope, weights) <= cell.korn_factors[0]
-    assert ratio(field - mean[:, None], weights) <= cell.poincare_factors[0]
-    if d == 2:  # where Horgan and Payne's constant is sharp
-        assert cell.korn_factors[0] <= 1.6 * ratio(slope, weights)
+    largest = ratio(field - mean[:, None], weights)
+    assert largest <= cell.poincare_factors[0]
+    if shape in ("right", "reference"):
+        assert cell.poincare_factors[0] <= 1.5 * largest
     for j in range(d + 1):
         on_facet, its_weights = rule(np.delete(corners, j, axis=0))
         there, _ = polynomials(on_facet, degree)
@@ -103,18 +227,11 @@ def test_linear_stresses_are_in_the_element(d):
     """They are determined by their tractions and their divergence."""
     rng = np.random.default_rng(d)
     cells = Simplices(rng.standard_normal((5, d + 1, d)))
-    stresses = CellStresses(cells, np.repeat(np.eye(d * (d + 1) // 2)[None], 5, axis=0))
+    energies = StressEnergies(cells, identity(d, 5))
     linear = rng.standard_normal((5, d + 1, d, d))
     linear += np.swapaxes(linear, 2, 3)
-    tractions = np.einsum("nkab,njb->njka", linear, cells.normals)
-    tractions[:, range(d + 1), range(d + 1)] = 0.0
-    divergence = np.einsum("nkab,nkb->na", linear, cells.gradients)
-    found = stresses.of_tractions(tractions, np.repeat(divergence[:, None], d + 1, axis=1))
-    wanted = stresses.of_linear(linear)
-    assert np.allclose(stresses.energies(found - wanted), 0.0, atol=1e-18 * np.abs(found).max())
-    constant = np.repeat(linear[:, :1], d + 1, axis=1)
-    squares = np.einsum("nab,nab->n", linear[:, 0], linear[:, 0])
-    assert np.allclose(stresses.energies(stresses.of_linear(constant)), squares * cells.volumes)
+    squares = np.einsum("kl,nkab,nlab->n", mean_products(d + 1, 2), linear, linear)
+    assert np.allclose(energies.of(stress_data(cells, linear)), squares * cells.volumes)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -122,43 +239,17 @@ def test_stresses_of_the_element_do_the_work_of_their_data(d):
     """For a linear displacement w: the integral of s : grad w, by tractions and divergence."""
     rng = np.random.default_rng(d)
     cells = Simplices(rng.standard_normal((1, d + 1, d)))
-    n = d + 1
-    stresses = CellStresses(cells, np.eye(d * (d + 1) // 2)[None])
-    # tractions in equilibrium with a linear divergence: correct them by a linear stress vector
-    tractions = rng.standard_normal((1, n, n, d))
-    tractions[:, range(n), range(n)] = 0.0
-    mass, on_facet = mean_products(n, 2), mean_products(d, 2)
-    centred = cells.points - cells.points.mean(axis=1, keepdims=True)
-
-    def resultants(t: np.ndarray) -> np.ndarray:
-        force, moment = np.zeros(d), np.zeros(d * (d - 1) // 2)
-        for j in range(n):
-            k = [k for k in range(n) if k != j]
-            force += cells.areas[0, j] * t[0, j, k].mean(axis=0)
-            moment += cells.areas[0, j] * moments(on_facet @ centred[0, k], t[0, j, k]).sum(axis=0)
-        return np.concatenate([force, moment])
-
-    def of_load(g: np.ndarray) -> np.ndarray:
-        moment = moments(mass @ centred[0], g.reshape(n, d)).sum(axis=0)
-        return cells.volumes[0] * np.concatenate([g.reshape(n, d).mean(axis=0), moment])
-
-    columns = np.column_stack([of_load(e) for e in np.eye(n * d)])
-    divergence = np.linalg.lstsq(columns, resultants(tractions), rcond=None)[0].reshape(1, n, d)
-    values = stresses.of_tractions(tractions, divergence)
+    energies, count = StressEnergies(cells, identity(d, 1)), d * (d + 1)
+    motions = rigid_motions(cells.points)
+    tractions = rng.standard_normal((1, d + 1, d, d))
+    # a load in equilibrium with the tractions
+    loads = np.eye((d + 1) * d).reshape(-1, 1, d + 1, d)
+    columns = [np.einsum("nrkd,nkd->r", motions, cells.volume_forces(load)) for load in loads]
+    right = np.einsum("nrkd,nkd->r", motions, cells.facet_forces(tractions))
+    load = np.linalg.lstsq(np.column_stack(columns), -right, rcond=None)[0].reshape(1, d + 1, d)
+    data = np.concatenate([tractions.reshape(1, count, d), -load], axis=1)
     slope = rng.standard_normal((d, d))
-    w = centred[0] @ slope.T
-    work = -cells.volumes[0] * np.einsum("ja,jk,ka->", divergence[0], mass, w)
-    for j in range(n):
-        k = [k for k in range(n) if k != j]
-        work += cells.areas[0, j] * np.einsum("ka,kl,la->", tractions[0, j, k], on_facet, w[k])
-    strain = np.broadcast_to(0.5 * (slope + slope.T), (1, n, d, d))
-    both = stresses.energies(values + stresses.of_linear(strain))
-    both -= stresses.energies(values - stresses.of_linear(strain))
-    assert np.isclose(0.25 * both[0], work)
-
-
-def test_the_element_is_symmetric_and_not_just_in_the_mean():
-    for d in (2, 3):
-        basis = stress_element(d).basis
-        assert np.array_equal(basis, np.swapaxes(basis, 1, 2))
-        assert np.allclose(np.einsum("aij,bij->ab", basis, basis), np.eye(len(basis)))
+    w = cells.points @ slope.T
+    work = ((cells.facet_forces(tractions) + cells.volume_forces(load)) * w).sum()
+    strain = stress_data(cells, np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
+    assert np.isclose((strain * energies.derivative(data)).sum(), work)

@@ -1,0 +1,138 @@
+"""The cells of a mesh that a rank owns, and copies of rows of arrays on other ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix
+import dolfinx.la
+
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
+from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, opposite
+
+
+@dataclass(frozen=True)
+class OwnedCells:
+    """The cells that this rank owns, with vertices in ascending order of their global numbers.
+
+    Attributes:
+        V: the space of the displacement.
+        cells: the cells.
+        order: (n, d + 1) numbers of the vertices in DOLFINx's cells.
+        vertices: (n, d + 1) global numbers of the vertices.
+        facets: (n, d + 1) numbers on this rank of the facets.
+        nodes: (n, k) nodes of the displacement on this rank: at the vertices, and for degree 2 in
+            the middles of the edges, in the order of `basis_products`.
+    """
+
+    V: Any
+    cells: Simplices
+    order: Indices
+    vertices: GlobalNumbers
+    facets: Indices
+    nodes: Indices
+
+    @cached_property
+    def basis(self) -> Array:
+        """The basis functions at `nodes`, see `basis_products`."""
+        return basis_products(self.cells.d + 1, self.V.element.basix_element.degree)
+
+    @cached_property
+    def on_facets(self) -> Indices:
+        """(d + 1, k) positions in `nodes` of the nodes on each facet, vertices before edges."""
+        facets = opposite(self.cells.d)
+        return np.array(
+            [np.flatnonzero(self.basis[:, ends][:, :, ends].any(axis=(1, 2))) for ends in facets]
+        )
+
+    @classmethod
+    def of(cls, V: Any) -> OwnedCells:
+        """Sort the vertices of the cells of a space's mesh. Collective."""
+        mesh, topology = V.mesh, V.mesh.topology
+        d, count = topology.dim, topology.index_map(topology.dim).size_local
+        topology.create_connectivity(d, d - 1)
+        topology.create_connectivity(d - 1, d)
+        local = topology.connectivity(d, 0).array.reshape(-1, d + 1)[:count]
+        numbers = topology.index_map(0).local_to_global(local.ravel()).reshape(local.shape)
+        order = np.argsort(numbers, axis=1)
+        points = mesh.geometry.x[geometry_dofmap(mesh)[:count], :d]
+        facets = topology.connectivity(d, d - 1).array.reshape(-1, d + 1)[:count]
+        ends = np.array(basix.topology(mesh.basix_cell())[1])
+        edges = np.zeros((d + 1, d + 1), dtype=np.intp)
+        edges[ends[:, 0], ends[:, 1]] = edges[ends[:, 1], ends[:, 0]] = np.arange(len(ends)) + d + 1
+        i, j = np.triu_indices(d + 1, 1)
+        own = np.hstack([order, edges[order[:, i], order[:, j]]])
+        nodes = V.dofmap.list[:count]
+        return cls(
+            V=V,
+            cells=Simplices(np.take_along_axis(points, order[:, :, None], axis=1)),
+            order=order,
+            vertices=np.take_along_axis(numbers, order, axis=1),
+            facets=np.take_along_axis(facets, order, axis=1),
+            nodes=np.take_along_axis(nodes, own[:, : nodes.shape[1]], axis=1),
+        )
+
+
+def spread(V: Any, owned: Array) -> Array:
+    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, owned.shape[1])
+    vector.array[: owned.size] = owned.ravel()
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, owned.shape[1])
+
+
+def summed(V: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at nodes (...) of any rank. Collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, values.shape[-1])
+
+
+class Copies:
+    """Sends rows of arrays to other ranks, in a fixed order, and adds up what comes back."""
+
+    def __init__(self, comm: MPI.Comm, rows: Indices, ranks: Indices) -> None:
+        """Say which rows (m,) of this rank go to which ranks (m,). Collective."""
+        order = np.argsort(ranks, kind="stable")  # the order in which `exchange` sends
+        self._comm, self._rows, self._ranks = comm, rows[order], ranks[order]
+        _, self._sources = exchange(comm, self._rows, self._ranks)
+
+    @classmethod
+    def around_vertices(cls, owned: OwnedCells) -> tuple[Copies, Indices]:
+        """Return copies of cells for all ranks that own a vertex of the cell. Collective.
+
+        The second result are the ranks (n, d + 1) that own the vertices of the owned cells.
+        """
+        topology, comm = owned.V.mesh.topology, owned.V.mesh.comm
+        index_map = topology.index_map(0)
+        owners = np.full(index_map.size_local + index_map.num_ghosts, comm.rank)
+        owners[index_map.size_local :] = index_map.owners
+        count, corners = owned.order.shape
+        local = topology.connectivity(topology.dim, 0).array.reshape(-1, corners)[:count]
+        owner = owners[np.take_along_axis(local, owned.order, axis=1)]
+        rows = np.repeat(np.arange(count), corners)
+        pairs = np.unique(np.column_stack([owner.ravel(), rows]), axis=0)
+        return cls(comm, pairs[:, 1], pairs[:, 0]), owner
+
+    def spread(self, values: Any) -> Any:
+        """Return the copies that this rank has of the rows of all ranks. Collective."""
+        rows = np.ascontiguousarray(values[self._rows])
+        return exchange(self._comm, rows, self._ranks)[0]
+
+    def summed(self, values: Array, size: int) -> Array:
+        """Return sums (size, ...) of values of the copies, at the rows of this rank. Collective."""
+        returned, _ = exchange(self._comm, values, self._sources)
+        result = np.zeros((size, *values.shape[1:]))
+        np.add.at(result, self._rows, returned)
+        return result
