@@ -109,11 +109,13 @@ def on_the_rim(x: np.ndarray) -> np.ndarray:
 BEARING, ROLLING = (20.0, 26.0, 34.0, 40.0), 0.1
 
 
-def bearing(comm: MPI.Comm, rollers: int = 16, cells: int = 16, fit: float = 0.02) -> Scene:
+def bearing(
+    comm: MPI.Comm, rollers: int = 16, cells: int = 16, fit: float = 0.02, press: float = 0.005
+) -> Scene:
     """Return a bearing whose inner ring is pressed onto a shaft. Collective.
 
-    Contact and friction alone hold the rollers. `data.turn(angle, press)` turns the shaft [rad]
-    and presses it downwards [mm].
+    Contact and friction alone hold the rollers. `data.turn(angle)` turns the shaft [rad], which
+    is pressed downwards; `data.centres` (rollers, 2) are the undeformed centres of the rollers.
 
     Args:
         comm: communicator of the mesh.
@@ -121,6 +123,8 @@ def bearing(comm: MPI.Comm, rollers: int = 16, cells: int = 16, fit: float = 0.0
         cells: cells along the side of the square that is bent to a roller; rings have cells of
             about the same size.
         fit: growth of the bore's radius [mm].
+        press: displacement of the shaft downwards [mm]; if it is larger than the fit, rollers above
+            the shaft are loose.
     """
     bore, inner, outer, housing = BEARING
     radius, middle = (outer - inner) / 2.0, (outer + inner) / 2.0
@@ -162,11 +166,11 @@ def bearing(comm: MPI.Comm, rollers: int = 16, cells: int = 16, fit: float = 0.0
         fixed(V, tags.find(2)),
     ]
 
-    def turn(angle: float, press: float = 0.0) -> None:
+    def turn(angle: float) -> None:
         def displacement(x: np.ndarray) -> np.ndarray:
             c, s = np.cos(angle), np.sin(angle)
             grown = (1.0 + fit / bore) * np.array([c * x[0] - s * x[1], s * x[0] + c * x[1]])
-            return grown - x[:2] - np.array([[0.0], [press]])
+            return np.asarray(grown - x[:2] - np.array([[0.0], [press]]))
 
         shaft.interpolate(displacement)
 
@@ -190,8 +194,25 @@ def bearing(comm: MPI.Comm, rollers: int = 16, cells: int = 16, fit: float = 0.0
         search_distance=0.5,
         geometry={3: on_raceways, 4: on_rollers},
     )
-    data = SimpleNamespace(young=208e3, turn=turn)
+    centres = middle * np.column_stack([np.cos(angles), np.sin(angles)])
+    data = SimpleNamespace(young=208e3, turn=turn, centres=centres)
     return Scene(V, elasticity(V, data.young, POISSON), no_load(V), bcs, [pair], tags, data=data)
+
+
+#: Angle by which rollers roll on while the inner ring turns by 1.
+RATIO = BEARING[1] / (BEARING[1] + BEARING[2])
+
+
+def rolled(scene: Scene, solution: ContactSolution) -> float:
+    """Return the mean angle [degrees] by which centres of rollers have gone round. Collective."""
+    owned = scene.V.dofmap.index_map.size_local
+    X = scene.V.tabulate_dof_coordinates()[:owned, :2]
+    x = X + solution.u.x.array.reshape(-1, 2)[:owned]
+    far = np.linalg.norm(X[:, None] - scene.data.centres, axis=2).min(axis=1)
+    X, x = X[far < 1e-6], x[far < 1e-6]
+    angles = np.arctan2(X[:, 0] * x[:, 1] - X[:, 1] * x[:, 0], np.einsum("ni,ni->n", X, x))
+    total, number = scene.mesh.comm.allreduce(np.array([angles.sum(), len(angles)]))
+    return float(np.degrees(total / number))
 
 
 def disc(x: np.ndarray) -> np.ndarray:
