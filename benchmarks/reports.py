@@ -45,6 +45,7 @@ from dolfinx_tresca import (
     Frictionless,
     MechanismError,
     NonlinearContactProblem,
+    NonlinearContactSolution,
 )
 from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -170,8 +171,9 @@ class Meter:
             return solution
 
         seconds, solution = timed(self.comm, solve_and_accept)
-        is_linear = isinstance(problem, ContactProblem)
-        steps = [] if is_linear else [len(solution.newton.steps)]
+        steps = []
+        if isinstance(solution, NonlinearContactSolution):
+            steps = [len(solution.newton.steps)]
         self.process.append(
             {"status": solution.status.name, "seconds": seconds, "newton_steps": steps}
         )

@@ -367,7 +367,7 @@ def gear_model(size: float) -> Iterator[Any]:
         angles, radii = gear.outline(size).T
         ends = gear.angles[[0, -1]] + np.pi / gear.teeth * np.array([-1.0, 1.0])
         start, stop = (points(ends[[k]], radii[[0]], 2.0) for k in (0, 1))
-        inside = np.linspace(*ends[::-1], 13)
+        inside = np.linspace(ends[1], ends[0], 13)
         shaft = points(inside, np.full(13, bore), 4.0)
         rim = lines([*start, *points(angles, radii, size), *stop])
         bored = lines(shaft)
