@@ -13,8 +13,10 @@ are divided by them: beyond 1 the search takes longer than the linear algebra th
 Strips, shaft and cube are solved to the default accuracy, pellets to a relative residual of 1e-8,
 all other scenes to 1e-6. All use Cholesky factors.
 
-Processes of nonlinear bodies with finite sliding have a table of their own: Newton steps in place
-of iterations, and a value with the right one. Their steps have the default accuracy.
+Processes with finite sliding, of nonlinear bodies and of linear bodies that turn, have a table of
+their own: Newton steps (for nonlinear bodies) in place of iterations, and a value with the right
+one. Their steps have the default accuracy. Bodies that turn are solved as linear bodies and as
+those of St. Venant-Kirchhoff's material: the values should agree to 1 %.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from unittest.mock import patch
 
 import numpy as np
 from assemblies import PUSH, SIZES
-from harness import Benchmark, Column, Comm, Row, Table
+from harness import DASH, Benchmark, Column, Comm, Row, Table
 from harness.timing import timed
 
 from dolfinx_tresca import (
@@ -56,6 +58,15 @@ from scenes.scene import Scene
 from scenes.shaft import greatest_moment, shaft_in_hub
 from scenes.snap_fit import WIDTH, snap_fit
 from scenes.strips import LOWER, UPPER, two_strips
+from scenes.turning import (
+    RATIO,
+    bearing,
+    drum,
+    gears,
+    rolled,
+    saint_venant_kirchhoff,
+    torques,
+)
 from scenes.two_bricks import ENDS, two_bricks
 from scenes.wall import HEIGHT, wall
 
@@ -81,7 +92,7 @@ class Meter:
         small: whether scenes have a few cells only.
         unknowns: number of displacement unknowns of the latest scene.
         steps: figures of the load steps.
-        newton: figures of the load steps of nonlinear bodies.
+        process: figures of the load steps of a process with finite sliding.
         values: a value of such a process, and the right one.
     """
 
@@ -89,7 +100,7 @@ class Meter:
         """Begin without load steps. Not collective."""
         self.comm, self.small = comm, small
         self.unknowns, self.steps = 0, list[Row]()
-        self.newton, self.values = list[Row](), Row()
+        self.process, self.values = list[Row](), Row()
         self._calls: list[tuple[str, float, int]] = []  # of this problem: kind, seconds, solves
 
     def timing(self) -> ExitStack:
@@ -151,34 +162,39 @@ class Meter:
         )
         return solution
 
-    def newton_step(self, problem: NonlinearContactProblem) -> NonlinearContactSolution:
-        """Solve and accept a load step of nonlinear bodies, and return its solution. Collective."""
+    def process_step(self, problem: ContactProblem | NonlinearContactProblem) -> Any:
+        """Solve and accept a load step with finite sliding; return its solution. Collective."""
 
-        def solve_and_accept() -> NonlinearContactSolution:
+        def solve_and_accept() -> ContactSolution:
             solution = problem.solve()
             problem.accept()
             return solution
 
         seconds, solution = timed(self.comm, solve_and_accept)
-        steps = len(solution.newton.steps)
-        self.newton.append({"status": solution.status.name, "seconds": seconds, "steps": steps})
+        steps = []
+        if isinstance(solution, NonlinearContactSolution):
+            steps = [len(solution.newton.steps)]
+        self.process.append(
+            {"status": solution.status.name, "seconds": seconds, "newton_steps": steps}
+        )
         return solution
 
-    def newton_row(self) -> Row:
-        """Return the figures of all load steps of nonlinear bodies. Not collective."""
+    def process_row(self) -> Row:
+        """Return the figures of all load steps of a process. Not collective."""
+        newton = [number for step in self.process for number in step["newton_steps"]]
         return {
-            "steps": len(self.newton),
-            "converged": len(self.newton),
-            "newton_steps": [step["steps"] for step in self.newton],
-            "seconds": sum(step["seconds"] for step in self.newton),
+            "steps": len(self.process),
+            "converged": len(self.process),
+            "seconds": sum(step["seconds"] for step in self.process),
             "status": ContactStatus.CONVERGED.name,
+            **({"newton_steps": newton} if newton else {}),
             **self.values,
         }
 
     def row(self) -> Row:
         """Return the figures of all load steps. Not collective."""
-        if self.newton:
-            return self.newton_row()
+        if self.process:
+            return self.process_row()
         steps, names = self.steps, ("seconds", "linear", "with_K", "estimate", "solves")
         seconds, linear, with_K, estimate, solves = (sum(s[name] for s in steps) for name in names)
         products = sum(step["in_products"] for step in steps)
@@ -300,7 +316,7 @@ def die(meter: Meter) -> None:
     with sheet.problem as problem:
         for stroke in [*strokes, *released] if not meter.small else strokes:
             sheet.punch.move_to((0.0, -stroke))
-            meter.newton_step(problem)
+            meter.process_step(problem)
     meter.values = {"value": sheet.angle(), "right": "43 to 55"}
 
 
@@ -317,10 +333,47 @@ def hook(meter: Meter, *, friction: float, right: str) -> None:
     with scene.problem as problem:
         for distance in 9.0 * np.arange(1, number + 1) / number:
             scene.push(distance)
-            solution = meter.newton_step(problem)
+            solution = meter.process_step(problem)
             if np.isclose(distance, 5.625):
                 force = -WIDTH * float(solution.pair_resultants[0].force[1])
     meter.values = {"value": force, "right": right}
+
+
+def turning(meter: Meter, scene: Scene, angles: np.ndarray, nonlinear: bool) -> Iterator[Any]:
+    """Turn the bodies of a scene, and yield the solution at each angle [degrees]. Collective."""
+    problem = saint_venant_kirchhoff(scene) if nonlinear else scene.problem()
+    with problem:
+        for angle in np.radians(angles):
+            scene.data.turn(angle)
+            yield meter.process_step(problem)
+
+
+def gear_pair(meter: Meter, *, nonlinear: bool = False) -> None:
+    """Turn two gears through a tooth and a half: the value is the ratio that is farthest off."""
+    scene = gears(meter.comm, 0.8 if meter.small else 0.4)
+    angles = np.arange(2.0 if meter.small else 28.0)
+    moments = [torques(solution) for solution in turning(meter, scene, angles, nonlinear)]
+    ratios = np.array([-gear / pinion for pinion, gear in moments])
+    meter.values = {"value": ratios[np.abs(ratios - 1.5).argmax()], "right": "1.5 to 1 %"}
+
+
+def rollers(meter: Meter, *, turn: int, nonlinear: bool = False) -> None:
+    """Turn the shaft of a bearing [degrees]: the value is the angle by which rollers roll on."""
+    scene = bearing(meter.comm, *((6, 8) if meter.small else (16, 16)))
+    angles = np.arange(2.0 if meter.small else turn + 1.0)
+    *_, solution = turning(meter, scene, angles, nonlinear)
+    meter.values = {
+        "value": float(rolled(scene, solution)),
+        "right": f"{RATIO * angles[-1]:.2f}",
+    }
+
+
+def shoe(meter: Meter, *, nonlinear: bool = False) -> None:
+    """Turn a drum by 0.2 rad under its shoe; the value is the normal force [N/mm]."""
+    angles = np.degrees([0.0, 0.01, 0.02, 0.04, 0.08, 0.12, 0.16, 0.2])
+    scene = drum(meter.comm, 4 if meter.small else 16)
+    *_, solution = turning(meter, scene, angles[: 2 if meter.small else None], nonlinear)
+    meter.values = {"value": float(solution.normal_force), "right": "that at rest"}
 
 
 #: Name of a path of the strips -> forces [N/mm]; beyond 0.4 some nodes slip.
@@ -332,6 +385,9 @@ BENDING: dict[str, list[float]] = {
 
 #: Cells along a strip, and degree.
 STRIPS = [(100, 2), (400, 1), (200, 2)]
+
+#: Name of a material, and whether it is nonlinear.
+MATERIALS = (("linear", False), ("St. Venant-Kirchhoff", True))
 
 #: Scene -> case -> function that solves its load steps.
 SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
@@ -363,6 +419,12 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
         f"snap-fit, F = {F:g}": partial(hook, friction=F, right=right)
         for F, right in ((0.0, "29.1"), (0.6, "32.8"))
     },
+    "gears": {name: partial(gear_pair, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
+    "bearing": {
+        f"16 rollers, {turn} degrees, {name}": partial(rollers, turn=turn, nonlinear=nonlinear)
+        for turn, (name, nonlinear) in ((90, MATERIALS[0]), *((10, one) for one in MATERIALS))
+    },
+    "drum": {name: partial(shoe, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
     "cube": {f"{3 * (n + 1) ** 3:,} unknowns": partial(cube, n=n) for n in (4, 8, 16)},
 }
 
@@ -386,7 +448,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             SCENES[case["scene"]][case["case"]](meter)
         except ContactError as reason:
             error = {"status": type(reason).__name__}
-    yield (meter.row() if meter.steps or meter.newton else {}) | error
+    yield (meter.row() if meter.steps or meter.process else {}) | error
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -399,6 +461,11 @@ def options(parser: argparse.ArgumentParser) -> None:
 def most(name: str) -> Callable[[list[Row]], str]:
     """Return a function that writes the most in a load step, and the sum over all steps."""
     return lambda rows: f"{max(rows[-1][name])} / {sum(rows[-1][name])}"
+
+
+def most_newton_steps(rows: list[Row]) -> str:
+    """Return the most Newton steps in a load step and their sum; a dash for linear bodies."""
+    return most("newton_steps")(rows) if "newton_steps" in rows[-1] else DASH
 
 
 COLUMNS = [
@@ -422,7 +489,7 @@ PROCESSES = [
     Column("scene", "{scene}"),
     Column("case", "{case}"),
     Column("load steps", "{steps}"),
-    Column("Newton steps: most / all", most("newton_steps")),
+    Column("Newton steps: most / all", most_newton_steps),
     Column("seconds", "{seconds:.1f}"),
     Column("value", "{value:.4g}"),
     Column("right", "{right}"),
@@ -439,8 +506,8 @@ BENCHMARK = Benchmark(
     small={"small": True},
     shown=COLUMNS,
     tables=[
-        Table("reports", COLUMNS, lambda row: "newton_steps" not in row, ["scene", "case"]),
-        Table("processes", PROCESSES, lambda row: "newton_steps" in row, ["scene", "case"]),
+        Table("reports", COLUMNS, lambda row: "right" not in row, ["scene", "case"]),
+        Table("processes", PROCESSES, lambda row: "right" in row, ["scene", "case"]),
     ],
 )
 

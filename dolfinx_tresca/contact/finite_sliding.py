@@ -81,6 +81,10 @@ UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 #: Advice to users if the configurations do not converge.
 ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 
+#: Free bodies go on by at most this multiple of their last motion in the first configuration of a
+#: load step, and at most as far back as they came.
+MOST_CONTINUED = 2.0
+
 #: Configurations after which a solve gives up; convergence takes 5 to 12.
 MAX_CONFIGURATIONS = 40
 
@@ -212,23 +216,30 @@ class FiniteSliding:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
         Its displacement is the displacement of the present configuration plus the response to the
-        change of the prescribed values, with the present K and unchanged contact forces. A body
-        that is held turns with the prescribed values, with the same deformation in its frame.
+        change of the prescribed values, with the present K and unchanged contact forces. Bodies
+        with frames keep the deformation that they have. Those that are held turn with the
+        prescribed values, and free ones go on as they have moved in the last step, like the rollers
+        of a bearing.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        surfaces, origin = self._surfaces, self._surfaces.state.configuration
-        linear, frames = surfaces.linear, surfaces.jump.frames
+        surfaces, state = self._surfaces, self._surfaces.state
+        linear, origin, at_rest = surfaces.linear, state.configuration, surfaces.frames_at_rest
         solver = surfaces.compliance.operator.solver
-        if surfaces.frames_at_rest is None:
+        if at_rest is None:
             w = linear.response_to_prescribed_values(solver, origin)
             moves = bool(w.x.array.any())
             w.x.array[:] += origin.x.array
         else:
-            held, linear.frames = origin.copy(), None
-            held.x.array[: len(linear.prescribed)][linear.prescribed] = linear.prescribed_values()
+            frames, linear.frames = surfaces.jump.frames, None
+            values, held = linear.prescribed_values(), origin.copy()
+            part = self._part_of_last_motion(values)
+            now, before = state.accepted.displacement, state.accepted.before
+            if part != 0.0 and now is not None and before is not None:
+                held = at_rest.continued(before, now, part)
+            held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
             changes = np.abs(held.x.array - origin.x.array)
             moves = bool((changes > ROUNDING * np.abs(origin.x.array).max(initial=0.0)).any())
@@ -240,6 +251,28 @@ class FiniteSliding:
             linear.frames = frames
         if surfaces.comm.allreduce(moves, op=MPI.LOR):
             surfaces.pair_where_changed(w)
+
+    def _part_of_last_motion(self, values: Array) -> float:
+        """Return how far prescribed values go on in this step, relative to the last one.
+
+        It is 1 if they change by the same amounts, and zero if they do not change or the step
+        before the last one is not known. Collective.
+
+        Args:
+            values: present prescribed values, in the order of owned unknowns.
+        """
+        accepted, prescribed = self._surfaces.state.accepted, self._surfaces.linear.prescribed
+        if accepted.displacement is None or accepted.before is None:
+            return 0.0
+        now, before = (
+            u.x.array[: len(prescribed)][prescribed]
+            for u in (accepted.displacement, accepted.before)
+        )
+        last, present = now - before, values - now
+        present[np.abs(present) <= ROUNDING * np.abs(now).max(initial=0.0)] = 0.0
+        products = [float(last @ last), float(last @ present)]
+        square, product = reduce_array(self._surfaces.comm, products)
+        return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
 
     def pair_next_configuration(self) -> None:
         """Pair the surfaces in the next configuration. Collective.

@@ -58,6 +58,7 @@ def write_state(
         "configuration": _if_other(state.configuration, at_rest),
         "geometry": _if_other(state.geometry, at_rest),
         "accepted displacement": accepted.displacement,
+        "displacement before": accepted.before,
         "accepted configuration": None if start is None else _if_other(start, state.configuration),
     }
     unknowns: Sequence[fem.Function] = ()
@@ -180,7 +181,10 @@ class SavedState(StateFile):
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
         state = state.after_step(history, self._displacement("accepted displacement"))
         configuration = self._displacement("accepted configuration")
-        accepted = replace(state.accepted, configuration=configuration, solution=None)
+        before = self._displacement("displacement before")
+        accepted = replace(
+            state.accepted, configuration=configuration, before=before, solution=None
+        )
         return replace(state, accepted=accepted)
 
     def _unknowns(self) -> Array:

@@ -38,6 +38,7 @@ class AcceptedStep:
             counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
             solves begin with the present pairing.
+        before: displacement [length] of the step before; None: there is none, or it is not known.
         solution: the step's solution, for goals and derivatives; None as soon as another solve has
             begun.
     """
@@ -47,6 +48,7 @@ class AcceptedStep:
     displacement: fem.Function | None
     motions: Array
     configuration: fem.Function | None
+    before: fem.Function | None = None
     solution: StepSolution | None = None
 
 
@@ -151,6 +153,7 @@ class StepState:
         accepted = replace(
             self.accepted,
             displacement=displacement,
+            before=self.accepted.displacement,
             motions=self.motions,
             solution=self.solution or self.accepted.solution,
         )

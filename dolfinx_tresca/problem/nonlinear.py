@@ -31,6 +31,9 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
 
+#: Number of Newton steps in a solve beyond which the log warns; most load steps take 4 to 8.
+MANY_STEPS = 30
+
 
 def _check_options(options: Any, newton: Any) -> None:
     """Check the types of the options.
@@ -370,6 +373,14 @@ class NonlinearContactProblem(ContactProcess):
                 "stored nor dissipated by friction. A quasi-static solution does not tell the path "
                 "to this equilibrium",
                 *(self._solves, released),
+                level=logging.WARNING,
+            )
+        if len(run.steps) > MANY_STEPS:
+            log(
+                self._contact.comm,
+                "solve number %d took %d Newton steps: its change of load is too large, or bodies "
+                "snap or are unstable. More load steps, each with a smaller change, may be faster",
+                *(self._solves, len(run.steps)),
                 level=logging.WARNING,
             )
         self._linearised.note_forces()

@@ -257,6 +257,32 @@ class BodyFrames:
         result.x.array[:] = np.where(has_frame, self._values(moved), u.x.array)
         return result
 
+    def continued(self, before: fem.Function, now: fem.Function, part: float) -> fem.Function:
+        """Return a displacement at which bodies have gone on as they moved. Collective.
+
+        The motion of each body from one displacement to another is continued as a rigid motion:
+        its mean goes on straight ahead, and it turns on about the same axis.
+
+        Args:
+            before: displacement [length] from which bodies have moved.
+            now: displacement [length] to which bodies have moved, from which they go on.
+            part: how far they go on, relative to their last motion.
+        """
+        owned, label = len(self.guides), self.label
+        positions = [self._points + self._vectors(u.x.array) for u in (before, now)]
+        means = [self._moments(x[:owned])[0] for x in positions]
+        frames = [self.at(u) or self for u in (before, now)]
+        turn = np.einsum("bij,bkj->bik", frames[1].rotation, frames[0].rotation)
+        turn = Rotation.from_rotvec(part * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
+        arm = positions[1] - means[1][label]
+        moved = means[1] + part * (means[1] - means[0])
+        x = moved[label] + np.einsum("nij,nj->ni", turn[label], arm)
+        result = now.copy()
+        has_frame = np.repeat(self.has_frame[label], self.V.mesh.geometry.dim)
+        values = self._values(x - self._points)
+        result.x.array[has_frame] = values[has_frame]
+        return result
+
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Return B R, which the caller owns, for a matrix with columns in space. Collective."""
         dim, owned = self.V.mesh.geometry.dim, len(self.guides)

@@ -21,6 +21,9 @@ from dolfinx_tresca import (
     RigidPlane,
     StiffnessError,
 )
+from scenes.scene import Scene
+from scenes.turning import RATIO, bearing, gears, rolled, torques
+from scenes.turning import saint_venant_kirchhoff as nonlinear_problem
 
 MU, LAMBDA = 8e3, 1.2e4
 OUTSIDE, HELD = 1, 2
@@ -276,3 +279,61 @@ def test_a_shaft_carries_its_moment_at_its_deformed_place() -> None:
     assert abs(abs(moments[0][2]) / (0.99 * friction) - 1.0) < 0.01
     on_pair = results[True].pair_resultants[0].about((0.0, 0.0, 4.0)).moment
     assert np.allclose(on_pair, moments[0], atol=0.003 * np.linalg.norm(moments[0]))
+
+
+def turned_through(scene: Scene, problem: Any, angles: Any) -> list[Any]:
+    """Return the solutions of load steps at angles [degrees], each of them accepted."""
+    solutions = []
+    for angle in np.radians(angles):
+        scene.data.turn(angle)
+        solutions.append(problem.solve())
+        solutions[-1].raise_if_failed()
+        problem.accept()
+    return solutions
+
+
+@pytest.mark.parallel
+def test_two_gears_keep_the_ratio_of_their_moments() -> None:
+    scene = gears(MPI.COMM_WORLD)
+    with scene.problem() as problem:
+        moments = [torques(one) for one in turned_through(scene, problem, (0.0, 13.5, 27.0))]
+    ratios = [-gear / pinion for pinion, gear in moments]
+    assert ratios == pytest.approx([1.5] * 3, rel=0.01)
+
+
+@pytest.mark.long
+def test_gears_through_a_tooth_and_a_half() -> None:
+    """The ratio is 1.5 in all positions, and the moments are those of nonlinear bodies."""
+    angles = np.arange(28.0)
+    scene = gears(MPI.COMM_WORLD)
+    with scene.problem() as problem:
+        moments = np.array([torques(one) for one in turned_through(scene, problem, angles)])
+    assert np.allclose(-moments[:, 1] / moments[:, 0], 1.5, rtol=0.01)
+    with nonlinear_problem(scene) as problem:
+        exact = np.array([torques(one) for one in turned_through(scene, problem, angles[::9])])
+    assert np.allclose(moments[::9], exact, rtol=0.01)
+
+
+@pytest.mark.parallel
+def test_rollers_of_a_bearing_go_on_from_a_file(folder: Path) -> None:
+    """After the first turn each step begins where the rollers roll on, also after a restart."""
+    whole, later = (bearing(MPI.COMM_WORLD, rollers=3) for _ in "ab")
+    path = folder / "bearing.npz"
+    with whole.problem() as problem:
+        first = turned_through(whole, problem, (0.0, 1.0, 2.0))
+        problem.save_state(path)
+        expected = turned_through(whole, problem, [3.0])[0]
+    with later.problem() as problem:
+        problem.load_state(path)
+        solution = turned_through(later, problem, [3.0])[0]
+    assert rolled(whole, expected) == pytest.approx(3.0 * RATIO, rel=0.005)
+    assert solution.normal_force == pytest.approx(expected.normal_force, rel=1e-6)
+    assert solution.iterations == expected.iterations < first[1].iterations
+
+
+@pytest.mark.long
+def test_sixteen_rollers_roll_through_a_quarter_turn() -> None:
+    scene = bearing(MPI.COMM_WORLD)
+    with scene.problem() as problem:
+        *_, solution = turned_through(scene, problem, np.arange(91.0))
+    assert rolled(scene, solution) == pytest.approx(90.0 * RATIO, rel=0.01)
