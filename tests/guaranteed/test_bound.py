@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -242,3 +244,16 @@ def test_supports_along_axes(comm, law, dim):
     assert bound_of_fine < bound_of_coarse
     if not isinstance(law, Coulomb):  # whose meshes have different bounds
         assert 0.1 * bound_of_coarse**2 < 2.0 * (coarse - fine) <= bound_of_coarse**2
+
+
+@pytest.mark.parallel
+def test_all_ranks_together_bound_as_one_rank_does(comm):
+    """All parts of the bound, with loads that are curved in cells and on facets."""
+    parts = []
+    for ranks in (comm, MPI.COMM_SELF):
+        scene = block_on_plane(ranks, "triangle", 2, 8, "slips", distort=0.4)
+        with scene.problem() as problem:
+            problem.solve(rtol=1e-10)
+            bound = problem.guaranteed_error()
+        parts.append([bound.error, bound.stress, bound.oscillation, bound.lift])
+    assert parts[0] == pytest.approx(parts[1], rel=1e-6)
