@@ -233,7 +233,7 @@ def test_hertz(comm, degree):
 def test_the_script_of_the_guide(capsys):
     """It runs when it is copied, and has the figures that the page says."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "axisymmetry.md").read_text()
-    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    script = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
     found: dict[str, Any] = {}
     exec(script, found)
     solution = found["solution"]
