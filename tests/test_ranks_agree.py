@@ -483,6 +483,13 @@ CASES: dict[str, Case] = {
         False,
         "h differs",
     ),
+    "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "differs"),
+    "guaranteed_error": (
+        lambda s, x: s.problem.guaranteed_error(steps=x),
+        3,
+        2,
+        "steps differs",
+    ),
     "contacts": (
         lambda s, x: contacts(s.block, friction=Coulomb(0.3), distance=x),
         0.1,
