@@ -216,7 +216,7 @@ class ContactSurface:
 
         Args:
             on: the operators of the pair.
-            places: (nodes, d) where the opposite nodes are.
+            places: (nodes, d) positions of the opposite nodes [length].
             near: distance [length] that counts as rounding.
         """
         V, d = self._owned.V, self._owned.cells.d
