@@ -24,16 +24,16 @@ def main() -> None:
     )
     parser.add_argument("--check", action="store_true", help="print versions, for bug reports")
     check = parser.parse_args().check
-    first = MPI.COMM_WORLD.rank == 0
+    is_root = MPI.COMM_WORLD.rank == 0
     if check:
-        if first:
+        if is_root:
             print(environment())
         return
     try:
         runpy.run_module("dolfinx_tresca.example")
     except ContactError as error:
         raise SystemExit(f"{type(error).__name__}: {error}") from error
-    if first:
+    if is_root:
         print(
             "\nresults/two_bricks.pvd opens in ParaView, results/two_bricks.png is a picture.\n"
             f"The script, to copy and to change: {Path(__file__).with_name('example.py')}\n"

@@ -33,7 +33,7 @@ PACKAGES = (
 
 def environment() -> str:
     """Return a table of the versions of all software and of missing packages. Not collective."""
-    found = [(name, _version(name)) for name in PACKAGES]
+    versions = [(name, _version(name)) for name in PACKAGES]
     rows: list[Row] = [
         ("package", f"dolfinx_tresca {dolfinx_tresca.__version__}, {_folder(dolfinx_tresca)}"),
         ("Python", f"{sys.version.split()[0]}, {sys.executable}"),
@@ -44,8 +44,8 @@ def environment() -> str:
         ("BLAS", _blas()),
         ("compiler", _compiler()),
         ("VTK", _vtk()),
-        *(("", f"{name} {version}") for name, version in found if version),
-        ("not installed", ", ".join(name for name, version in found if not version) or "none"),
+        *(("", f"{name} {version}") for name, version in versions if version),
+        ("not installed", ", ".join(name for name, version in versions if not version) or "none"),
     ]
     return as_text(rows)
 

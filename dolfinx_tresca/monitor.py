@@ -112,18 +112,19 @@ class ProgressBar:
             return
         newton = iteration.newton
         configuration = iteration.configuration
-        first = configuration in (None, 1) and (newton is None or newton.number == 1)
-        if iteration.number == 0 and first:
+        starts_solve = configuration in (None, 1) and (newton is None or newton.number == 1)
+        if iteration.number == 0 and starts_solve:
             self._view.end()
             self._part, self._start = 0.0, time.perf_counter()
         seconds = time.perf_counter() - self._start
         done = iteration.reached <= iteration.wanted
         if newton is None:
-            part = 1.0
+            progress = 1.0
             if not done:
-                part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
+                progress = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
             done = iteration.ended if configuration is not None else done
-            self._part = max(self._part, part)  # the stopping criterion may change during a solve
+            # the stopping criterion may change during a solve
+            self._part = max(self._part, progress)
             where, products = "", f"{iteration.products} products, "
             if configuration is not None:
                 where, products = f"configuration {configuration}, ", ""
@@ -155,9 +156,9 @@ class _Line:
 
     _open = False
 
-    def show(self, part: float, text: str) -> None:
+    def show(self, progress: float, text: str) -> None:
         """Write the line, cut to the width of the terminal."""
-        line = f"contact {part:4.0%} |{'#' * round(12 * part):<12}| {text}"
+        line = f"contact {progress:4.0%} |{'#' * round(12 * progress):<12}| {text}"
         sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
         sys.stderr.flush()
         self._open = True
@@ -176,11 +177,11 @@ class _NotebookBar:
         self._display = display
         self._handle: Any = None
 
-    def show(self, part: float, text: str) -> None:
+    def show(self, progress: float, text: str) -> None:
         """Show the bar, or update the bar of the current solve."""
         data = {
-            "text/html": f'contact <progress value="{part:.3f}"></progress> {text}',
-            "text/plain": f"contact {part:4.0%}, {text}",
+            "text/html": f'contact <progress value="{progress:.3f}"></progress> {text}',
+            "text/plain": f"contact {progress:4.0%}, {text}",
         }
         if self._handle is None:
             self._handle = self._display(data, raw=True, display_id=True)

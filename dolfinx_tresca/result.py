@@ -245,15 +245,15 @@ class ContactSolution(Evaluation, Tabulated):
             InputError: an index belongs to no body, both are equal, or the point does not have d
                 finite coordinates.
         """
-        first, second = self._body_index(body), self._body_index(other)
-        if first == second:
+        index, other_index = self._body_index(body), self._body_index(other)
+        if index == other_index:
             raise InputError(f"forces are between two bodies, found {shown(body)} twice.")
         dim = self.u.function_space.mesh.geometry.dim
         none = Resultant(np.zeros(dim), np.zeros(1 if dim == 2 else 3), np.zeros(dim))
-        found = self.between_bodies.get((min(first, second), max(first, second)), none)
-        sign = 1.0 if first < second else -1.0
-        found = Resultant(sign * found.force, sign * found.moment, found.point)
-        return found.about(self.body_resultants[0].point if point is None else point)
+        between = self.between_bodies.get((min(index, other_index), max(index, other_index)), none)
+        sign = 1.0 if index < other_index else -1.0
+        between = Resultant(sign * between.force, sign * between.moment, between.point)
+        return between.about(self.body_resultants[0].point if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
         """Return the index of a body that is given by its index or by its name.
@@ -263,11 +263,11 @@ class ContactSolution(Evaluation, Tabulated):
         """
         if isinstance(body, str) and body in self.body_names:
             return self.body_names.index(body)
-        index, last = integer(body), len(self.body_names) - 1
-        if index is None or not 0 <= index <= last:
-            names = f"{self.body_names[0]!r} to {self.body_names[last]!r}"
+        index, highest = integer(body), len(self.body_names) - 1
+        if index is None or not 0 <= index <= highest:
+            names = f"{self.body_names[0]!r} to {self.body_names[highest]!r}"
             raise InputError(
-                f"a body is given by its index from 0 to {last}, or by its name in body_names, "
+                f"a body is given by its index from 0 to {highest}, or by its name in body_names, "
                 f"{names}, found {shown(body)}."
             )
         return index

@@ -95,10 +95,10 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
     the same duplicate.
     """
     same = (MPI.IDENT, MPI.CONGRUENT)
-    for number, known in enumerate(_comms):
-        if MPI.Comm.Compare(known, comm) in same:
+    for number, duplicate in enumerate(_comms):
+        if MPI.Comm.Compare(duplicate, comm) in same:
             _comms.append(_comms.pop(number))  # the communicator used last is at the end
-            return known
+            return duplicate
     _comms.append(comm.Dup() if comm.size > 1 else MPI.COMM_SELF)
     return _comms[-1]
 
@@ -132,7 +132,7 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
-        return _mesh_comm([one.ufl_function_space() for one in value.arguments()])
+        return _mesh_comm([argument.ufl_function_space() for argument in value.arguments()])
     if isinstance(value, fem.Function | fem.DirichletBC):
         value = value.function_space
     elif isinstance(value, fem.Form):
@@ -204,27 +204,27 @@ def check_agreement(
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     if largest[4] > 0:
         root = comm.size - int(largest[4])
-        other = comm.bcast(picklable(error) if comm.rank == root else None, root=root)
-        raise mark_raised_on_all_ranks(error if error is not None else other)
+        received = comm.bcast(picklable(error) if comm.rank == root else None, root=root)
+        raise mark_raised_on_all_ranks(error if error is not None else received)
     if (largest[:2] != -largest[2:4]).any():
         raise mark_raised_on_all_ranks(_difference(comm.allgather((where, texts))))
 
 
-def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
+def _difference(rank_texts: Sequence[tuple[str, Texts]]) -> InputError:
     """Return an error that names the first difference between the ranks.
 
     Args:
-        found: for each rank the name of its call, and the texts that describe the values.
+        rank_texts: for each rank the name of its call, and the texts that describe the values.
     """
-    first_place, first = found[0]
-    for rank, (where, texts) in enumerate(found):
+    first_place, expected = rank_texts[0]
+    for rank, (where, texts) in enumerate(rank_texts):
         if where != first_place:
             return InputError(
                 f"the ranks are in different calls: {first_place} on rank 0, {where} on rank "
                 f"{rank}. All ranks must make the same collective calls in the same order."
             )
-        for name in (*first, *(name for name in texts if name not in first)):
-            values = [one.get(name, "nothing") for one in (first, texts)]
+        for name in (*expected, *(name for name in texts if name not in expected)):
+            values = [texts_of_rank.get(name, "nothing") for texts_of_rank in (expected, texts)]
             if values[0] != values[1]:
                 return InputError(
                     f"{name} differs between ranks in {where}: {values[0]} on rank 0, {values[1]} "
@@ -248,19 +248,19 @@ class _Description:
         """Return name -> text of all values and of all their parts."""
         return {
             name: text
-            for first, value in values.items()
-            for name, text in self._described(first, value)
+            for value_name, value in values.items()
+            for name, text in self._described(value_name, value)
         }
 
     def _described(self, name: str, value: Any) -> Iterator[tuple[str, str]]:
         """Yield the name and text of a value, and of each of its parts."""
-        parts = self._parts(value)
-        if parts is None:
+        components = self._parts(value)
+        if components is None:
             yield name, self._text(value)
             return
-        yield name, f"{type(value).__name__} of {len(parts)}"
-        for part, inside in parts.items():
-            yield from self._described(part.replace("{}", name), inside)
+        yield name, f"{type(value).__name__} of {len(components)}"
+        for template, component in components.items():
+            yield from self._described(template.replace("{}", name), component)
 
     def _parts(self, value: Any) -> dict[str, Any] | None:
         """Return name -> part of a value; None if it has no parts.
@@ -268,15 +268,15 @@ class _Description:
         Names are templates such as '{}.radius': the caller replaces {} by the value's name.
         """
         if hasattr(value, "values_to_agree"):
-            return {f"{{}}.{name}": one for name, one in value.values_to_agree().items()}
+            return {f"{{}}.{name}": item for name, item in value.values_to_agree().items()}
         ours = type(value).__module__.startswith("dolfinx_tresca.")
         if ours and dataclasses.is_dataclass(value):
             names = [field.name for field in dataclasses.fields(value) if field.init]
             return {f"{{}}.{name}": getattr(value, name) for name in names}
         if isinstance(value, Mapping):
-            return {f"{{}}[{key!r}]": one for key, one in value.items()}
-        if isinstance(value, list | tuple) and not all(real(one) is not None for one in value):
-            return {f"{{}}[{i}]": one for i, one in enumerate(value)}
+            return {f"{{}}[{key!r}]": item for key, item in value.items()}
+        if isinstance(value, list | tuple) and not all(real(item) is not None for item in value):
+            return {f"{{}}[{i}]": item for i, item in enumerate(value)}
         return None
 
     def _text(self, value: Any) -> str:
@@ -314,8 +314,8 @@ class _Description:
 
     def _form(self, form: ufl.Form) -> str:
         """Return a text with the spaces, the constants and the signature of a form."""
-        spaces = [self._space(one.ufl_function_space()) for one in form.arguments()]
-        constants = [np.asarray(getattr(one, "value", None)).tolist() for one in form.constants()]
+        spaces = [self._space(argument.ufl_function_space()) for argument in form.arguments()]
+        constants = [np.asarray(getattr(c, "value", None)).tolist() for c in form.constants()]
         try:
             signature = form.signature()[:8]
         except Exception:  # DOLFINx reports an invalid form when it compiles the form

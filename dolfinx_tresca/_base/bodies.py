@@ -83,12 +83,12 @@ def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[n
         place[ascending] = np.cumsum(steps > rounding)
     mesh = V.mesh
     nodes = geometry_dofmap(mesh)
-    first = np.full(number, np.iinfo(np.int64).max)
+    least_node = np.full(number, np.iinfo(np.int64).max)
     numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
     np.minimum.at(
-        first, body[V.dofmap.list[: len(nodes), 0]], numbers.min(axis=1, initial=first[0])
+        least_node, body[V.dofmap.list[: len(nodes), 0]], numbers.min(axis=1, initial=least_node[0])
     )
-    in_file = reduce_array(mesh.comm, first, MPI.MIN)
+    in_file = reduce_array(mesh.comm, least_node, MPI.MIN)
     order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
     return order
 
@@ -103,10 +103,10 @@ def labels_of(
         label: (owned nodes of V,) the label of each node.
         numbers: (n,) ascending global numbers of nodes.
     """
-    comm, (first, end) = V.mesh.comm, V.dofmap.index_map.local_range
+    comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
-    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - first], source)[0]
+    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - start], source)[0]
     return labels
 
 

@@ -96,11 +96,10 @@ def create_submesh(
 def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
     """Return whether a mesh is the parent or the submesh of one of the entity maps."""
     if isinstance(entity_maps, dict):
-        return any(known._cpp_object is mesh._cpp_object for known in entity_maps)
+        return any(mapped_mesh._cpp_object is mesh._cpp_object for mapped_mesh in entity_maps)
     topology = mesh.topology
-    return any(
-        _same(topology, side) for one in entity_maps for side in (one.topology, one.sub_topology)
-    )
+    mapped = ((entity_map.topology, entity_map.sub_topology) for entity_map in entity_maps)
+    return any(_same(topology, side) for both in mapped for side in both)
 
 
 def same_topology(tags: Any, mesh: Any) -> bool:
@@ -108,15 +107,15 @@ def same_topology(tags: Any, mesh: Any) -> bool:
     return _same(tags.topology, mesh.topology)
 
 
-def _same(first: Any, second: Any) -> bool:
+def _same(left: Any, right: Any) -> bool:
     """Return whether two topologies are the same; since DOLFINx 0.10 some have a Python wrapper."""
-    return getattr(first, "_cpp_object", first) is getattr(second, "_cpp_object", second)
+    return getattr(left, "_cpp_object", left) is getattr(right, "_cpp_object", right)
 
 
-def with_one_tag(tags: Any, some: Mask, tag: int) -> Any:
+def with_one_tag(tags: Any, selected: Mask, tag: int) -> Any:
     """Return new tags, in which the tagged entities that a mask (n,) selects have the same tag."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
-    values = np.where(some, np.int32(tag), tags.values)
+    values = np.where(selected, np.int32(tag), tags.values)
     kind = type(tags._cpp_object)
     return dolfinx.mesh.MeshTags(kind(topology, tags.dim, tags.indices, values))
 
@@ -145,8 +144,8 @@ def prescribed_function(bc: Any, kind: type) -> Any:
     """
     value = bc.g
     # isinstance would import lazy modules, if there are any among the objects
-    found = (one for one in gc.get_objects() if issubclass(type(one), kind))
-    return next((one for one in found if getattr(one, "_cpp_object", None) is value), value)
+    functions = (function for function in gc.get_objects() if issubclass(type(function), kind))
+    return next((f for f in functions if getattr(f, "_cpp_object", None) is value), value)
 
 
 # DOLFINx 0.11 deprecates `dofmap` in favour of `dofmaps`, one for each type of cell.

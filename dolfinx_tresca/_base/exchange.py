@@ -60,8 +60,8 @@ def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any])
         rows: (n, k) the rows of this rank.
     """
     mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
-    found = [one for one in comm.allgather(mine) if one is not None]
-    return min(found, key=lambda one: one[0])[1] if found else None
+    candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
+    return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
 def _bytes(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:

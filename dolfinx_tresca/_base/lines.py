@@ -11,12 +11,12 @@ LINE_WIDTH = 100
 UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
-def fill(text: str, first: str = "", further: str = "  ") -> str:
-    """Break a text into lines; `first` precedes the first line, and `further` each further line."""
+def fill(text: str, start: str = "", further: str = "  ") -> str:
+    """Break a text into lines; `start` precedes the first line, and `further` each further line."""
     lines = textwrap.fill(
         text,
         LINE_WIDTH,
-        initial_indent=first,
+        initial_indent=start,
         subsequent_indent=further,
         break_long_words=False,
         break_on_hyphens=False,

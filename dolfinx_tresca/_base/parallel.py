@@ -87,8 +87,8 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
     if failed == comm.size:
         return
-    other = comm.bcast(picklable(error) if comm.rank == failed else None, root=failed)
-    raise mark_raised_on_all_ranks(error if error is not None else other)
+    received = comm.bcast(picklable(error) if comm.rank == failed else None, root=failed)
+    raise mark_raised_on_all_ranks(error if error is not None else received)
 
 
 def mark_raised_on_all_ranks(error: BaseException) -> BaseException:
@@ -162,8 +162,8 @@ class RankReductions:
 
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
         """Return x'y for sparse x and y (size, k), summed in the order of ranks. Collective."""
-        first, *others = self.comm.allgather(csr_array(x.T @ y))
-        return sum(others, start=first)
+        product, *further_products = self.comm.allgather(csr_array(x.T @ y))
+        return sum(further_products, start=product)
 
     def stacked(self, rows: csr_array) -> csr_array:
         """Return the rows of all ranks, sparse (size, k), in the order of ranks. Collective."""

@@ -111,7 +111,7 @@ class BisectedCells:
     shared: SharedNodes
 
     @classmethod
-    def of(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
+    def from_marked(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
         """Bisect edges of marked cells, and further edges as needed. Collective.
 
         DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
@@ -221,13 +221,13 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
     start = x.copy()
     dim = mesh.geometry.dim
     in_file = np.asarray(mesh.geometry.input_global_indices).astype(np.uint64)
-    parts = splitmix64(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
+    random_bits = splitmix64(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
     corners = x[geometry_dofmap(mesh)]
     sides = [corners[:, i] - corners[:, j] for i, j in combinations(range(dim + 1), 2)]
     shortest = np.linalg.norm(sides, axis=2).min(initial=np.inf)
     size = float(reduce_array(mesh.comm, shortest, MPI.MIN))
     try:
-        x[:, :dim] += MOVED * size * (parts / 2.0**64 - 0.5)
+        x[:, :dim] += MOVED * size * (random_bits / 2.0**64 - 0.5)
         yield x.copy()
     finally:
         x[:] = start
@@ -253,9 +253,9 @@ def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
         corners: (n, d + 1, d) corners of simplices.
         points: (n, k, d) corners and middles of edges of each simplex.
     """
-    sides = corners[:, 1:] - corners[:, :1]
-    parts = np.linalg.solve(np.swapaxes(sides, 1, 2), np.swapaxes(points - corners[:, :1], 1, 2))
-    inner = np.rint(2.0 * np.swapaxes(parts, 1, 2)).astype(np.int64)
+    sides = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    fractions = np.linalg.solve(sides, np.swapaxes(points - corners[:, :1], 1, 2))
+    inner = np.rint(2.0 * np.swapaxes(fractions, 1, 2)).astype(np.int64)
     return np.concatenate([2 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 

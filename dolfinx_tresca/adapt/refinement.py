@@ -183,7 +183,7 @@ def _cut(
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     marked = largest_part(comm, np.square(errors / largest), float(fraction))
-    cells = BisectedCells.of(mesh, marked, fraction == 1.0 or dim == 2)
+    cells = BisectedCells.from_marked(mesh, marked, fraction == 1.0 or dim == 2)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
         points = snapped(comm, cells, facets, facet_values, all_surfaces)
@@ -309,13 +309,13 @@ def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
         if tags is None and name == "cell_tags":
             continue
         if not isinstance(tags, dolfinx.mesh.MeshTags) or tags.dim != wanted:
-            found = f"those of dimension {tags.dim}" if hasattr(tags, "dim") else shown(tags)
-            raise InputError(f"{name} must be MeshTags of dimension {wanted}, found {found}.")
+            given = f"those of dimension {tags.dim}" if hasattr(tags, "dim") else shown(tags)
+            raise InputError(f"{name} must be MeshTags of dimension {wanted}, found {given}.")
 
 
-def is_same(mesh: Any, other: Any) -> bool:
+def is_same(mesh: Any, other_mesh: Any) -> bool:
     """Return whether two meshes, perhaps in different wrappers, are the same. Not collective."""
-    return other is mesh or other.topology is mesh.topology
+    return other_mesh is mesh or other_mesh.topology is mesh.topology
 
 
 def _check_cells(mesh: Any) -> None:

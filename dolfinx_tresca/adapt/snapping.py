@@ -81,10 +81,10 @@ def snapped(
             raise InputError(f"snap names facets that there are not: none has the tag {name}.")
         moved = np.zeros(len(points), dtype=np.bool_)
         moved[nodes] = True
-        there = points.copy()
+        target = points.copy()
         with errors_on_all_ranks(comm):
-            there[nodes] = project_points(points[nodes], f"snap[{name!r}]", projection, cells.dim)
-        points, _ = cells.shared.known_values(there, moved)
+            target[nodes] = project_points(points[nodes], f"snap[{name!r}]", projection, cells.dim)
+        points, _ = cells.shared.known_values(target, moved)
 
     held: Mask = np.zeros(len(points), dtype=np.bool_)
     surface, volumes = points, cells.volumes(start)

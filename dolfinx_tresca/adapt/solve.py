@@ -283,8 +283,8 @@ def step_of(growth: float) -> float:
 def _solve_roughly(problem: ContactProblem) -> ContactSolution:
     """Solve accurately enough to estimate the error of the mesh and mark cells. Collective."""
     local = max(ROUGH_LOCAL, problem.options.local_accuracy)
-    part = ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART
-    return problem.solve(accuracy="balanced", mesh_part=part, local_accuracy=local)
+    mesh_part = ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART
+    return problem.solve(accuracy="balanced", mesh_part=mesh_part, local_accuracy=local)
 
 
 def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:

@@ -105,7 +105,7 @@ class ContactSurfaces(PetscOwner):
         with destroyed_on_error(self.jump):
             self.update_gaps()
         operators = self.jump.pairs
-        self.summary = ProblemSummary.of(linear, pairs, self.jump)
+        self.summary = ProblemSummary.from_system(linear, pairs, self.jump)
         self.guess = InitialGuess(self.jump)
         self.obstacles.note_pairing(self.jump)
         self._state = StepState.undeformed(self.jump, self.obstacles.motions)
@@ -135,7 +135,7 @@ class ContactSurfaces(PetscOwner):
 
     def frames_at(self, u: fem.Function) -> BodyFrames | None:
         """Return the frames that move with a displacement; None if all are at rest. Collective."""
-        return None if self.frames_at_rest is None else self.frames_at_rest.at(u)
+        return None if self.frames_at_rest is None else self.frames_at_rest.moved_with(u)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -383,7 +383,7 @@ class ContactSurfaces(PetscOwner):
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
         self.obstacles.note_pairing(jump)
-        self.summary = ProblemSummary.of(self.linear, self.pairs, jump)
+        self.summary = ProblemSummary.from_system(self.linear, self.pairs, jump)
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:

@@ -90,7 +90,7 @@ class Factorisation:
         """
         linear = self._linear
         if not again:
-            self.bodies = Bodies.of(linear.V, self._cell_tags)
+            self.bodies = Bodies.from_space(linear.V, self._cell_tags)
             self.method, self.reason = self._chosen()
         with timed("stiffness", timings):
             linear.assemble_stiffness()

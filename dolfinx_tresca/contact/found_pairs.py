@@ -196,7 +196,7 @@ def contacts(
             near_faces[pair.secondary, pair.primary] = measures
             touched.update(bodies)
     cell_tags = tagged.cell_tags if isinstance(tagged.cell_tags, NamedTags) else None
-    names = Bodies.of(V, cell_tags).names
+    names = Bodies.from_space(V, cell_tags).names
     alone = [body for body in range(len(names)) if body not in touched]
     if alone and len(names) > 1:
         for body in alone:

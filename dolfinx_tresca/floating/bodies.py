@@ -45,7 +45,7 @@ class Bodies:
     arm: Array
 
     @classmethod
-    def of(cls, V: Any, cell_tags: NamedTags | None = None) -> Bodies:
+    def from_space(cls, V: Any, cell_tags: NamedTags | None = None) -> Bodies:
         """Find the bodies of a space's mesh. Collective.
 
         Args:

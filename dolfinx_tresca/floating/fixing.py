@@ -57,12 +57,12 @@ class FixingSprings:
         """
         modes = self.modes
         chosen = diags_array(np.repeat(self._are_fixed(), modes.dim).astype(np.float64))
-        part = csr_array(chosen @ modes.basis)
-        part.eliminate_zeros()
-        gram = RankReductions(modes.comm).sparse_inner(part, part)
+        fixed_modes = csr_array(chosen @ modes.basis)
+        fixed_modes.eliminate_zeros()
+        gram = RankReductions(modes.comm).sparse_inner(fixed_modes, fixed_modes)
         values, vectors = modes.comm.bcast(eigenpairs(gram))
         inverse = vectors @ diags_array(1.0 / values) @ vectors.T
-        return csr_array(part @ inverse @ diags_array(np.sqrt(modes.stiffness)))
+        return csr_array(fixed_modes @ inverse @ diags_array(np.sqrt(modes.stiffness)))
 
     def _are_fixed(self) -> Mask:
         """Choose about `FIXING_NODES` nodes of each body at random, and mark them (n,). Collective.
@@ -73,8 +73,8 @@ class FixingSprings:
         modes, label = self.modes, self.modes.bodies.label
         moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.number))
-        first = modes.comm.scan(len(label)) - len(label)
-        chance = splitmix64(np.arange(first, first + len(label), dtype=np.uint64)) / 2.0**64
+        start = modes.comm.scan(len(label)) - len(label)
+        chance = splitmix64(np.arange(start, start + len(label), dtype=np.uint64)) / 2.0**64
         return np.asarray(moves & (chance * numbers[label] <= FIXING_NODES))
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:

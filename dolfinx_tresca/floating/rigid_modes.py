@@ -48,8 +48,8 @@ class RigidBodyModes:
         floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
             springs.
         body: (k,) the body of each mode, ascending.
-        parts: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`, sparse.
-            Lever arms of rotations are divided by the body's size.
+        mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`,
+            sparse. Lever arms of rotations are divided by the body's size.
     """
 
     comm: Any
@@ -58,7 +58,7 @@ class RigidBodyModes:
     stiffness: Array
     floats: Mask
     body: Indices
-    parts: csr_array
+    mode_components: csr_array
 
     def __len__(self) -> int:
         return len(self.floats)
@@ -75,7 +75,7 @@ class RigidBodyModes:
     @property
     def dim(self) -> int:
         """The dimension of space."""
-        return 3 if self.parts.shape[0] == 6 * self.bodies.number else 2
+        return 3 if self.mode_components.shape[0] == 6 * self.bodies.number else 2
 
     def describe(self, components: Array) -> str:
         """Return in words a body that moves, its motion, and the bodies that also move. Collective.
@@ -86,7 +86,7 @@ class RigidBodyModes:
         Args:
             components: (k,) or (k, columns) components of one or of several motions.
         """
-        moved = self.parts @ components.reshape(len(self), -1)
+        moved = self.mode_components @ components.reshape(len(self), -1)
         moved = moved.reshape(self.bodies.number, -1, moved.shape[1])
         lengths = np.linalg.norm(moved, axis=(1, 2))
         moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
@@ -94,7 +94,7 @@ class RigidBodyModes:
         axes, sizes, _ = np.linalg.svd(moved[chosen], full_matrices=False)
         share = np.square(axes[:, sizes > MOVED_PART * sizes[0]]).sum(axis=1)
         free = [
-            name for name, part in zip(MODES[len(share)], share, strict=True) if part > NAMED_PART
+            name for name, size in zip(MODES[len(share)], share, strict=True) if size > NAMED_PART
         ]
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
@@ -142,7 +142,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
     gram = sums.sparse_inner(free, free)
-    body, resistance, parts = comm.bcast(_stationary(gram, energy, bodies.number))
+    body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.number))
 
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
     stiffness, nothing = largest / bodies.nodes ** (2.0 / dim), NOTHING_RESISTS * largest
@@ -156,10 +156,10 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
             f"{bodies.describe(int(body[negative.argmax()]))}"
         )
     weak = np.flatnonzero(resistance <= limit[body])
-    basis, body = csr_array(free @ parts[:, weak]), body[weak]
+    basis, body = csr_array(free @ components[:, weak]), body[weak]
     basis.eliminate_zeros()
     floats = resistance[weak] <= nothing[body]
-    return RigidBodyModes(comm, bodies, basis, stiffness[body], floats, body, parts[:, weak])
+    return RigidBodyModes(comm, bodies, basis, stiffness[body], floats, body, components[:, weak])
 
 
 def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
@@ -182,10 +182,10 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
     smallest, largest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, most, MPI.MAX)
     if smallest.min() <= 0.0:
         body, value = int(smallest.argmin()), smallest.min()
-        found = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
+        stiffness = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
         number = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
         raise not_positive_definite(
-            f"the stiffness is {found} at {number} of {bodies.nodes[body]} nodes of "
+            f"the stiffness is {stiffness} at {number} of {bodies.nodes[body]} nodes of "
             f"{bodies.describe(body)}"
         )
     return np.where(largest > 0.0, largest, 1.0)

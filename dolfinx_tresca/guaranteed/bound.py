@@ -109,7 +109,7 @@ def guaranteed_error(
         ContactError: the displacement is not in equilibrium.
     """
     a, L = _checked_forms(linear, dual)
-    owned = OwnedCells.of(linear.V)
+    owned = OwnedCells.from_space(linear.V)
     cells, comm, d = owned.cells, linear.V.mesh.comm, owned.cells.d
     stiffness = elasticity(a, owned, linear.entity_maps)
     given = loads(L, owned, linear.entity_maps)
@@ -137,14 +137,14 @@ def guaranteed_error(
     of_u, of_v = stress_data(cells, of_u), stress_data(cells, of_v)
     difference = _nearest_stress(owned, energies, of_balanced, given, held, of_v, steps)
 
-    distances = np.sqrt(energies.of(difference))
+    distances = np.sqrt(energies.squared_norms(difference))
     oscillation = cells.poincare_factors * given.load_distance
     oscillation += (cells.trace_factors * given.traction_distance * ~held.all(axis=2)).sum(axis=1)
     oscillation /= np.sqrt(moduli[:, 0])
-    moved, lack = energies.of(of_u - of_v), defects.sum(axis=0)
+    moved, lack = energies.squared_norms(of_u - of_v), defects.sum(axis=0)
     # the mean of both stresses is the centre of a ball that contains the exact stress
-    from_centre = energies.of(of_u - of_v - 0.5 * difference)
-    whole = energies.of(of_u)
+    from_centre = energies.squared_norms(of_u - of_v - 0.5 * difference)
+    whole = energies.squared_norms(of_u)
     terms = [(distances + oscillation) ** 2, distances**2, oscillation**2, *defects]
     totals = reduce_array(comm, [term.sum() for term in (*terms, moved, from_centre, whole)])
     eta, stress, oscillations = np.sqrt(totals[:3])

@@ -286,7 +286,7 @@ class StressEnergies:
         products = products.reshape(reference.shape) * self._scales[:, :k]
         return np.asarray(products @ np.swapaxes(self._to_reference, 1, 2))
 
-    def of(self, data: Array) -> Array:
+    def squared_norms(self, data: Array) -> Array:
         """Return the squared norms (n,) of stresses, twice the complementary energy."""
         return np.asarray((data * self.derivative(data)).sum(axis=(1, 2)))
 

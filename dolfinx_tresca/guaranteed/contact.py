@@ -235,8 +235,8 @@ class ContactSurface:
         uses = summed(V, side, np.ones((*side.shape, 1)))[: len(partner), 0]
         uses[taken - index_map.local_range[0]] = 0.0
         (numbers,) = np.nonzero(uses)
-        here = V.tabulate_dof_coordinates()[numbers, :d]
-        rim = gather_rows(comm, np.column_stack([here, numbers + index_map.local_range[0]]))
+        rim_points = V.tabulate_dof_coordinates()[numbers, :d]
+        rim = gather_rows(comm, np.column_stack([rim_points, numbers + index_map.local_range[0]]))
         missing = self.nodes[partner[self.nodes] < 0]
         distance = np.full(len(missing), np.inf)
         if len(rim):
@@ -255,12 +255,12 @@ class ContactSurface:
         V = self._owned.V
         assert self._partners is not None
         sent = np.column_stack([-tractions[self.nodes], np.ones(len(self.nodes))])
-        there = spread(V, self._partners.summed(sent, V.dofmap.index_map.size_local))
+        sums = spread(V, self._partners.summed(sent, V.dofmap.index_map.size_local))
         cell, facet, nodes = self._tagged("primary")
-        keep = (there[nodes, -1] > 0.0).all(axis=1)
+        keep = (sums[nodes, -1] > 0.0).all(axis=1)
         if V.mesh.comm.allreduce(int(keep.sum()) - len(self.cell)):
             raise self._no_match()
-        return cell[keep], facet[keep], there[nodes[keep], :-1]
+        return cell[keep], facet[keep], sums[nodes[keep], :-1]
 
     def _jumps(self, v: fem.Function) -> Array:
         """Return jumps (nodes, d) of a displacement at the nodes of this rank. Collective."""

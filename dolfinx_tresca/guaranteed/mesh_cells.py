@@ -54,7 +54,7 @@ class OwnedCells:
         )
 
     @classmethod
-    def of(cls, V: Any) -> OwnedCells:
+    def from_space(cls, V: Any) -> OwnedCells:
         """Sort the vertices of the cells of a space's mesh. Collective."""
         mesh, topology = V.mesh, V.mesh.topology
         d, count = topology.dim, topology.index_map(topology.dim).size_local

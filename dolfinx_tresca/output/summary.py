@@ -50,7 +50,7 @@ class ProblemSummary:
     pairs: tuple[tuple[ContactPair, str, str], ...]
 
     @classmethod
-    def of(
+    def from_system(
         cls, system: LinearSystem, pairs: Sequence[ContactPair], jump: JumpOperator
     ) -> ProblemSummary:
         """Count cells, unknowns and contact nodes of a problem. Collective."""

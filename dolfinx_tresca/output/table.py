@@ -37,8 +37,8 @@ def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
     """Return all rows of a list, or the first rows and a row like "and 5 other pairs" (`kind`)."""
     if len(rows) <= LISTED_ROWS:
         return list(rows)
-    first = list(rows[: LISTED_ROWS - 1])
-    return [*first, (first[-1][0], f"and {len(rows) - len(first)} other {kind}")]
+    listed = list(rows[: LISTED_ROWS - 1])
+    return [*listed, (listed[-1][0], f"and {len(rows) - len(listed)} other {kind}")]
 
 
 def as_text(rows: Sequence[Row]) -> str:

@@ -97,8 +97,8 @@ def write_pvd(path: Path, series: Sequence[DataSet]) -> None:
     collection = ET.SubElement(root, "Collection")
     names = list(dict.fromkeys(data.name for data in series))
     for time, name, file in series:
-        part = str(names.index(name))
-        ET.SubElement(collection, "DataSet", timestep=repr(time), part=part, name=name, file=file)
+        number = str(names.index(name))
+        ET.SubElement(collection, "DataSet", timestep=repr(time), part=number, name=name, file=file)
     ET.indent(root)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 

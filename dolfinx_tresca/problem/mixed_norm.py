@@ -63,7 +63,7 @@ class MixedNorm(PetscOwner):
 
         Collective.
         """
-        u = self._component.of(w)  # owns the memory of its vector
+        u = self._component.extract(w)  # owns the memory of its vector
         self._A.mult(u.x.petsc_vec, self._product)
         square = float(u.x.petsc_vec.dot(self._product))
         weighted = self._S.duplicate()

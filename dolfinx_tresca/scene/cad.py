@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ def name_groups(model: Any, name: str) -> None:
             if len(bodies) == 1:
                 add((dim - 1, face), f"{of_body}/{i}")
                 continue
-            both = [model.getPhysicalName(dim, int(one)) or f"body {one}" for one in bodies]
+            both = [model.getPhysicalName(dim, int(body)) or f"body {body}" for body in bodies]
             raise MeshError(
                 f"bodies {' and '.join(both)} in '{name}' share a face, which makes them one body. "
                 "Contact needs two surfaces with nodes of their own: export the bodies without "
@@ -145,20 +145,19 @@ def _near_faces_of_others(model: Any, dim: int, sizes: Mapping[int, float]) -> d
         body: [abs(face) for _, face in model.getBoundary([(dim, body)], oriented=False)]
         for body in sizes
     }
-    boxes = {face: _box(model, dim - 1, face) for some in faces.values() for face in some}
+    boxes = {face: _box(model, dim - 1, face) for of_body in faces.values() for face in of_body}
     near: dict[int, set[int]] = {}
     for both in combinations(sizes, 2):
         reach = max(sizes[body] for body in both)
-        for one in faces[both[0]]:
-            for other in faces[both[1]]:
-                apart = np.maximum(boxes[one][0] - boxes[other][1], boxes[other][0] - boxes[one][1])
-                if np.linalg.norm(np.maximum(apart, 0.0)) > reach:
-                    continue
-                distance = model.occ.getDistance(dim - 1, one, dim - 1, other)[0]
-                for body, face in zip(both, (other, one), strict=True):
-                    if distance <= sizes[body]:
-                        near.setdefault(body, set()).add(face)
-    return {body: sorted(some) for body, some in near.items()}
+        for face, facing in product(faces[both[0]], faces[both[1]]):
+            apart = np.maximum(boxes[face][0] - boxes[facing][1], boxes[facing][0] - boxes[face][1])
+            if np.linalg.norm(np.maximum(apart, 0.0)) > reach:
+                continue
+            distance = model.occ.getDistance(dim - 1, face, dim - 1, facing)[0]
+            for body, near_face in zip(both, (facing, face), strict=True):
+                if distance <= sizes[body]:
+                    near.setdefault(body, set()).add(near_face)
+    return {body: sorted(of_body) for body, of_body in near.items()}
 
 
 def _box(model: Any, dim: int, entity: int) -> Array:

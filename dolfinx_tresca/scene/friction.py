@@ -309,8 +309,8 @@ def _bound_text(bound: Bound | FrictionCurve, direction: VectorField | None) -> 
     if curve_of(bound) is not None:
         return "a function of pressure and slip"
     if isinstance(bound, tuple) and direction is not None:
-        first, second = (scalar_field_text(value) for value in bound)
-        return f"along {vector_field_text(direction)} and across: {first} and {second}"
+        along, across = (scalar_field_text(value) for value in bound)
+        return f"along {vector_field_text(direction)} and across: {along} and {across}"
     return scalar_field_text(cast(ScalarField, bound))
 
 

@@ -74,10 +74,10 @@ class FrictionCurve:
     def depends_on_slip(self) -> bool:
         """Whether F changes with the slip, at any of many pressures and slips."""
         sizes = np.append(0.0, np.logspace(-12.0, 12.0, 49))
-        pressure, slip = (one.ravel() for one in np.meshgrid(sizes, sizes, indexing="ij"))
+        pressure, slip = (grid.ravel() for grid in np.meshgrid(sizes, sizes, indexing="ij"))
         with np.errstate(all="ignore"):
-            found = self.values(pressure, slip).reshape(len(sizes), len(sizes))
-        return not np.array_equal(found, np.broadcast_to(found[:, :1], found.shape), equal_nan=True)
+            F = self.values(pressure, slip).reshape(len(sizes), len(sizes))
+        return not np.array_equal(F, np.broadcast_to(F[:, :1], F.shape), equal_nan=True)
 
     def values(self, pressure: Array, slip: Array) -> Array:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length].
@@ -95,18 +95,18 @@ class FrictionCurve:
         """
         if self.derivatives is not None:
             name = "the derivatives of a friction curve"
-            found = self.derivatives(pressure, slip)
-            if not isinstance(found, tuple) or len(found) != 2:
-                raise InputError(f"{name} must be a pair (dF/dp, dF/dv), found {shown(found)}.")
-            by_pressure, by_slip = (_values(one, len(pressure), name) for one in found)
+            slopes = self.derivatives(pressure, slip)
+            if not isinstance(slopes, tuple) or len(slopes) != 2:
+                raise InputError(f"{name} must be a pair (dF/dp, dF/dv), found {shown(slopes)}.")
+            by_pressure, by_slip = (_values(slope, len(pressure), name) for slope in slopes)
             return by_pressure, by_slip
 
         def difference(low: Array, high: Array, function: Callable[[Array], Array]) -> Array:
             change, result = function(high) - function(low), np.zeros_like(low)
             return np.divide(change, high - low, out=result, where=high > low)
 
-        p, v = ((1.0 - DIFFERENCE) * one for one in (pressure, slip))
-        q, w = ((1.0 + DIFFERENCE) * one for one in (pressure, slip))
+        p, v = ((1.0 - DIFFERENCE) * argument for argument in (pressure, slip))
+        q, w = ((1.0 + DIFFERENCE) * argument for argument in (pressure, slip))
         return (
             difference(p, q, lambda x: self.values(x, slip)),
             difference(v, w, lambda x: self.values(pressure, x)),
@@ -130,28 +130,29 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
     except (TypeError, ValueError):  # a function in another language than Python
         return None
     required = [
-        one
-        for one in parameters
-        if one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+        parameter
+        for parameter in parameters
+        if parameter.default is parameter.empty
+        and parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     ]
     return FrictionCurve(coefficient) if len(required) == 2 else None
 
 
-def _values(found: Any, number: int, name: str) -> Array:
+def _values(result: Any, number: int, name: str) -> Array:
     """Return the result of a user's function as an array (n,) of floats.
 
     Args:
-        found: the result.
+        result: the result.
         number: the number n of nodes.
         name: the name of the function, for error messages.
 
     Raises:
         InputError: the result is neither a real number nor an array with a number for each node.
     """
-    values = np.asarray(found)
+    values = np.asarray(result)
     if values.shape not in ((), (number,)) or not np.issubdtype(values.dtype, np.number):
         raise InputError(
-            f"{name} must return a number or an array of shape ({number},), found {shown(found)}."
+            f"{name} must return a number or an array of shape ({number},), found {shown(result)}."
         )
     if np.iscomplexobj(values):
         raise InputError(f"{name} must be real, found {values.dtype}.")

@@ -72,7 +72,7 @@ class GmshGeometry:
     content: bytes | None = field(default=None, repr=False)
 
     @classmethod
-    def of(
+    def from_open_file(
         cls, gmsh: Any, path: Path, parameters: Mapping[str, float], unit: str = "mm"
     ) -> GmshGeometry:
         """Find the groups of curved surfaces in the file that is open in Gmsh.
@@ -120,7 +120,7 @@ class GmshGeometry:
         flat: dict[int, bool] = {}
         with errors_on_all_ranks(comm), self._model() as model:
             entities = [entity for _, entity in model.getEntities(dim)]
-            boxes = {one: np.reshape(model.getBoundingBox(dim, one), (2, 3)) for one in entities}
+            boxes = {face: np.reshape(model.getBoundingBox(dim, face), (2, 3)) for face in entities}
             for tag in map(int, np.unique(facet_tags.values)):
                 nodes = dolfinx.mesh.entities_to_geometry(mesh, dim, facet_tags.find(tag))
                 points = mesh.geometry.x[nodes]
@@ -128,31 +128,31 @@ class GmshGeometry:
                 nearest = np.full(len(points), np.inf)
                 for entity, box in boxes.items():
                     inside = (points >= box[0] - size.max()) & (points <= box[1] + size.max())
-                    some = np.flatnonzero(inside.all(axis=(1, 2)))
-                    if not len(some):
+                    near = np.flatnonzero(inside.all(axis=(1, 2)))
+                    if not len(near):
                         continue
-                    there = points[some].reshape(-1, 3)
-                    away = np.linalg.norm(_nearest(model, (dim, entity), there.T).T - there, axis=1)
-                    away = away.reshape(len(some), -1).max(axis=1)
-                    nearest[some] = np.minimum(nearest[some], away)
-                    if (away <= ON_SURFACE * size[some]).any():
+                    places = points[near].reshape(-1, 3).T
+                    away = np.linalg.norm(_nearest(model, (dim, entity), places) - places, axis=0)
+                    away = away.reshape(len(near), -1).max(axis=1)
+                    nearest[near] = np.minimum(nearest[near], away)
+                    if (away <= ON_SURFACE * size[near]).any():
                         on.setdefault(tag, set()).add(entity)
                         flat[entity] = _is_flat(model, dim, entity)
                 if (nearest > ON_SURFACE * size).any():
                     worst = points[nearest.argmax(), :1].T
-                    to_all = [_nearest(model, (dim, one), worst) - worst for one in entities]
+                    to_all = [_nearest(model, (dim, entity), worst) - worst for entity in entities]
                     off[tag] = float(np.linalg.norm(to_all, axis=1).min(initial=np.inf))
         of_ranks = comm.allgather((on, off, flat))
-        for others, far, kinds in of_ranks:
+        for rank_entities, far, kinds in of_ranks:
             flat |= kinds
-            for tag, some in others.items():
-                on[tag] = on.get(tag, set()) | some
+            for tag, faces in rank_entities.items():
+                on[tag] = on.get(tag, set()) | faces
             for tag, distance in far.items():
                 off[tag] = max(off.get(tag, 0.0), distance)
         curved = {
-            tag: tuple(sorted(some))
-            for tag, some in sorted(on.items())
-            if tag not in off and not all(flat[entity] for entity in some)
+            tag: tuple(sorted(faces))
+            for tag, faces in sorted(on.items())
+            if tag not in off and not all(flat[entity] for entity in faces)
         }
         return replace(self, curved=curved), dict(sorted(off.items()))
 
@@ -251,17 +251,17 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
     """
     if len(points) == 0:
         return points
-    found = np.asarray(projection(points.T.copy()))
-    if found.shape != (3, len(points)) or found.dtype.kind not in "fiu":
+    projected = np.asarray(projection(points.T.copy()))
+    if projected.shape != (3, len(points)) or projected.dtype.kind not in "fiu":
         raise InputError(
-            f"{name} must give real points of shape (3, {len(points)}), found {found.dtype} of "
-            f"shape {found.shape}."
+            f"{name} must give real points of shape (3, {len(points)}), found {projected.dtype} of "
+            f"shape {projected.shape}."
         )
-    if not np.isfinite(found).all():
-        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(found).all(axis=0)][0])
+    if not np.isfinite(projected).all():
+        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(projected).all(axis=0)][0])
         raise InputError(f"{name} gives no finite point next to {where}.")
     result = points.copy()
-    result[:, :dim] = found.T[:, :dim]
+    result[:, :dim] = projected.T[:, :dim]
     return result
 
 
@@ -314,10 +314,10 @@ def _nearest_points(
     """Return, for points (3, n), the nearest points (3, n) of entities and their distances (n,)."""
     place, distance = points.copy(), np.full(points.shape[1], np.inf)
     for entity in entities:
-        there = _nearest(model, entity, points)
-        away = np.linalg.norm(there - points, axis=0)
+        nearest = _nearest(model, entity, points)
+        away = np.linalg.norm(nearest - points, axis=0)
         nearer = away < distance
-        place[:, nearer], distance[nearer] = there[:, nearer], away[nearer]
+        place[:, nearer], distance[nearer] = nearest[:, nearer], away[nearer]
     return place, distance
 
 
@@ -337,15 +337,15 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     """
     low, high = model.getParametrizationBounds(2, surface)
     grid = _grid(model, 2, surface, SEARCH_SAMPLES)
-    at = partial(_points_at, model, 2, surface)
-    samples = at(grid)
+    locate = partial(_points_at, model, 2, surface)
+    samples = locate(grid)
     rounding = PROJECTION_ROUNDING * np.ptp(samples, axis=0).max()
     parameters = grid[cKDTree(samples).query(points.T)[1]]
     for _ in range(SEARCH_STEPS):
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
-        step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - at(parameters))[:, :, None]
-        last, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
-        moved = np.einsum("ni,nik->nk", parameters - last, tangents)
+        step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
+        previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
+        moved = np.einsum("ni,nik->nk", parameters - previous, tangents)
         if np.abs(moved).max(initial=0.0) <= rounding:
             break
-    return at(parameters).T
+    return locate(parameters).T

@@ -158,12 +158,12 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
     Raises:
         InputError: the file does not declare one of the names.
     """
-    known = gmsh.parser.getNames() if parameters else []
-    unknown = [name for name in parameters if name not in known]
+    declared = gmsh.parser.getNames() if parameters else []
+    unknown = [name for name in parameters if name not in declared]
     if unknown:
         raise InputError(
             f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
-            f"{', '.join(_declared(path, known)) or 'none: declare them with DefineConstant'}."
+            f"{', '.join(_declared(path, declared)) or 'none: declare them with DefineConstant'}."
         )
 
 
@@ -198,9 +198,9 @@ def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]
         gmsh.onelab.clear()
         _parse(gmsh, wrapper)
     for name, value in parameters.items():
-        found = gmsh.parser.getNumber(name)[0]
-        if found != float(value):
+        actual = gmsh.parser.getNumber(name)[0]
+        if actual != float(value):
             raise InputError(
-                f"'{path}' sets {name} = {found:g} itself and ignores the value {float(value):g}. "
-                f"Declare it there as DefineConstant[ {name} = {found:g} ]."
+                f"'{path}' sets {name} = {actual:g} itself and ignores the value {float(value):g}. "
+                f"Declare it there as DefineConstant[ {name} = {actual:g} ]."
             )

@@ -194,10 +194,10 @@ def _check_vector(name: str, vector: Any, may_be_zero: bool = False) -> None:
         InputError: the value is not such a vector.
     """
     try:
-        found = np.asarray(vector, dtype=np.float64)
+        numbers = np.asarray(vector, dtype=np.float64)
     except (TypeError, ValueError):
-        found = np.full(1, np.nan)
-    if found.ndim != 1 or not np.isfinite(found).all() or not (may_be_zero or found.any()):
+        numbers = np.full(1, np.nan)
+    if numbers.ndim != 1 or not np.isfinite(numbers).all() or not (may_be_zero or numbers.any()):
         kind = "finite numbers" if may_be_zero else "finite numbers, not all zero"
         raise InputError(f"{name} must be a vector of {kind}, found {shown(vector)}.")
 

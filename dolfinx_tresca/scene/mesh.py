@@ -68,13 +68,13 @@ class MergedTags(NamedTags):
         self.given, self.merged = given, {tags[0]: tuple(tags) for tags in lists}
         names = dict(given.names) if isinstance(given, NamedTags) else {}
         tags = given
-        for first, merged in self.merged.items():
+        for lowest_tag, merged in self.merged.items():
             words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
             if len(merged) > MOST_NAMES:
                 words.append(f"{len(merged) - MOST_NAMES} more")
             if len(merged) > 1:
-                names[first] = ", ".join(words)
-            tags = compat.with_one_tag(tags, np.isin(given.values, merged), first)
+                names[lowest_tag] = ", ".join(words)
+            tags = compat.with_one_tag(tags, np.isin(given.values, merged), lowest_tag)
         of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
         super().__init__(tags, names, *of_given)
 
@@ -192,7 +192,7 @@ def read_gmsh(
     names: dict[int, str] = {}
     cell_names: dict[int, str] = {}
     in_file: dict[int, int] = {}
-    known: GmshGeometry | None = None
+    cad_geometry: GmshGeometry | None = None
     model: Any = None
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
@@ -222,21 +222,21 @@ def read_gmsh(
                 for tag, wrong in not_of_cells.items():
                     _check_facets_of_cells(source, names, tag, wrong, in_file[tag])
                 if source.suffix.lower() in (".geo", *CAD_SUFFIXES):
-                    known = GmshGeometry.of(gmsh, source, parameters, unit)
+                    cad_geometry = GmshGeometry.from_open_file(gmsh, source, parameters, unit)
                 elif source.suffix == ".model" and (content := shapes_of(gmsh)):
-                    known = GmshGeometry(source, {}, {}, content=content)
-        tags, names, cell_names, in_file, known = comm.bcast(
-            (tags, names, cell_names, in_file, known), root=root
+                    cad_geometry = GmshGeometry(source, {}, {}, content=content)
+        tags, names, cell_names, in_file, cad_geometry = comm.bcast(
+            (tags, names, cell_names, in_file, cad_geometry), root=root
         )
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, count in in_file.items():
-        found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
-        _check_facets_of_cells(path, names, tag, count - found, count)
-    known = _geometry_of(mesh, facet_tags, names, geometry, known, unit)
+        read_count = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
+        _check_facets_of_cells(path, names, tag, count - read_count, count)
+    cad_geometry = _geometry_of(mesh, facet_tags, names, geometry, cad_geometry, unit)
     cell_tags = NamedTags(cell_tags, cell_names)
-    facet_tags = NamedTags(facet_tags, names, cell_tags, known)
-    return TaggedMesh(mesh, cell_tags, facet_tags, tags, known)
+    facet_tags = NamedTags(facet_tags, names, cell_tags, cad_geometry)
+    return TaggedMesh(mesh, cell_tags, facet_tags, tags, cad_geometry)
 
 
 def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: str) -> TaggedMesh:
@@ -260,16 +260,15 @@ def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: 
         below = mesh.topology.dim - dim
         if below in names:
             names[below][tag], tags[name] = name, tag
-    known: GmshGeometry | None = None
     with errors_on_all_ranks(comm):
         gmsh = sys.modules.get("gmsh")
         content = shapes_of(gmsh) if gmsh is not None and gmsh.isInitialized() else None
     content = comm.bcast(content, root=0)
-    if content:
-        known = GmshGeometry(Path("gmsh.model"), {}, {}, content=content)
-    known = _geometry_of(mesh, facet_tags, names[1], geometry, known, unit)
+    cad_geometry = GmshGeometry(Path("gmsh.model"), {}, {}, content=content) if content else None
+    cad_geometry = _geometry_of(mesh, facet_tags, names[1], geometry, cad_geometry, unit)
     cells = NamedTags(cell_tags, names[0])
-    return TaggedMesh(mesh, cells, NamedTags(facet_tags, names[1], cells, known), tags, known)
+    facets = NamedTags(facet_tags, names[1], cells, cad_geometry)
+    return TaggedMesh(mesh, cells, facets, tags, cad_geometry)
 
 
 def _geometry_of(
@@ -277,7 +276,7 @@ def _geometry_of(
     facet_tags: MeshTags,
     names: Mapping[int, str],
     file: str | Path | None,
-    known: GmshGeometry | None,
+    cad_geometry: GmshGeometry | None,
     unit: str,
 ) -> GmshGeometry | None:
     """Return the geometry of the mesh: from the user's CAD file, or as far as known. Collective.
@@ -287,12 +286,12 @@ def _geometry_of(
         MeshError: there is no such file, or Gmsh cannot read it.
     """
     if file is not None:
-        known = GmshGeometry(Path(file).resolve(), {}, {}, unit)
-    if known is None:
+        cad_geometry = GmshGeometry(Path(file).resolve(), {}, {}, unit)
+    if cad_geometry is None:
         log(mesh.comm, "the mesh has no geometry: for exact curved surfaces give geometry=")
-    if known is None or (file is None and known.content is None):
-        return known
-    known, off = known.matched(mesh, facet_tags)
+    if cad_geometry is None or (file is None and cad_geometry.content is None):
+        return cad_geometry
+    cad_geometry, off = cad_geometry.matched(mesh, facet_tags)
     if off and file is not None:
         tag, distance = max(off.items(), key=lambda item: item[1])
         raise InputError(
@@ -300,7 +299,7 @@ def _geometry_of(
             f"{_group_name(names, tag)} are up to {distance:.3g} away from them. Give the CAD file "
             f"from which the mesh was made, and its unit of length in the mesh (unit is {unit})."
         )
-    return known
+    return cad_geometry
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:
@@ -395,8 +394,8 @@ def _renumber_cell_nodes_first(gmsh: Any) -> int:
     groups = gmsh.model.getPhysicalGroups(dim)
     nodes = [nodes for group in groups for _, nodes in _elements(gmsh, *group)]
     cell_nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.uint64), *nodes]))
-    others = np.setdiff1d(mesh.getNodes()[0], cell_nodes)
-    before = np.concatenate([cell_nodes, others])
+    further_nodes = np.setdiff1d(mesh.getNodes()[0], cell_nodes)
+    before = np.concatenate([cell_nodes, further_nodes])
     wanted = np.arange(1, len(before) + 1)
     if not np.array_equal(before, wanted):
         mesh.renumberNodes(before, wanted)
@@ -437,21 +436,21 @@ def _check_one_group_per_facet(gmsh: Any, path: Path, names: Mapping[int, str]) 
         for _, tag in gmsh.model.getPhysicalGroups(dim)
         for count, nodes in _elements(gmsh, dim, tag)
     ]
-    for columns in {found.shape[1] for found in rows}:
-        found = np.unique(np.vstack([row for row in rows if row.shape[1] == columns]), axis=0)
-        found = found[np.lexsort(found[:, ::-1].T[:-1])]  # sorted by nodes, then by tag
-        twice = np.flatnonzero((found[1:, 1:] == found[:-1, 1:]).all(axis=1))
+    for columns in {facets.shape[1] for facets in rows}:
+        facets = np.unique(np.vstack([row for row in rows if row.shape[1] == columns]), axis=0)
+        facets = facets[np.lexsort(facets[:, ::-1].T[:-1])]  # sorted by nodes, then by tag
+        twice = np.flatnonzero((facets[1:, 1:] == facets[:-1, 1:]).all(axis=1))
         if not len(twice):
             continue
-        groups = [_group_name(names, int(found[twice[0] + i, 0])) for i in (0, 1)]
+        groups = [_group_name(names, int(facets[twice[0] + i, 0])) for i in (0, 1)]
         start = f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
         cells = [
             nodes.reshape(count, -1)
             for _, group in gmsh.model.getPhysicalGroups(dim + 1)
             for count, nodes in _elements(gmsh, dim + 1, group)
         ]
-        corners = found[twice[0], 1:]
-        if sum((np.isin(one, corners).sum(axis=1) == len(corners)).sum() for one in cells) > 1:
+        corners = facets[twice[0], 1:]
+        if sum((np.isin(nodes, corners).sum(axis=1) == len(corners)).sum() for nodes in cells) > 1:
             raise MeshError(
                 start + "they lie between two bodies that share their nodes there, which makes "
                 "them one body. Contact needs two surfaces with nodes of their own: mesh the "

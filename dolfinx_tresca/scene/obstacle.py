@@ -73,7 +73,7 @@ class RigidObstacle:
                 "an obstacle needs a function of points that returns distances and normals, found "
                 f"{shown(signed_distance)}."
             )
-        if not all(isinstance(one, fem.Constant) for one in constants):
+        if not all(isinstance(constant, fem.Constant) for constant in constants):
             raise InputError(f"constants must be a list of fem.Constant, found {shown(constants)}.")
         self._signed_distance = signed_distance
         self._constants = tuple(constants)
@@ -89,7 +89,7 @@ class RigidObstacle:
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
-        values = [np.ravel(one.value) for one in self._constants]
+        values = [np.ravel(constant.value) for constant in self._constants]
         return {"name": self._name, "motion": self._motion.matrix, "constants": values}
 
     @property
@@ -172,8 +172,8 @@ class RigidObstacle:
         """
         with np.errstate(all="ignore"):
             distance = np.asarray(self._moved_distance(np.ascontiguousarray(points.T))[0], float)
-        known = np.isfinite(distance)
-        return np.where(known, distance, distance[known].max(initial=0.0))
+        is_finite = np.isfinite(distance)
+        return np.where(is_finite, distance, distance[is_finite].max(initial=0.0))
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Return signed distances (n,) [length] and unit normals (n, 3) at points (n, 3).
@@ -187,9 +187,9 @@ class RigidObstacle:
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
-        found = self._moved_distance(np.ascontiguousarray(points.T))
+        returned = self._moved_distance(np.ascontiguousarray(points.T))
         try:
-            distance, normal = (_real_array(part) for part in found)
+            distance, normal = (_real_array(array) for array in returned)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"the signed distance of {self} must return two arrays, distances of shape (n,) "
@@ -203,11 +203,11 @@ class RigidObstacle:
         length = np.linalg.norm(normal, axis=0)
         wrong = ~(np.isfinite(distance) & (np.abs(length - 1.0) < 1e-6))
         if wrong.any():
-            first = int(wrong.argmax())
+            point = int(wrong.argmax())
             raise InputError(
                 f"the signed distance of {self} must return finite distances and normals of length "
-                f"1; found distance {distance[first]:g} and length {length[first]:g} at "
-                f"{tuple(float(f'{c:.6g}') for c in points[first])}."
+                f"1; found distance {distance[point]:g} and length {length[point]:g} at "
+                f"{tuple(float(f'{c:.6g}') for c in points[point])}."
             )
         return distance, normal.T
 

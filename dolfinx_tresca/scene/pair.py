@@ -133,9 +133,9 @@ class ContactPair:
                 continue
             number = integer(tag)
             if number is None or abs(number) > np.iinfo(np.int32).max:
-                other = " or a RigidObstacle" if name == "primary" else ""
+                obstacle = " or a RigidObstacle" if name == "primary" else ""
                 raise InputError(
-                    f"{name} must be the integer tag of a surface{other}, found {shown(tag)}. "
+                    f"{name} must be the integer tag of a surface{obstacle}, found {shown(tag)}. "
                     'Names of a Gmsh file have their tags in read_gmsh(...).tags["name"].'
                 )
             object.__setattr__(self, name, number)
@@ -194,17 +194,17 @@ class ContactPair:
                 )
             sides.append(numbers)
         lists = [tags for tags in sides if isinstance(tags, tuple)]
-        one, other = (tags if isinstance(tags, tuple) else (tags,) for tags in sides)
-        common = [tag for tag in one if lists and tag in other]
-        if common and set(one) != set(other):
+        secondary, primary = (tags if isinstance(tags, tuple) else (tags,) for tags in sides)
+        common = [tag for tag in secondary if lists and tag in primary]
+        if common and set(secondary) != set(primary):
             raise InputError(
                 f"the tags {shown(common)} are on both sides, and others are not: give two lists "
                 "without common tags; or the same list twice, for surfaces that may touch each "
                 "other and themselves."
             )
         if lists:
-            object.__setattr__(self, "secondary", one[0])
-            object.__setattr__(self, "primary", one[0] if common else other[0])
+            object.__setattr__(self, "secondary", secondary[0])
+            object.__setattr__(self, "primary", secondary[0] if common else primary[0])
             object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
 
     @property
@@ -271,7 +271,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     seen: set[frozenset[Any]] = set()
     for pair in result:
         secondary, primary = (pair.given_tags(name)[1] or (pair.primary,) for name in SIDES)
-        sides = {frozenset((one, other)) for one in secondary for other in primary}
+        sides = {frozenset((tag, other_tag)) for tag in secondary for other_tag in primary}
         if sides & seen:
             raise InputError(
                 f"two pairs are between the surfaces {pair.side('secondary')} and "

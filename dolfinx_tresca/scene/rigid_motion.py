@@ -40,17 +40,17 @@ class RigidMotion:
         R = Rotation.from_rotvec(rotation_vector).as_matrix()
         return cls(R, point - R @ point + translation)
 
-    def towards(self, other: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
+    def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction of the way to another motion.
 
         Args:
-            other: the motion at the end of the way.
+            end: the motion at the end of the way.
             fraction: fraction of the way, from 0 to 1.
             centre: (3,) point that moves along a straight line [length].
         """
-        turned = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
+        turned = Rotation.from_matrix(end.rotation @ self.rotation.T).as_rotvec()
         R = Rotation.from_rotvec(fraction * turned).as_matrix() @ self.rotation
-        ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, other)]
+        ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, end)]
         return RigidMotion(R, (1.0 - fraction) * ends[0] + fraction * ends[1] - R @ centre)
 
     def applied_to(self, points: Array) -> Array:

@@ -78,27 +78,27 @@ def check_expression(expression: Expr, name: str) -> None:
     """
     if expression.ufl_free_indices:
         raise InputError(f"{name} must have no free indices, found them in {_text(expression)}.")
-    for part in unique_pre_traversal(expression):
-        dtype = np.dtype(getattr(part, "dtype", np.float64))
+    for operand in unique_pre_traversal(expression):
+        dtype = np.dtype(getattr(operand, "dtype", np.float64))
         if dtype != np.float64:
-            raise InputError(f"{name} must be of type float64, found {dtype} in {_text(part)}.")
-        if isinstance(part, Argument):
+            raise InputError(f"{name} must be of type float64, found {dtype} in {_text(operand)}.")
+        if isinstance(operand, Argument):
             raise InputError(
                 f"{name} must not depend on a trial or test function, found "
-                f"{_text(part)}. To make it depend on a displacement use a fem.Function."
+                f"{_text(operand)}. To make it depend on a displacement use a fem.Function."
             )
-        if isinstance(part, Derivative | GeometricQuantity) and not isinstance(
-            part, ufl.SpatialCoordinate
+        if isinstance(operand, Derivative | GeometricQuantity) and not isinstance(
+            operand, ufl.SpatialCoordinate
         ):
             raise InputError(
-                f"{name} {_text(expression)} has no value at nodes, since {_text(part)} "
+                f"{name} {_text(expression)} has no value at nodes, since {_text(operand)} "
                 f"jumps from cell to cell. {_CONTINUOUS}"
             )
-        if isinstance(part, Coefficient) and part.ufl_element() not in ufl.H1:
+        if isinstance(operand, Coefficient) and operand.ufl_element() not in ufl.H1:
             raise InputError(
                 f"{name} has no value at nodes: "
-                f"'{getattr(part, 'name', part)}' is a discontinuous Function, of "
-                f"{part.ufl_element()}. {_CONTINUOUS}"
+                f"'{getattr(operand, 'name', operand)}' is a discontinuous Function, of "
+                f"{operand.ufl_element()}. {_CONTINUOUS}"
             )
 
 

@@ -37,10 +37,10 @@ def check_meridian(mesh: Any) -> None:
         mesh.comm, [radii.min(initial=np.inf), -np.abs(radii).max(initial=0.0)], MPI.MIN
     )
     if dim != 2 or least < RADIUS_ROUNDING * largest:
-        found = f"a mesh in {dim}D" if dim != 2 else f"x[0] down to {least:.3g}"
+        geometry = f"a mesh in {dim}D" if dim != 2 else f"x[0] down to {least:.3g}"
         raise InputError(
             "axisymmetric=True needs a mesh in 2D, whose x[0] is the radius and not negative, and "
-            f"whose x[1] is along the axis, found {found}."
+            f"whose x[1] is along the axis, found {geometry}."
         )
 
 
@@ -85,8 +85,8 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
     """
     x, y = K.createVecLeft(), K.createVecLeft()
     Kx, Ky = x.duplicate(), x.duplicate()
-    first, last = x.getOwnershipRange()
-    rows = np.arange(first, last)
+    start, end = x.getOwnershipRange()
+    rows = np.arange(start, end)
     x.array = np.cos(12.9898 * rows)
     y.array = np.sin(78.233 * rows)
     K.mult(x, Kx)
@@ -102,7 +102,7 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
         )
 
 
-def check_signs(K: PETSc.Mat, others: Mask) -> None:
+def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
     """Check that C of a saddle-point matrix (A, B'; B, -C) has no negative diagonal entry.
 
     The pivots do not show this: if C is negative, the matrix may have the same number of negative
@@ -110,13 +110,13 @@ def check_signs(K: PETSc.Mat, others: Mask) -> None:
 
     Args:
         K: the saddle-point matrix.
-        others: (owned unknowns,) whether each is free and no displacement.
+        not_displacement: (owned unknowns,) whether each is free and no displacement.
 
     Raises:
         StiffnessError: a diagonal entry of C is negative.
     """
     diagonal = K.getDiagonal()
-    entries = diagonal.array[others]
+    entries = diagonal.array[not_displacement]
     diagonal.destroy()
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)
     if largest > 0.0:

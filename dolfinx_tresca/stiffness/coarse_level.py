@@ -27,11 +27,11 @@ def has_levels(V: Any) -> bool:
 def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
     """Yield the spaces below V, each with its interpolation to the finer space. Collective."""
     if V.element.basix_element.degree > 1:
-        first = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
-        P = dolfinx.fem.petsc.interpolation_matrix(first, V)
+        linear_space = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
+        P = dolfinx.fem.petsc.interpolation_matrix(linear_space, V)
         P.assemble()
-        yield first, P
-        V = first
+        yield linear_space, P
+        V = linear_space
     yield from nested(V)
 
 
@@ -62,8 +62,8 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
         product = matrices[-1].ptap(P)
         below = product.copy()  # drops data for further products, which are larger than the matrix
         product.destroy()
-        first, _ = below.getOwnershipRange()
-        held = first + np.flatnonzero(free.array == 0.0)
+        start, _ = below.getOwnershipRange()
+        held = start + np.flatnonzero(free.array == 0.0)
         below.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
         below.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         matrices.append(below)

@@ -44,7 +44,7 @@ class CoarseSpace(PetscOwner):
         self.comm = self._coarsest.comm
 
     @classmethod
-    def of(cls, pc: PETSc.PC) -> CoarseSpace | None:
+    def from_preconditioner(cls, pc: PETSc.PC) -> CoarseSpace | None:
         """Return the largest level that is small enough (`MOST_UNKNOWNS`). Collective.
 
         Args:

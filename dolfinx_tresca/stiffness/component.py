@@ -57,14 +57,14 @@ class Component(PetscOwner):
         """Free the PETSc objects. Collective."""
         self._parts.destroy()
 
-    def of(self, w: fem.Function) -> fem.Function:
+    def extract(self, w: fem.Function) -> fem.Function:
         """Return this component of a Function w on the mixed space. Not collective.
 
         The ghost values of w must be up to date.
         """
-        part = zero_like(self._original, w.name)
-        part.x.array[:] = w.x.array[self._dofs]
-        return part
+        component = zero_like(self._original, w.name)
+        component.x.array[:] = w.x.array[self._dofs]
+        return component
 
     @cached_property
     def _others(self) -> list[tuple[Any, LocalNumbers]]:
@@ -74,19 +74,19 @@ class Component(PetscOwner):
 
     def other_parts(self, w: fem.Function) -> list[fem.Function]:
         """Return the other components of a Function on the mixed space. Collective."""
-        parts = [fem.Function(Q) for Q, _ in self._others]
-        for part, (_, dofs) in zip(parts, self._others, strict=True):
-            part.x.array[:] = w.x.array[dofs]
-        return parts
+        functions = [fem.Function(Q) for Q, _ in self._others]
+        for function, (_, dofs) in zip(functions, self._others, strict=True):
+            function.x.array[:] = w.x.array[dofs]
+        return functions
 
-    def compose(self, w: fem.Function, u: fem.Function, others: Sequence[fem.Function]) -> None:
-        """Set this component of w to u, and its other components to `others`. Collective.
+    def compose(self, w: fem.Function, u: fem.Function, remaining: Sequence[fem.Function]) -> None:
+        """Set this component of w to u, and its other components to `remaining`. Collective.
 
-        The order of `others` is that of `other_parts`.
+        The order of `remaining` is that of `other_parts`.
         """
         w.x.array[self._dofs] = u.x.array
-        for part, (_, dofs) in zip(others, self._others, strict=True):
-            w.x.array[dofs] = part.x.array
+        for component, (_, dofs) in zip(remaining, self._others, strict=True):
+            w.x.array[dofs] = component.x.array
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Convert a matrix B from the columns of V to the columns of the mixed space. Collective.

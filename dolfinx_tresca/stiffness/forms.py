@@ -49,11 +49,11 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
     """
     if not isinstance(form, ufl.Form):
         return form
-    for part in form.coefficients():
-        other = part.function_space.mesh
-        if other != mesh and not maps_mesh(maps.get("entity_maps", []), other):
+    for coefficient in form.coefficients():
+        own_mesh = coefficient.function_space.mesh
+        if own_mesh != mesh and not maps_mesh(maps.get("entity_maps", []), own_mesh):
             raise InputError(
-                f"the form {name} holds the Function '{part.name}' on another mesh than the "
+                f"the form {name} holds the Function '{coefficient.name}' on another mesh than the "
                 "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
                 "ContactProblem(..., entity_maps=surface.entity_maps)."
             )
@@ -151,15 +151,16 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         )
     if V is not None and not isinstance(V, fem.FunctionSpace):
         raise InputError(f"V must be the function space of the displacement, found {shown(V)}.")
-    arguments = [one for form in (a, L) if isinstance(form, ufl.Form) for one in form.arguments()]
-    spaces = [argument.ufl_function_space() for argument in arguments]
+    ufl_forms = [form for form in (a, L) if isinstance(form, ufl.Form)]
+    spaces = [argument.ufl_function_space() for form in ufl_forms for argument in form.arguments()]
     if V is None and not spaces:
         raise InputError(
             "the space of the displacement is not known: a and L are not forms of UFL, so give V=."
         )
     V = spaces[-1] if V is None or (spaces and _is_part(V, spaces[-1])) else V
-    inside = [one._cpp_object for one in spaces]
-    inside += [one for form in (a, L) if isinstance(form, fem.Form) for one in form.function_spaces]
+    inside = [space._cpp_object for space in spaces]
+    for form in (a, L):
+        inside += form.function_spaces if isinstance(form, fem.Form) else []
     if any(space != V for space in spaces) or not all(map(V._cpp_object.contains, inside)):
         raise InputError(
             "the arguments of a and L are from different function spaces"
@@ -176,11 +177,11 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     for name, form in (("a", a), ("L", L)):
         if not isinstance(form, ufl.Form):
             continue
-        for part in (*form.coefficients(), *form.constants()):
-            if part.dtype != np.float64:
+        for operand in (*form.coefficients(), *form.constants()):
+            if operand.dtype != np.float64:
                 raise InputError(
                     f"the form {name} must depend on numbers of type float64 only, found "
-                    f"{np.dtype(part.dtype)} in {part!s}."
+                    f"{np.dtype(operand.dtype)} in {operand!s}."
                 )
     dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
     if mesh.topology.dim != dim or cell not in CELLS:
@@ -228,21 +229,21 @@ def component_index(space: Any, V: Any = None) -> int | None:
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):
         return None
-    parts = element.sub_elements if space.dofmap.index_map_bs == 1 else []
-    found = [index for index, part in enumerate(parts) if _suits(part, dim)]
+    sub_elements = element.sub_elements if space.dofmap.index_map_bs == 1 else []
+    suitable = [index for index, sub_element in enumerate(sub_elements) if _suits(sub_element, dim)]
     if V is not None and _is_part(V, space):
-        found = [index for index in found if index == V.component()[0]]
-    if len(found) > 1:
+        suitable = [index for index in suitable if index == V.component()[0]]
+    if len(suitable) > 1:
         raise InputError(
-            f"the sub-spaces {found} of the mixed space could all be the displacement's: say which "
-            f"one touches, such as V=W.sub({found[0]})."
+            f"the sub-spaces {suitable} of the mixed space could all be the displacement's: say "
+            f"which one touches, such as V=W.sub({suitable[0]})."
         )
-    if not found:
+    if not suitable:
         raise InputError(
             f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
             f"or a mixed space with such a component, found {element}."
         )
-    return found[0]
+    return suitable[0]
 
 
 def _suits(element: Any, dim: int) -> bool:

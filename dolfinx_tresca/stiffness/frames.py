@@ -110,7 +110,7 @@ class BodyFrames:
         centre, moment = frames._moments(frames._points[:owned])
         held = replace(frames, guides=whole)
         held_centre, held_moment = held._moments(frames._points[:owned])
-        spread, held_spread = (np.linalg.eigvalsh(one)[:, 1 - dim] for one in (moment, held_moment))
+        spread, held_spread = np.linalg.eigvalsh([moment, held_moment])[:, :, 1 - dim]
         is_held = held_spread > LEAST_SPREAD**2 * spread
         return replace(
             frames,
@@ -148,7 +148,7 @@ class BodyFrames:
         np.add.at(moments, label[self.guides], (x[:, :, None] * X[:, None, :])[self.guides])
         return sums[:, 3:6], np.asarray(reduce_array(comm, moments))
 
-    def at(self, u: fem.Function) -> BodyFrames | None:
+    def moved_with(self, u: fem.Function) -> BodyFrames | None:
         """Return the frames that move with a displacement; None if all are at rest. Collective.
 
         R is the rotation that maps the undeformed guides best, in the least-squares sense, onto
@@ -257,7 +257,7 @@ class BodyFrames:
         result.x.array[:] = np.where(has_frame, self._values(moved), u.x.array)
         return result
 
-    def continued(self, before: fem.Function, now: fem.Function, part: float) -> fem.Function:
+    def continued(self, before: fem.Function, after: fem.Function, fraction: float) -> fem.Function:
         """Return a displacement at which bodies have gone on as they moved. Collective.
 
         The motion of each body from one displacement to another is continued as a rigid motion:
@@ -265,19 +265,19 @@ class BodyFrames:
 
         Args:
             before: displacement [length] from which bodies have moved.
-            now: displacement [length] to which bodies have moved, from which they go on.
-            part: how far they go on, relative to their last motion.
+            after: displacement [length] to which bodies have moved, from which they go on.
+            fraction: how far they go on, relative to their last motion.
         """
         owned, label = len(self.guides), self.label
-        positions = [self._points + self._vectors(u.x.array) for u in (before, now)]
+        positions = [self._points + self._vectors(u.x.array) for u in (before, after)]
         means = [self._moments(x[:owned])[0] for x in positions]
-        frames = [self.at(u) or self for u in (before, now)]
+        frames = [self.moved_with(u) or self for u in (before, after)]
         turn = np.einsum("bij,bkj->bik", frames[1].rotation, frames[0].rotation)
-        turn = Rotation.from_rotvec(part * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
+        turn = Rotation.from_rotvec(fraction * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
         arm = positions[1] - means[1][label]
-        moved = means[1] + part * (means[1] - means[0])
+        moved = means[1] + fraction * (means[1] - means[0])
         x = moved[label] + np.einsum("nij,nj->ni", turn[label], arm)
-        result = now.copy()
+        result = after.copy()
         has_frame = np.repeat(self.has_frame[label], self.V.mesh.geometry.dim)
         values = self._values(x - self._points)
         result.x.array[has_frame] = values[has_frame]
@@ -286,9 +286,9 @@ class BodyFrames:
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Return B R, which the caller owns, for a matrix with columns in space. Collective."""
         dim, owned = self.V.mesh.geometry.dim, len(self.guides)
-        first = self.V.dofmap.index_map.local_range[0]
+        start = self.V.dofmap.index_map.local_range[0]
         blocks = self.rotation[self.label[:owned], :dim, :dim]
-        columns = np.arange(first, first + owned)[:, None, None] * dim + np.arange(dim)
+        columns = np.arange(start, start + owned)[:, None, None] * dim + np.arange(dim)
         columns = np.broadcast_to(columns, blocks.shape)
         ends = np.arange(0, owned * dim**2 + 1, dim)
         shape = owned * dim, self.V.dofmap.index_map.size_global * dim

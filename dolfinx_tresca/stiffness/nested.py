@@ -32,14 +32,15 @@ class Bisection:
 
     Attributes:
         coarse: the coarser mesh, with straight edges.
-        first: number of the node of the finer mesh that belongs to this rank's first row of `ends`.
-        ends: (n, 2) row i belongs to the node `first` + i of the finer mesh. If this node lies
+        first_node: number of the node of the finer mesh that belongs to this rank's first row of
+            `ends`.
+        ends: (n, 2) row i belongs to the node `first_node` + i of the finer mesh. If this node lies
             midway between two nodes of the coarser mesh, the row has the numbers of these two
             nodes; if it lies at a node of the coarser mesh, the row has this number twice.
     """
 
     coarse: Any
-    first: int
+    first_node: int
     ends: npt.NDArray[np.int64]
 
 
@@ -98,18 +99,18 @@ def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
         np.arange(len(_numbers(coarse)), dtype=np.int32)
     )
     ends = _told(comm, _numbers(coarse), nodes, made.ends.ravel()).reshape(-1, 2)
-    numbers = made.first + np.arange(len(ends))
+    numbers = made.first_node + np.arange(len(ends))
     asked = _numbers(fine)[:owned]
     pair = np.sort([_told(comm, numbers, end, asked) for end in ends.T], axis=0).T
     middle = pair[:, 0] != pair[:, 1]
-    some = np.column_stack([np.full(owned, True), middle])[:, None, :].repeat(dim, axis=1)
+    used = np.column_stack([np.full(owned, True), middle])[:, None, :].repeat(dim, axis=1)
     columns = dim * pair[:, None, :] + np.arange(dim)[:, None]
-    halves = np.where(middle, 0.5, 1.0)[:, None, None] * some
-    offsets = np.concatenate([[0], some.sum(axis=2).ravel().cumsum()])
+    halves = np.where(middle, 0.5, 1.0)[:, None, None] * used
+    offsets = np.concatenate([[0], used.sum(axis=2).ravel().cumsum()])
     P = PETSc.Mat().createAIJ(
         [(dim * V.dofmap.index_map.size_local, None) for V in (fine, coarse)],
         bsize=dim,
-        csr=(offsets.astype(PETSc.IntType), columns[some].astype(PETSc.IntType), halves[some]),
+        csr=(offsets.astype(PETSc.IntType), columns[used].astype(PETSc.IntType), halves[used]),
         comm=comm,
     )
     P.assemble()
@@ -138,14 +139,14 @@ def _told(
         asked: (m,) numbers of the nodes that this rank requests.
     """
     largest = int(reduce_array(comm, numbers.max(initial=0), MPI.MAX))
-    known = PETSc.Vec().createMPI(largest + 1, comm=comm)
-    known.setValues(numbers.astype(PETSc.IntType), values.astype(PETSc.ScalarType))
-    known.assemble()
+    sent = PETSc.Vec().createMPI(largest + 1, comm=comm)
+    sent.setValues(numbers.astype(PETSc.IntType), values.astype(PETSc.ScalarType))
+    sent.assemble()
     wanted = PETSc.IS().createGeneral(asked.astype(PETSc.IntType), comm=MPI.COMM_SELF)
     answer = PETSc.Vec().createSeq(len(asked), comm=MPI.COMM_SELF)
-    scatter = PETSc.Scatter().create(known, wanted, answer, None)
-    scatter.scatter(known, answer)
+    scatter = PETSc.Scatter().create(sent, wanted, answer, None)
+    scatter.scatter(sent, answer)
     result: npt.NDArray[np.int64] = answer.array.astype(np.int64)
-    for used in (known, wanted, answer, scatter):
+    for used in (sent, wanted, answer, scatter):
         used.destroy()
     return result

@@ -36,8 +36,8 @@ class Schwarz(PetscOwner):
             StiffnessError: a factorisation failed.
         """
         K, self._dofs = solver.matrix, dofs
-        first = K.getOwnershipRange()[0]
-        rows = PETSc.IS().createGeneral((first + dofs).astype(PETSc.IntType), comm=K.comm)
+        start = K.getOwnershipRange()[0]
+        rows = PETSc.IS().createGeneral((start + dofs).astype(PETSc.IntType), comm=K.comm)
         K_local = K.createSubMatrix(rows, rows)
         K_local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         try:
@@ -47,7 +47,7 @@ class Schwarz(PetscOwner):
             K_local.destroy()
         self._u, self._left = K.createVecs()
         self.comm = self._u.comm
-        self._coarse = CoarseSpace.of(solver.preconditioner)
+        self._coarse = CoarseSpace.from_preconditioner(solver.preconditioner)
         # the rows of K that couple the local degrees of freedom with all degrees of freedom
         self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
         rows.destroy()

@@ -128,14 +128,15 @@ class LinearSystem(PetscOwner):
             dofmap.index_map.size_local * dofmap.index_map_bs, dtype=np.bool_
         )
         for bc in self.bcs:
-            dofs = bc.dof_indices()[
-                0
-            ]  # with ghosts: DOLFINx 0.9 miscounts the owned degrees of freedom of blocked spaces
+            # with ghosts: DOLFINx 0.9 miscounts the owned degrees of freedom of blocked spaces
+            dofs = bc.dof_indices()[0]
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
-        others = np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
-        self.moves: Mask = ~self.prescribed & ~others
+        not_displacement = (
+            np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
+        )
+        self.moves: Mask = ~self.prescribed & ~not_displacement
         #: signs of rows in energies: negative for unknowns that are not displacements
-        self.signs: Array = np.where(others, -1.0, 1.0)
+        self.signs: Array = np.where(not_displacement, -1.0, 1.0)
 
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
@@ -175,20 +176,20 @@ class LinearSystem(PetscOwner):
         """Return the forms and conditions, which the ranks compare. Not collective."""
         return {**self._forms, "bcs": self.bcs}
 
-    def check_displacement(self, name: str, u: Any, other: str = "") -> None:
+    def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
         """Check that u is a displacement of this system. Collective.
 
         Args:
             name: name of the argument for the message.
             u: the value to check.
-            other: text for the message that names further allowed values.
+            choices: text for the message that names further allowed values.
 
         Raises:
             InputError: u is not a Function on the space, or has values that are NaN or infinite.
         """
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
-                f"{name} must be a displacement: a Function on the space of solution.u,{other} "
+                f"{name} must be a displacement: a Function on the space of solution.u,{choices} "
                 f"found {shown(u)}. Interpolate what is on another space."
             )
         with errors_on_all_ranks(self.comm):
@@ -239,9 +240,9 @@ class LinearSystem(PetscOwner):
 
         The old columns are stored: they give the forces that prescribed values cause. Collective.
         """
-        first, last = self.K.getOwnershipRange()
-        rows = PETSc.IS().createStride(last - first, first, 1, comm=self.K.comm)
-        prescribed = (first + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
+        start, end = self.K.getOwnershipRange()
+        rows = PETSc.IS().createStride(end - start, start, 1, comm=self.K.comm)
+        prescribed = (start + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
         columns = PETSc.IS().createGeneral(prescribed, comm=self.K.comm)
         if self._columns is not None:
             self._columns.destroy()
@@ -296,16 +297,16 @@ class LinearSystem(PetscOwner):
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""
         changed = not all(
-            np.array_equal(now, then)
-            for now, then in zip(coefficients(self.form), self._coefficients, strict=True)
+            np.array_equal(value, assembled)
+            for value, assembled in zip(coefficients(self.form), self._coefficients, strict=True)
         )
         return bool(self.comm.allreduce(changed, op=MPI.LOR))
 
     @property
     def driven_by_forces(self) -> bool:
         """Whether the load consists of forces only: prescribed values are zero. Collective."""
-        others = self.f.x.array[: len(self.moves)][~self.moves]
-        return not self.comm.allreduce(bool(others.any()), op=MPI.LOR)
+        prescribed_values = self.f.x.array[: len(self.moves)][~self.moves]
+        return not self.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR)
 
     @contextmanager
     def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
@@ -324,7 +325,7 @@ class LinearSystem(PetscOwner):
 
         The result is the Function itself if the space is not mixed.
         """
-        u = w if self.component is None else self.component.of(w)
+        u = w if self.component is None else self.component.extract(w)
         u.name = name
         return u
 
@@ -338,7 +339,7 @@ class LinearSystem(PetscOwner):
         flags.x.scatter_forward()
         dofmap = self.V.dofmap
         owned = dofmap.index_map.size_local * dofmap.index_map_bs
-        return np.asarray(self.component.of(flags).x.array[:owned] > 0.0)
+        return np.asarray(self.component.extract(flags).x.array[:owned] > 0.0)
 
     @property
     def saddle_size(self) -> int:
@@ -460,12 +461,12 @@ class LinearSystem(PetscOwner):
             InputError: a value is NaN or infinite, or a nonzero value is prescribed for an unknown
                 that is not a displacement.
         """
-        others = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
+        values = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):
-            if others.any():
+            if values.any():
                 raise InputError(
                     "of a mixed space only displacements may be prescribed to be other than zero, "
-                    f"found {others[others.nonzero()[0][0]]:.3g} for another unknown."
+                    f"found {values[values.nonzero()[0][0]]:.3g} for another unknown."
                 )
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(self.f.x.array).all():

@@ -41,7 +41,7 @@ def springs(comm: MPI.Comm) -> tuple[FixingSprings, int]:
         stiffness=np.arange(1.0, 1.0 + sum(MODES)),
         floats=np.ones(sum(MODES), dtype=bool),
         body=np.repeat(np.arange(3), MODES),
-        parts=csr_array((9, sum(MODES))),
+        mode_components=csr_array((9, sum(MODES))),
     )
     return FixingSprings(floating), low
 

@@ -53,7 +53,7 @@ def test_a_mesh_that_is_wholly_prescribed_has_no_motions(comm):
     bcs = [fem.dirichletbc(fem.Function(V), clamp)]
     with LinearSystem(elasticity(V, YOUNG), None, bcs) as system:
         system.assemble_stiffness()
-        modes = weakly_resisted_modes(system, Bodies.of(V))
+        modes = weakly_resisted_modes(system, Bodies.from_space(V))
     assert len(modes) == 0
     assert modes.summary == ""
 
