@@ -126,7 +126,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             result = call()
             seconds[f"{name}_seconds"] = time.process_time() - start
         bound = result
-        estimate = total(DiscretisationError(scene.a, scene.V).of(solution.u))
+        estimate = total(DiscretisationError(scene.a, scene.V).cell_errors(solution.u))
     if case["scene"].startswith("bricks"):
         end = case["scene"].removeprefix("bricks_")
         with two_bricks(comm, REFERENCE, end=end, degree=2).problem() as problem:

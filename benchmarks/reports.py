@@ -80,7 +80,7 @@ TIMED: list[tuple[Any, str, str]] = [
     (StiffnessSolver, "improve", "single"),
     (StiffnessSolver, "solve_several", "columns"),
     (DiscretisationError, "__init__", "estimate"),
-    (DiscretisationError, "of", "estimate"),
+    (DiscretisationError, "cell_errors", "estimate"),
 ]
 
 

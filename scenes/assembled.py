@@ -43,13 +43,13 @@ def dual_program(
             options = {"ksp_rtol": 1e-12} | petsc_options
             solver = multigrid(system.K, scene.V, system.prescribed, options, None)
         operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
-        bounds = [SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)]
+        bounds = [SlipBounds(scene.V).nodal_bounds(scene.pair.friction, operators.nodes)]
         with (
             JumpOperator(system, [operators]) as jump,
             InitialGuess(jump) as guess,
             ContactCompliance(jump, solver, None) as compliance,
         ):
-            dual = DualProgram.of(compliance, guess, bounds)
+            dual = DualProgram.from_bounds(compliance, guess, bounds)
             dual.response.solve_load()
             yield dual
 

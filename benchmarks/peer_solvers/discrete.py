@@ -103,7 +103,7 @@ def load_steps(scene: Any) -> list[Primal]:
         m = len(pair.normal_node)
         K, N, T = K[free][:, free], B[:m][:, free], B[m:][:, free]
         size = np.sqrt(pair.weights)
-        bound = SlipBounds(scene.V).at(scene.pair.friction, pair.nodes).constant * size
+        bound = SlipBounds(scene.V).nodal_bounds(scene.pair.friction, pair.nodes).constant * size
         steps = []
         for _ in apply_load_steps(scene):
             system.assemble_load()

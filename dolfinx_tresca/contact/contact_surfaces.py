@@ -90,11 +90,11 @@ class ContactSurfaces(PetscOwner):
         self.timings: dict[str, float] = {}
         V, prescribed = linear.V, linear.prescribed_displacements
         with timed("pairing", self.timings):
-            found: dict[int, PairOperators] = {}
+            operators_of_number: dict[int, PairOperators] = {}
             for group in groups_of(V, pairs):
                 paired = pair_group(V, prescribed, group, axisymmetric=linear.axisymmetric)
-                found.update(zip(group.numbers, paired, strict=True))
-            operators = [found[k] for k in range(len(pairs))]
+                operators_of_number.update(zip(group.numbers, paired, strict=True))
+            operators = [operators_of_number[k] for k in range(len(pairs))]
             work = fem.Function(V)
             self.secondary = Surface.of_pairs(work, pairs)
             self.friction = SlipBounds(V)
@@ -176,7 +176,7 @@ class ContactSurfaces(PetscOwner):
         """
         rounding = self.compliance.stress_rounding
         return [
-            self.friction.at(pair.friction, operators.nodes, rounding)
+            self.friction.nodal_bounds(pair.friction, operators.nodes, rounding)
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
 
@@ -189,7 +189,7 @@ class ContactSurfaces(PetscOwner):
         return [
             np.zeros(len(on.nodes))
             if pair.gap is None
-            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
+            else self.nodal_values.scalars_at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
             for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
         ]
 
@@ -342,9 +342,9 @@ class ContactSurfaces(PetscOwner):
             (pairs,) whether the distance from the obstacle has changed since the pairing.
         """
         changed = self.obstacles.changed(self.jump)
-        before, now = self._state.motions, self.obstacles.motions
-        self._state = replace(self._state, motions=now)
-        same_place = (before == now).all(axis=(1, 2))
+        motions_of_solve, present_motions = self._state.motions, self.obstacles.motions
+        self._state = replace(self._state, motions=present_motions)
+        same_place = (motions_of_solve == present_motions).all(axis=(1, 2))
         self.obstacles.warn_of_unknown_motions(changed, same_place)
         return changed
 
@@ -393,12 +393,12 @@ class ContactSurfaces(PetscOwner):
         """
         state, jump = self._state, self.jump
         displacement = np.zeros(len(jump.gap))
-        for before, now, slides_far, (_, t) in zip(
+        for before, present, slides_far, (_, t) in zip(
             state.accepted.motions, state.motions, self._finite_sliding, jump.slices, strict=True
         ):
-            if not np.array_equal(before, now):
+            if not np.array_equal(before, present):
                 u = state.configuration if slides_far else state.geometry
-                moved = self.obstacles.displacement(before, now, u)
+                moved = self.obstacles.displacement(before, present, u)
                 displacement[t] = jump.of_displacement(moved)[t]
         return replace(state.history, origin=state.history.origin + displacement)
 

@@ -163,12 +163,12 @@ class ContactSystem(PetscOwner):
                 allowed.
         """
         result = self.surfaces.added_gaps()
-        for one in self.surfaces.slip_bounds():
-            result += [one.constant, one.coefficient, one.limit]
-            if one.ellipses is not None:
-                result += [one.ellipses.shape, one.ellipses.direction]
+        for bounds in self.surfaces.slip_bounds():
+            result += [bounds.constant, bounds.coefficient, bounds.limit]
+            if bounds.ellipses is not None:
+                result += [bounds.ellipses.shape, bounds.ellipses.direction]
         with errors_on_all_ranks(self.comm):
-            return result + [pressed_values(*one) for one in curves]
+            return result + [pressed_values(*curve) for curve in curves]
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
@@ -191,8 +191,8 @@ class ContactSystem(PetscOwner):
                 f"{purpose} needs a solution, and the last solve ended with {status.name}."
             )
         self.linear.assemble_load()
-        now = [self.linear.f.x.array, *self.law_values(solved.curves)]
-        same = all(map(np.array_equal, now, solved.inputs))
+        present_inputs = [self.linear.f.x.array, *self.law_values(solved.curves)]
+        same = all(map(np.array_equal, present_inputs, solved.inputs))
         same &= not surfaces.obstacles.changed(surfaces.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise ContactError(
@@ -314,7 +314,7 @@ class ContactSystem(PetscOwner):
             state = surfaces.state
             moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
             try:
-                dual = DualProgram.of(surfaces.compliance, surfaces.guess, bounds, history)
+                dual = DualProgram.from_bounds(surfaces.compliance, surfaces.guess, bounds, history)
             except MechanismError as error:
                 error.motion = _with_unit_maximum(error.motion, self.linear.V)
                 raise
@@ -322,19 +322,19 @@ class ContactSystem(PetscOwner):
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
         start, secondary = state.multipliers, surfaces.secondary
-        found, evaluation, history = solve_to_bound(
+        dual_solution, evaluation, history = solve_to_bound(
             dual, start, secondary, bodies, options, requested, observe, timings
         )
-        status = found.status
-        curves = check_curves(dual, found, surfaces.friction)
-        inputs += [pressed_values(*one) for one in curves]
+        status = dual_solution.status
+        curves = check_curves(dual, dual_solution, surfaces.friction)
+        inputs += [pressed_values(*curve) for curve in curves]
         sliding = ""
-        if found.deficit is not None and dual.equilibrium is not None:
-            sliding = dual.equilibrium.explain(found.deficit)
+        if dual_solution.deficit is not None and dual.equilibrium is not None:
+            sliding = dual.equilibrium.explain(dual_solution.deficit)
         solution = StepSolution(
             status,
             dual,
-            found.multipliers,
+            dual_solution.multipliers,
             evaluation,
             history,
             curves,
@@ -342,22 +342,22 @@ class ContactSystem(PetscOwner):
             options,
             moved,
         )
-        surfaces.state = replace(state, multipliers=found.multipliers, solution=solution)
+        surfaces.state = replace(state, multipliers=dual_solution.multipliers, solution=solution)
         log(
             self.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
-            *(options.method, status.value, found.iterations, operator.products - products),
-            found.residuals[-1],
+            *(options.method, status.value, dual_solution.iterations, operator.products - products),
+            dual_solution.residuals[-1],
         )
         return ContactSolution(
             status=status,
             options=requested,
             units=units,
-            iterations=found.iterations,
+            iterations=dual_solution.iterations,
             products=operator.products - products,
             krylov_iterations=operator.solver.krylov_iterations - krylov,
-            residuals=found.residuals,
-            q=found.q,
+            residuals=dual_solution.residuals,
+            q=dual_solution.q,
             timings=largest_over_ranks(self.comm, timings),
             sliding=sliding,
             **vars(evaluation),

@@ -133,10 +133,10 @@ class Factorisation:
         """
         linear = self._linear
         if options.balanced and not linear.form_of_displacement:
-            found = "a is none" if linear.form is None else "a is on a mixed space"
+            reason = "a is none" if linear.form is None else "a is on a mixed space"
             raise InputError(
                 'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
-                f"is estimated with a form of UFL of the displacement, and {found}. Give "
+                f"is estimated with a form of UFL of the displacement, and {reason}. Give "
                 "solve(accuracy=1e-3), or a rtol."
             )
         if options.method != "projected_newton" and self._modes:

@@ -170,8 +170,8 @@ class FiniteSliding:
         """
         self._start = self._surfaces.comm.bcast(min(start, TIGHTER * self._start))
         forces, rounding = self._surfaces.contact_forces(), self._surfaces.rounding_forces()
-        last, self._forces = self._forces, forces
-        changed = forces if last is None else forces - last
+        former_forces, self._forces = self._forces, forces
+        changed = forces if former_forces is None else forces - former_forces
         state = self._surfaces.state
         w = state.configuration.x.array.copy()
         residual = (u.x.array - w)[: len(self._surfaces.linear.prescribed_displacements)]
@@ -183,13 +183,13 @@ class FiniteSliding:
         self._grows = self._grows + 1 if distance > residual_before else 0
         before, gaps = self.change, self._gaps
         self._gaps = self._surfaces.gaps_at_nodes(u)
-        if last is None or gaps is None:
+        if former_forces is None or gaps is None:
             self.change = math.inf
         else:
             opened = np.nan_to_num(self._gaps - gaps)
             before_step = state.accepted.displacement
             step = u.x.array - (0.0 if before_step is None else before_step.x.array)
-            sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step, u.x.array)]
+            sizes = [float(np.abs(values).max(initial=0.0)) for values in (opened, step, u.x.array)]
             largest, moved, displaced = reduce_array(self._surfaces.comm, sizes, MPI.MAX)
             moved = max(moved, SMALL_STEP * displaced)
             resolution = ROUNDING * (self._surfaces.obstacles.extent + displaced)
@@ -235,10 +235,10 @@ class FiniteSliding:
         else:
             frames, linear.frames = surfaces.jump.frames, None
             values, held = linear.prescribed_values(), origin.copy()
-            part = self._part_of_last_motion(values)
-            now, before = state.accepted.displacement, state.accepted.before
-            if part != 0.0 and now is not None and before is not None:
-                held = at_rest.continued(before, now, part)
+            fraction = self._part_of_last_motion(values)
+            accepted, before = state.accepted.displacement, state.accepted.before
+            if fraction != 0.0 and accepted is not None and before is not None:
+                held = at_rest.continued(before, accepted, fraction)
             held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
             changes = np.abs(held.x.array - origin.x.array)
@@ -264,13 +264,13 @@ class FiniteSliding:
         accepted, prescribed = self._surfaces.state.accepted, self._surfaces.linear.prescribed
         if accepted.displacement is None or accepted.before is None:
             return 0.0
-        now, before = (
+        reached, before = (
             u.x.array[: len(prescribed)][prescribed]
             for u in (accepted.displacement, accepted.before)
         )
-        last, present = now - before, values - now
-        present[np.abs(present) <= ROUNDING * np.abs(now).max(initial=0.0)] = 0.0
-        products = [float(last @ last), float(last @ present)]
+        last_step, present_step = reached - before, values - reached
+        present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
+        products = [float(last_step @ last_step), float(last_step @ present_step)]
         square, product = reduce_array(self._surfaces.comm, products)
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
 
@@ -287,20 +287,20 @@ class FiniteSliding:
 
     def _next(self) -> Array:
         """Return the next displacement w by Anderson's acceleration, with ghosts. Collective."""
-        *earlier, last = self._path
-        u, w, residual = last.u, last.w, last.u - last.w
+        *earlier, newest = self._path
+        u, w, residual = newest.u, newest.w, newest.u - newest.w
         # the first u(w) is no approximation
         alike = [configuration for configuration in earlier[1:] if self._alike(configuration)]
         if len(earlier) > 1 and (not alike or alike[-1] is not earlier[-1]):
             before = earlier[-1]
             begin, end = self._products(w - before.w, [before.u - before.w, residual])
             if begin > 0.0 > end:
-                part = min(max(begin / (begin - end), LEAST_PART), LARGEST_PART)
-                between: Array = (1.0 - part) * before.u + part * u
+                fraction = min(max(begin / (begin - end), LEAST_PART), LARGEST_PART)
+                between: Array = (1.0 - fraction) * before.u + fraction * u
                 return between
         if not alike:
             return u
-        path = [*alike[-ANDERSON_DEPTH:], last]
+        path = [*alike[-ANDERSON_DEPTH:], newest]
         rows = np.array([b.u - b.w - (a.u - a.w) for a, b in pairwise(path)])
         moves = np.array([b.u - a.u for a, b in pairwise(path)])
         products = np.array([self._products(row, [*rows, residual]) for row in rows])
@@ -311,22 +311,22 @@ class FiniteSliding:
         weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
         accelerated: Array = u - moves.T @ weights
         if self._grows >= GROWING and self._products(residual, [accelerated - w])[0] < 0.0:
-            self.snaps, self._path = True, [last]
+            self.snaps, self._path = True, [newest]
             return u
         return accelerated
 
-    def _alike(self, other: Configuration) -> bool:
+    def _alike(self, configuration: Configuration) -> bool:
         """Return whether another configuration is like the last one; see `ALIKE`. Collective."""
-        loads = self._path[-1].loads + other.loads
-        changed = loads[(self._path[-1].loads > 0.0) != (other.loads > 0.0)]
+        loads = self._path[-1].loads + configuration.loads
+        changed = loads[(self._path[-1].loads > 0.0) != (configuration.loads > 0.0)]
         sums = [float(changed.sum()), float(loads.sum())]
         of_changed, whole = reduce_array(self._surfaces.comm, sums)
         return bool(of_changed <= ALIKE * whole)
 
-    def _products(self, x: Array, others: list[Array]) -> Array:
+    def _products(self, x: Array, vectors: list[Array]) -> Array:
         """Return the inner products of x with other displacements, all with ghosts. Collective."""
         owned = len(self._surfaces.linear.prescribed_displacements)
-        return reduce_array(self._surfaces.comm, [float(x[:owned] @ y[:owned]) for y in others])
+        return reduce_array(self._surfaces.comm, [float(x[:owned] @ y[:owned]) for y in vectors])
 
 
 def solve_with_finite_sliding(
@@ -346,12 +346,12 @@ def solve_with_finite_sliding(
     sliding.pair_first_configuration()
     solutions: list[ContactSolution] = []
     failure = ""
-    last: Iteration | None = None
+    last_iteration: Iteration | None = None
 
     def in_configuration(iteration: Iteration) -> bool:
-        nonlocal last
-        last = replace(iteration, configuration=sliding.configurations)
-        return observe(last)
+        nonlocal last_iteration
+        last_iteration = replace(iteration, configuration=sliding.configurations)
+        return observe(last_iteration)
 
     while True:
         loosened = sliding.loosened(options)
@@ -369,8 +369,8 @@ def solve_with_finite_sliding(
         if sliding.error <= options.geometry_accuracy:
             if loosened != options:
                 solutions.append(contact.solve(options, units, in_configuration))
-            if last is not None:
-                observe(replace(last, ended=True))
+            if last_iteration is not None:
+                observe(replace(last_iteration, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
             state = contact.surfaces.state
@@ -385,18 +385,18 @@ def solve_with_finite_sliding(
     return replace(
         solutions[-1],
         sliding=failure or solutions[-1].sliding,
-        iterations=sum(one.iterations for one in solutions),
-        products=sum(one.products for one in solutions),
-        krylov_iterations=sum(one.krylov_iterations for one in solutions),
-        timings=summed_timings(one.timings for one in solutions),
+        iterations=sum(solution.iterations for solution in solutions),
+        products=sum(solution.products for solution in solutions),
+        krylov_iterations=sum(solution.krylov_iterations for solution in solutions),
+        timings=summed_timings(solution.timings for solution in solutions),
     )
 
 
-def summed_timings(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
+def summed_timings(timings: Iterable[Mapping[str, float]]) -> dict[str, float]:
     """Return the seconds of each phase, summed over the parts."""
     result: dict[str, float] = {}
-    for part in parts:
-        for name, seconds in part.items():
+    for seconds_of_phase in timings:
+        for name, seconds in seconds_of_phase.items():
             result[name] = result.get(name, 0.0) + seconds
     return result
 

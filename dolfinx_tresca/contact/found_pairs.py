@@ -168,7 +168,7 @@ def contacts(
     for face in faces.values():
         if len(face.bodies) == 1:
             of_body.setdefault(min(face.bodies), []).append(face.size)
-    sizes = {body: float(np.mean(some)) for body, some in of_body.items()}
+    sizes = {body: float(np.mean(body_sizes)) for body, body_sizes in of_body.items()}
     several = [str(tag) for tag, face in faces.items() if len(face.bodies) > 1]
     if several:
         log(mesh.comm, "contacts: tags %s, of several bodies, are left out", ", ".join(several))
@@ -178,13 +178,13 @@ def contacts(
     reach = 0.0
     touched: set[int] = set()
     for both in combinations(sorted(faces), 2):
-        one, other = (faces[tag] for tag in both)
-        if len(one.bodies) > 1 or len(other.bodies) > 1 or one.bodies == other.bodies:
+        face, other_face = (faces[tag] for tag in both)
+        if len(face.bodies) > 1 or len(other_face.bodies) > 1 or face.bodies == other_face.bodies:
             continue
-        bodies = [next(iter(face.bodies)) for face in (one, other)]
+        bodies = [next(iter(side.bodies)) for side in (face, other_face)]
         near = min(sizes[body] for body in bodies) if limit is None else limit
         reach = max(reach, near)
-        apart = np.maximum(one.box[0] - other.box[1], other.box[0] - one.box[1])
+        apart = np.maximum(face.box[0] - other_face.box[1], other_face.box[0] - face.box[1])
         if np.linalg.norm(np.maximum(apart, 0.0)) > near:
             continue
         ratio = sizes[bodies[0]] / sizes[bodies[1]]
@@ -260,12 +260,12 @@ def _distance_to_others(V: Any, faces: Mapping[int, _Face], body: int) -> float:
     """Return the least distance of tagged nodes of a body from those of others. Collective."""
     x = V.tabulate_dof_coordinates()
     sides = [(x[face.nodes], body in face.bodies) for face in faces.values()]
-    own, others = (
+    own_points, other_points = (
         np.concatenate([x[:0], *(face for face, is_own in sides if is_own == side)])
         for side in (True, False)
     )
-    points = gather_rows(V.mesh.comm, own)
+    points = gather_rows(V.mesh.comm, own_points)
     nearest = np.inf
-    if len(points) and len(others):
-        nearest = float(cKDTree(points).query(others)[0].min())
+    if len(points) and len(other_points):
+        nearest = float(cKDTree(points).query(other_points)[0].min())
     return float(reduce_array(V.mesh.comm, nearest, MPI.MIN))

@@ -23,7 +23,7 @@ def depends_on_pressure(pair: ContactPair) -> bool:
 
 
 def check_curves(
-    dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
+    dual: DualProgram, solution: DualSolution, slip_bounds: SlipBounds
 ) -> list[CurveAtNodes]:
     """Check the friction curves F(pressure, slip) at the pressures and slips of a solution.
 
@@ -32,7 +32,7 @@ def check_curves(
 
     Args:
         dual: the dual problem.
-        found: solution of the dual problem.
+        solution: solution of the dual problem.
         slip_bounds: object that evaluates the laws of friction at nodes.
 
     Returns:
@@ -41,13 +41,13 @@ def check_curves(
     Raises:
         InputError: F is negative, NaN or infinite at a node under pressure.
     """
-    x = found.multipliers
-    cones = dual.admissible.at_point(x, found.gradient)
+    x = solution.multipliers
+    cones = dual.admissible.at_point(x, solution.gradient)
     if not isinstance(cones, FrictionCones) or cones.curves is None:
         return []
     arguments = cones.curve_arguments(x)
-    for one in arguments:
-        slip_bounds.check_curve(*one)
+    for curve in arguments:
+        slip_bounds.check_curve(*curve)
     hint_at_weakening(dual.jump.comm, cones, x, dual.known_products().largest_ritz_value())
     return arguments
 

@@ -42,13 +42,14 @@ class Obstacles:
     def motions(self) -> Array:
         """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle; identity if it has none."""
         none = RigidMotion.none()
-        return np.array([(none if one is None else one.motion).matrix for one in self._obstacles])
+        motions = (none if obstacle is None else obstacle.motion for obstacle in self._obstacles)
+        return np.array([motion.matrix for motion in motions])
 
     @motions.setter
     def motions(self, motions: Array) -> None:
-        for one, matrix in zip(self._obstacles, motions, strict=True):
-            if one is not None:
-                one.motion = RigidMotion.from_matrix(matrix)
+        for obstacle, matrix in zip(self._obstacles, motions, strict=True):
+            if obstacle is not None:
+                obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
         """Return the motions (pairs, 3, 4) of the obstacles at a fraction of a load step.
@@ -61,10 +62,10 @@ class Obstacles:
             fraction: fraction of the way from the start to the end, from 0 to 1.
         """
         result = np.array(after)
-        for place, one, first, last in zip(result, self._obstacles, before, after, strict=True):
-            if one is not None and fraction < 1.0:
-                ends = RigidMotion.from_matrix(first), RigidMotion.from_matrix(last)
-                place[:] = ends[0].towards(ends[1], fraction, one.centre).matrix
+        for place, obstacle, start, end in zip(result, self._obstacles, before, after, strict=True):
+            if obstacle is not None and fraction < 1.0:
+                ends = RigidMotion.from_matrix(start), RigidMotion.from_matrix(end)
+                place[:] = ends[0].towards(ends[1], fraction, obstacle.centre).matrix
         return result
 
     def note_pairing(self, jump: JumpOperator) -> None:
@@ -80,12 +81,12 @@ class Obstacles:
 
         For a pair of deformable bodies, the array has no rows. Collective.
         """
-        has_obstacle = any(one is not None for one in self._obstacles)
+        has_obstacle = any(obstacle is not None for obstacle in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
             return [
-                np.zeros((0, 4)) if one is None else np.column_stack(one.at(x[on.nodes]))
-                for one, on in zip(self._obstacles, jump.pairs, strict=True)
+                np.zeros((0, 4)) if obstacle is None else np.column_stack(obstacle.at(x[on.nodes]))
+                for obstacle, on in zip(self._obstacles, jump.pairs, strict=True)
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
@@ -95,12 +96,11 @@ class Obstacles:
         """
         extent = np.abs(self._V.mesh.geometry.x).max(initial=0.0)
         limit = ROUNDING * np.array([extent, 1.0, 1.0, 1.0])
-        now = self._distances(jump)
-        here = [
+        changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
-            for before, after in zip(self._at_pairing, now, strict=True)
+            for before, after in zip(self._at_pairing, self._distances(jump), strict=True)
         ]
-        return np.asarray(reduce_array(self._V.mesh.comm, np.array(here)) > 0)
+        return np.asarray(reduce_array(self._V.mesh.comm, np.array(changed_on_rank)) > 0)
 
     def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
         """Log a warning for obstacles with friction that changed without `move_to`.
@@ -112,10 +112,10 @@ class Obstacles:
             changed: (pairs,) whether the distance has changed.
             same_place: (pairs,) whether the motion that `move_to` sets is unchanged.
         """
-        for pair, one, unknown in zip(
+        for pair, obstacle, unknown in zip(
             self._pairs, self._obstacles, changed & same_place, strict=True
         ):
-            fixed = one is not None and not one.constants
+            fixed = obstacle is not None and not obstacle.constants
             if unknown and fixed and not isinstance(pair.friction, Frictionless):
                 log(
                     self._V.mesh.comm,
@@ -163,13 +163,13 @@ class Obstacles:
             comm,
             control,
             np.reshape(direction, (1, -1)),
-            lambda: np.concatenate([one * scale for one in self._distances(jump)]),
+            lambda: np.concatenate([distances * scale for distances in self._distances(jump)]),
             "an obstacle",
         )
         if rates is None:
             return np.zeros(len(self._pairs))
-        ends = np.cumsum([len(one) for one in self._distances(jump)])[:-1]
-        largest = [np.abs(one).max(initial=0.0) for one in np.split(rates[0], ends)]
+        ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
+        largest = [np.abs(distances).max(initial=0.0) for distances in np.split(rates[0], ends)]
         return np.asarray(reduce_array(comm, np.array(largest), MPI.MAX))
 
     @property
@@ -178,7 +178,7 @@ class Obstacles:
         x = self._V.mesh.geometry.x
         return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 
-    def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
+    def displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of an obstacle at each node, since a former position.
 
         At a node this is the displacement of the obstacle's material point that is at the node now.
@@ -186,14 +186,14 @@ class Obstacles:
 
         Args:
             before: (3, 4) former motion of the obstacle, as in `RigidMotion.matrix`.
-            now: (3, 4) present motion of the obstacle.
+            after: (3, 4) present motion of the obstacle.
             u: present displacement [length] of the nodes.
         """
         dim = self._V.mesh.geometry.dim
-        here = self._V.tabulate_dof_coordinates().T.copy()
-        here[:dim] += u.x.array.reshape(-1, dim).T
-        material = RigidMotion.from_matrix(now).reversed_from(here)
-        moved = here - RigidMotion.from_matrix(before).applied_to(material)
+        points = self._V.tabulate_dof_coordinates().T.copy()
+        points[:dim] += u.x.array.reshape(-1, dim).T
+        material = RigidMotion.from_matrix(after).reversed_from(points)
+        moved = points - RigidMotion.from_matrix(before).applied_to(material)
         result = fem.Function(self._V)
         result.x.array[:] = moved[:dim].T.ravel()
         return result

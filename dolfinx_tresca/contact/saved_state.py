@@ -146,11 +146,11 @@ class SavedState(StateFile):
                 displacement that is needed.
         """
         jump, header = present.jump, self.header
-        for number, (before, now) in enumerate(zip(header["laws"], _laws(jump), strict=True)):
-            if before != now:
+        for number, (saved, law) in enumerate(zip(header["laws"], _laws(jump), strict=True)):
+            if saved != law:
                 raise InputError(
                     f"the state in '{self.path}' is of a problem whose pair {number} "
-                    f"{before}; here it {now}, so that tractions and slip would be lost, or are "
+                    f"{saved}; here it {law}, so that tractions and slip would be lost, or are "
                     "not known. Where friction comes or goes in a process let its bound or "
                     "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
                     "last accepted displacement."
@@ -202,18 +202,18 @@ class SavedState(StateFile):
         if component is None:
             return np.array(u.x.array)
         w = fem.Function(self._system.space)
-        others = component.other_parts(w)
-        read = self.functions("unknown", others)
-        for function, values in zip(others, read, strict=True):
+        other_parts = component.other_parts(w)
+        read = self.functions("unknown", other_parts)
+        for function, values in zip(other_parts, read, strict=True):
             function.x.array[:] = values
-        component.compose(w, u, others)
+        component.compose(w, u, other_parts)
         return np.array(w.x.array)
 
 
 def _if_other(u: fem.Function, reference: fem.Function) -> fem.Function | None:
     """Return a Function if its values differ from those of a reference, or None. Collective."""
-    other = not np.array_equal(u.x.array, reference.x.array)
-    return u if u.function_space.mesh.comm.allreduce(other, op=MPI.LOR) else None
+    differs = not np.array_equal(u.x.array, reference.x.array)
+    return u if u.function_space.mesh.comm.allreduce(differs, op=MPI.LOR) else None
 
 
 def _laws(jump: JumpOperator) -> list[str]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.forcing import SLACK
@@ -60,43 +60,43 @@ def solve_to_bound(
     q: tuple[float, ...] = ()
     for attempt in range(MAX_ATTEMPTS):
         with timed("iteration", timings):
-            found = solve(dual, start, asked, observe)
+            solved = solve(dual, start, asked, observe)
         with timed("fields", timings):
-            evaluation, history = evaluate(dual, surfaces, bodies, found, estimate=options.balanced)
-        iterations += found.iterations
-        residuals, q = residuals + found.residuals[attempt > 0 :], q + found.q[attempt > 0 :]
+            evaluation, history = evaluate(
+                dual, surfaces, bodies, solved, estimate=options.balanced
+            )
+        iterations += solved.iterations
+        residuals, q = residuals + solved.residuals[attempt > 0 :], q + solved.q[attempt > 0 :]
         if attempt == 0:
-            wanted = found.wanted
-        found = dataclasses.replace(
-            found, wanted=wanted, iterations=iterations, residuals=residuals, q=q
-        )
+            wanted = solved.wanted
+        solved = replace(solved, wanted=wanted, iterations=iterations, residuals=residuals, q=q)
         excess = evaluation.energy_error_bound / (SLACK * wanted)
-        if found.status is not ContactStatus.CONVERGED or not excess > 1.0:
+        if solved.status is not ContactStatus.CONVERGED or not excess > 1.0:
             break
-        start = found.multipliers
+        start = solved.multipliers
         accuracy = 0.5 * wanted * (1.0 / excess) ** attempt
         if accuracy == 0.0:  # the fields are rounding: no accuracy of the iteration helps
-            found = dataclasses.replace(found, status=ContactStatus.STAGNATED)
+            solved = replace(solved, status=ContactStatus.STAGNATED)
             break
         asked = options.with_changes(accuracy=accuracy)
     else:
-        found = dataclasses.replace(found, status=ContactStatus.STAGNATED)
+        solved = replace(solved, status=ContactStatus.STAGNATED)
     bound_decides = attempt > 0 or not (options.rtol or options.balanced)
-    if found.status not in (ContactStatus.CONVERGED, ContactStatus.STOPPED) and (
+    if solved.status not in (ContactStatus.CONVERGED, ContactStatus.STOPPED) and (
         (bound_decides and excess <= 1.0)
-        or (requested != options and _meets(requested, dual, found, evaluation))
+        or (requested != options and _meets(requested, dual, solved, evaluation))
     ):
-        found = dataclasses.replace(found, status=ContactStatus.CONVERGED)
-    return found, evaluation, history
+        solved = replace(solved, status=ContactStatus.CONVERGED)
+    return solved, evaluation, history
 
 
 def _meets(
-    requested: SolverOptions, dual: DualProgram, found: DualSolution, evaluation: Evaluation
+    requested: SolverOptions, dual: DualProgram, solution: DualSolution, evaluation: Evaluation
 ) -> bool:
     """Return whether a solution meets the criteria of convergence of options. Collective."""
-    point = Point(found.multipliers, found.c, found.gradient)
-    residual = NaturalResidual(dual, found.rho)
+    point = Point(solution.multipliers, solution.c, solution.gradient)
+    residual = NaturalResidual(dual, solution.rho)
     history = History(dual, requested, lambda iteration: False, residual)
-    measures = history.measures(point, found.accuracy or 0.0, residual.norm_at(point))
+    measures = history.measures(point, solution.accuracy or 0.0, residual.norm_at(point))
     met = all(reached <= wanted for reached, wanted in measures)
     return met and evaluation.energy_error_bound <= SLACK * history.accuracy

@@ -259,8 +259,8 @@ def surroundings(V: Any) -> Array:
     nodes, own = V.dofmap.list[:cells], V.dofmap.index_map.size_local
     middles, count = (dolfinx.la.vector(V.dofmap.index_map, dim) for _ in range(2))
     for total, of_cells in ((middles, points[nodes].mean(axis=1)), (count, np.ones((cells, dim)))):
-        at = np.repeat(of_cells, nodes.shape[1], axis=0)
-        np.add.at(total.array.reshape(-1, dim), nodes.ravel(), at)
+        of_corners = np.repeat(of_cells, nodes.shape[1], axis=0)
+        np.add.at(total.array.reshape(-1, dim), nodes.ravel(), of_corners)
         total.scatter_reverse(dolfinx.la.InsertMode.add)
     mean = (middles.array / np.maximum(count.array, 1.0)).reshape(-1, dim)
     return np.hstack([points[:own], mean[:own]])

@@ -196,10 +196,10 @@ class DataOfSolution:
             InputError: the derivative with respect to the Function is not known.
         """
         self._z.x.array[:] = derivatives.force.x.array
-        owned, parts = owned_size(control), []
+        owned, terms = owned_size(control), []
         form = self._along(self._work, control, None)
         if form is not None:
-            parts.append(-assembled(form)[:owned])
+            terms.append(-assembled(form)[:owned])
         for scalar in self._fields:
             weights = scalar.offset.T @ derivatives.offset
             weights += scalar.radius * derivatives.radius[scalar.discs]
@@ -207,7 +207,7 @@ class DataOfSolution:
                 scalar.field, control, scalar.nodes, weights, scalar.name
             )
             if by_field is not None:
-                parts.append(by_field)
+                terms.append(by_field)
         numbers = np.arange(1, len(control.x.array) + 1, dtype=np.float64)
         source = self._prescribed_by(control, numbers).astype(np.intp)[: owned_size(self.u)]
         depends = source > 0
@@ -216,8 +216,8 @@ class DataOfSolution:
             weights = derivatives.prescribed.x.array[: len(source)]
             np.add.at(vector.array, source[depends] - 1, weights[depends])
             vector.scatter_reverse(dolfinx.la.InsertMode.add)
-            parts.append(vector.array[:owned].copy())
-        return sum(parts[1:], parts[0]) if parts else None
+            terms.append(vector.array[:owned].copy())
+        return sum(terms[1:], terms[0]) if terms else None
 
     def explicit_rate(
         self, goal: Any, controls: Sequence[Control], directions: Sequence[Any], change: DataVector

@@ -71,7 +71,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     def radii(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
         ones = [np.ones(len(pair.nodes)) for pair in jump.pairs]
-        bounds = [NodalBounds(constant * one, coefficient * one, np.inf * one) for one in ones]
+        bounds = [NodalBounds(constant * unit, coefficient * unit, np.inf * unit) for unit in ones]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
     by_constant = radii(1.0, 0.0)
@@ -105,7 +105,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
                 nothing = offsets([], [], [])
                 result.append(NodalField(scalar, nodes, name, own, by_bound, nothing))
                 continue
-            axes = _Axes.of(operators, bounds.ellipses)
+            axes = _Axes.from_pair(operators, bounds.ellipses)
             rows = tangential.start + axes.rows
             # the stretched rows and multipliers of a node change with the ratio of its semi-axes
             outwards = np.einsum("na,na->n", contact.face.radial[rows], axes.mirrored(x[rows]))
@@ -149,7 +149,7 @@ class _Axes:
     shares: Array
 
     @classmethod
-    def of(cls, pair: PairOperators, ellipses: NodalEllipses) -> _Axes:
+    def from_pair(cls, pair: PairOperators, ellipses: NodalEllipses) -> _Axes:
         """Return the derivatives at the nodes of a pair. Not collective."""
         node, d = pair.tangent_node, pair.normals.shape[1]
         direction = ellipses.direction[:, :d]

@@ -151,14 +151,14 @@ class ControlVector:
         ends = np.cumsum([_size(control) for control in self.controls])
         if values.shape != (ends[-1],):
             raise InputError(f"the controls have {ends[-1]} values, found shape {values.shape}.")
-        parts = np.split(values, ends[:-1])
-        for control, part, scale in zip(self.controls, parts, self._scales, strict=True):
+        pieces = np.split(values, ends[:-1])
+        for control, piece, scale in zip(self.controls, pieces, self._scales, strict=True):
             if isinstance(control, fem.Constant):
-                control.value[...] = (scale * part).reshape(control.ufl_shape)
+                control.value[...] = (scale * piece).reshape(control.ufl_shape)
             else:
                 owned = owned_size(control)
-                first = control.x.index_map.local_range[0] * control.x.block_size
-                control.x.array[:owned] = scale * part[first : first + owned]
+                start = control.x.index_map.local_range[0] * control.x.block_size
+                control.x.array[:owned] = scale * piece[start : start + owned]
                 control.x.scatter_forward()
 
     @collective(comm_of("derivatives"))
@@ -178,11 +178,11 @@ class ControlVector:
                 f"derivatives must be one for each of {len(self.controls)} control(s), found "
                 f"{len(derivatives)}."
             )
-        parts = [
+        arrays = [
             scale * _gathered(derivative)
             for derivative, scale in zip(derivatives, self._scales, strict=True)
         ]
-        return np.concatenate([*parts, np.zeros(0)])
+        return np.concatenate([*arrays, np.zeros(0)])
 
 
 def _size(control: Any) -> int:

@@ -256,11 +256,11 @@ def goal_error(
     products_before = dual.operator.products
     on_jump, on_x = weights_of(goal, jump, x)
     z, y = contact.adjoint(on_jump, on_x, accuracy=ADJOINT_ACCURACY)
-    w = on_x - jump.of(z.x.petsc_vec) + contact.curvature * y
+    w = on_x - jump.of_unknowns(z.x.petsc_vec) + contact.curvature * y
     changes = state_changes(contact, surfaces, y, w)
     estimator = dual.compliance.estimator
     products = estimator.products(contact.u, z)
-    cells, of_z = estimator.of(contact.u), estimator.of(z)
+    cells, of_z = estimator.cell_errors(contact.u), estimator.cell_errors(z)
     cells.x.array[:] = np.sqrt(cells.x.array * of_z.x.array)
     own = cells.x.array[: len(products)]
     unsigned, signed = reduce_array(jump.comm, [own @ own, products.sum()])

@@ -340,13 +340,13 @@ class LinearisedContact:
             weighted = np.asarray((weight * test(v).T).T)
             return weighted if transpose else change @ weighted
 
-        def rest(v: Array) -> Array:
+        def added(v: Array) -> Array:
             along = project(v)
             curved = np.asarray((self.curvature * along.T).T)
             left = v - (along if transpose else change @ along)
             return (test(curved) if transpose else curved) + (left.T * diagonal).T
 
-        return NodalMaps(test=test, added=rest, inverse=inverse)
+        return NodalMaps(test=test, added=added, inverse=inverse)
 
 
 class _FollowedDisplacement:
@@ -386,7 +386,7 @@ class _FollowedDisplacement:
         if self._f.norm() > 0.0:
             self._operator.products += 1
             self._error = self._improve(None, self._v, STEP_ACCURACY, 0.0)
-        return self._jump.of(self._v)
+        return self._jump.of_unknowns(self._v)
 
     def _improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
         """Solve K v = f - B'y; keep prescribed values, which iterations change. Collective."""
@@ -414,7 +414,8 @@ class _FollowedDisplacement:
         self._operator.products += 1
         v, before = self._v.copy(), self._error
         self._error = self._improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
-        product, change = self._jump.of(self._v) - self._jump.of(v), v.array - self._v.array
+        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(v)
+        change = v.array - self._v.array
         v.destroy()
         return product, float(np.hypot(self._error, before)), change
 

@@ -163,7 +163,7 @@ class ProcessTape:
             InputError: the file of a checkpoint cannot be written.
         """
         contact = self._contact
-        last = self._solved_for("a recorded load step")
+        step = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
         if self._steps and self._surfaces.state.history is not self._history:
             raise ContactError(
@@ -184,17 +184,17 @@ class ProcessTape:
             )
         solved = None if self._every else self._linearised()
         if self._every and len(self) % self._every == 0:
-            self._add_checkpoint(last.multipliers)
+            self._add_checkpoint(step.multipliers)
         yield
         self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
-            former if former is not None and np.array_equal(former, now) else now.copy()
-            for former, now in zip(before, map(values_of, self._inputs), strict=True)
+            former if former is not None and np.array_equal(former, present) else present.copy()
+            for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         self._steps.append(
             _Recorded(
-                solved, ref(last.fields.u), values, last.options, last.curves, last.inputs[1:]
+                solved, ref(step.fields.u), values, step.options, step.curves, step.inputs[1:]
             )
         )
 
@@ -338,7 +338,7 @@ class ProcessTape:
         """
         controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
-        return [as_derivatives(parts, controls, self.comm) for parts in steps]
+        return [as_derivatives(derivatives, controls, self.comm) for derivatives in steps]
 
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
@@ -415,10 +415,10 @@ class ProcessTape:
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
                 "before they are moved, or move them back."
             )
-        known = contact.comm.allreduce(self._has_places, op=MPI.LAND)
+        has_places = contact.comm.allreduce(self._has_places, op=MPI.LAND)
         for control in controls:
             moves = self._surfaces.obstacles.depending_on(control, self._surfaces.jump)
-            if not known and moves.any():
+            if not has_places and moves.any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "

@@ -73,8 +73,8 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
     """
-    first = direction - np.einsum("ni,ni->n", direction, pair.normals)[:, None] * pair.normals
-    length, whole = np.linalg.norm(first, axis=1), np.linalg.norm(direction, axis=1)
+    axis = direction - np.einsum("ni,ni->n", direction, pair.normals)[:, None] * pair.normals
+    length, whole = np.linalg.norm(axis, axis=1), np.linalg.norm(direction, axis=1)
     has_tangents = np.zeros(len(length), dtype=np.bool_)
     has_tangents[pair.tangent_node] = True
     with errors_on_all_ranks(V.mesh.comm):
@@ -91,8 +91,8 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
                 "that varies, or two equal bounds where it has no meaning."
             )
     length[length == 0.0] = 1.0
-    first /= length[:, None]
-    return np.stack([first, cross(pair.normals, first)], axis=1)
+    axis /= length[:, None]
+    return np.stack([axis, cross(pair.normals, axis)], axis=1)
 
 
 def _vector_text(vector: Array) -> str:
@@ -142,7 +142,7 @@ class FrictionDiscs:
     frictionless: Mask
 
     @classmethod
-    def of(cls, pair: PairOperators) -> FrictionDiscs:
+    def from_pair(cls, pair: PairOperators) -> FrictionDiscs:
         """Return the scaling for the semi-axes of a pair. Not collective."""
         node, semi_axes, count = pair.tangent_node, pair.semi_axes, len(pair.nodes)
         positive = semi_axes > 0.0

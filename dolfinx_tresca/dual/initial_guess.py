@@ -86,8 +86,8 @@ class InitialGuess(PetscOwner):
         frees the others. The oldest displacement is at the start of the steps if `begin_at` gave
         this start.
         """
-        for index, (other, before) in enumerate(self._points):
-            if self._square(other - x) == 0.0:
+        for index, (multipliers, before) in enumerate(self._points):
+            if self._square(multipliers - x) == 0.0:
                 before.destroy()
                 self._points[index] = (x.copy(), u)
                 return
@@ -105,16 +105,16 @@ class InitialGuess(PetscOwner):
         points = list(self._points)
         if len(points) < 2:
             points.insert(0, (np.zeros_like(x), self.load))
-        last, u_last = points.pop()
-        along = np.column_stack([other - last for other, _ in points])
-        gram, right = self._inner(along, along), self._inner(along, x - last)
+        newest, u_last = points.pop()
+        along = np.column_stack([multipliers - newest for multipliers, _ in points])
+        gram, right = self._inner(along, along), self._inner(along, x - newest)
         length = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
-        found = np.linalg.lstsq(gram / np.outer(length, length), right / length, rcond=None)[0]
-        parts = self._agreed(np.asarray(found / length, dtype=np.float64))
+        scaled = np.linalg.lstsq(gram / np.outer(length, length), right / length, rcond=None)[0]
+        factors = self._agreed(np.asarray(scaled / length, dtype=np.float64))
         u = u_last.copy()
-        u.scale(1.0 - float(parts.sum()))
-        for part, (_, other) in zip(parts, points, strict=True):
-            u.axpy(float(part), other)
+        u.scale(1.0 - float(factors.sum()))
+        for factor, (_, displacement) in zip(factors, points, strict=True):
+            u.axpy(float(factor), displacement)
         return u
 
     def _square(self, x: Array) -> float:

@@ -99,7 +99,7 @@ class JumpOperator(PetscOwner):
         self.reductions = RankReductions(system.comm)
         self._of_V = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()
-        self._friction_discs = [FrictionDiscs.of(pair) for pair in pairs]
+        self._friction_discs = [FrictionDiscs.from_pair(pair) for pair in pairs]
         areas = [pair.weights[pair.row_node] for pair in pairs]
         scale = 1.0 / np.sqrt(np.concatenate(areas))
         stretch = np.ones(len(scale))
@@ -107,8 +107,8 @@ class JumpOperator(PetscOwner):
             stretch[tangential] = discs.stretch
         self._multipliers.array = stretch
         self._of_V.diagonalScale(L=self._multipliers)
-        part = system.component
-        self.matrix = self._of_V if part is None else part.columns(self._of_V)
+        component = system.component
+        self.matrix = self._of_V if component is None else component.columns(self._of_V)
         if frames is not None:
             self.matrix = frames.columns(self._of_V)
         self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
@@ -141,17 +141,17 @@ class JumpOperator(PetscOwner):
         for k, pair in enumerate(self.pairs):
             numbers = pair.undeformed.group.numbers
             member = numbers.index(k)
-            parts, nodes, normal, tangential = [], [], [], []
+            operators, nodes, normal, tangential = [], [], [], []
             for j in numbers:
-                one, (n, t) = self.pairs[j], self.slices[j]
-                share = one.shares[:, member]
+                paired, (n, t) = self.pairs[j], self.slices[j]
+                share = paired.shares[:, member]
                 keep = share > 0.0
-                parts.append(dataclasses.replace(one.at_nodes(keep), weights=share[keep]))
+                operators.append(dataclasses.replace(paired.at_nodes(keep), weights=share[keep]))
                 nodes.append(firsts[j] + np.flatnonzero(keep))
-                normal.append(n.start + np.flatnonzero(keep[one.normal_node]))
-                tangential.append(t.start + np.flatnonzero(keep[one.tangent_node]))
-            rows = (np.concatenate(some) for some in (nodes, normal, tangential))
-            result.append(RowsOfPair(joined(parts), *rows))
+                normal.append(n.start + np.flatnonzero(keep[paired.normal_node]))
+                tangential.append(t.start + np.flatnonzero(keep[paired.tangent_node]))
+            rows = (np.concatenate(arrays) for arrays in (nodes, normal, tangential))
+            result.append(RowsOfPair(joined(operators), *rows))
         return result
 
     def _gaps(self) -> Array:
@@ -231,15 +231,15 @@ class JumpOperator(PetscOwner):
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return lam
         normal_of = np.full(count, -1)
-        first = 0
+        start = 0
         curves: list[tuple[slice, Curve]] = []
         for pair, (normal, _), bounds in zip(self.pairs, self.slices, slip_bounds, strict=True):
             if not pair.bonded:
                 rows = np.arange(normal.start, normal.stop)
-                normal_of[first + pair.normal_node] = rows
+                normal_of[start + pair.normal_node] = rows
             if bounds.curve is not None:
-                curves.append((slice(first, first + len(pair.nodes)), bounds.curve))
-            first += len(pair.nodes)
+                curves.append((slice(start, start + len(pair.nodes)), bounds.curve))
+            start += len(pair.nodes)
         root = np.append(np.where(roots > 0.0, roots, 1.0), np.ones(count - len(roots)))
         functions = NodalCurves(curves, root) if curves else None
         return FrictionCones(
@@ -275,7 +275,7 @@ class JumpOperator(PetscOwner):
             return np.zeros(len(self.gap))
         return self.of_displacement(self.frames.rigid)
 
-    def of(self, u: PETSc.Vec) -> Array:
+    def of_unknowns(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for all unknowns u of the system. Collective.
 
         With `frames` these are displacements v in the frames, and the result is B R v.
@@ -320,7 +320,7 @@ class JumpOperator(PetscOwner):
     def of_values(self, u: Array) -> Array:
         """Return B u for the values of u on this rank. Collective."""
         self._u.array = u
-        return self.of(self._u)
+        return self.of_unknowns(self._u)
 
     def of_columns(self, columns: csr_array) -> csr_array:
         """Return B U (size, k) for a sparse matrix U (unknowns of this rank, k). Collective."""

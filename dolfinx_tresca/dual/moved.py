@@ -61,25 +61,25 @@ def moved_jump(
     values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
     straight = straightened(V, values)
     operators = list(before.pairs)
-    for first, old in enumerate(before.pairs):
+    for number, old in enumerate(before.pairs):
         numbers = old.undeformed.group.numbers
-        if first == numbers[0] and not all(stay[k] for k in numbers):
-            found = pair_displaced_surfaces(V, old.undeformed, straight)
-            for k, one in zip(numbers, found, strict=True):
+        if number == numbers[0] and not all(stay[k] for k in numbers):
+            paired = pair_displaced_surfaces(V, old.undeformed, straight)
+            for k, operator in zip(numbers, paired, strict=True):
                 stay[k] = before.pairs[k].bonded
-                operators[k] = before.pairs[k] if stay[k] else one
+                operators[k] = before.pairs[k] if stay[k] else operator
     moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
     jump = JumpOperator(system, operators, frames)
     with destroyed_on_error(jump):
         closings = jump.closings(moves)
-        for k, (one, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
+        for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
                 if straight is not values:
-                    moves.x.array[:] = _bent_primary(V, straight, values, pair, one).ravel()
+                    moves.x.array[:] = _bent_primary(V, straight, values, pair, new).ravel()
                     closings = jump.closings(moves)
-                raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
-                distance = one.distance + one.secondary_sagitta - raised + closings[k]
-                operators[k] = dataclasses.replace(one, distance=distance, secondary_sagitta=raised)
+                raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
+                distance = new.distance + new.secondary_sagitta - raised + closings[k]
+                operators[k] = dataclasses.replace(new, distance=distance, secondary_sagitta=raised)
         jump.set_distances(operators)
     return jump
 
@@ -126,13 +126,13 @@ class Carry:
         """Find the nodes of the new B among the nodes of the old B. Not collective."""
         self._before, self._after = before, after
         counts = [len(old.nodes) + 1 for old in before.pairs]  # the last number is for new nodes
-        known = [np.arange(count) for count in counts]
-        found = [
+        old_positions = [np.arange(count) for count in counts]
+        positions = [
             _position(new.nodes, old.nodes)
             for new, old in zip(after.pairs, before.pairs, strict=True)
         ]
-        self._to = _components(after.pairs, found, counts)
-        self._of = _components(before.pairs, known, counts).T
+        self._to = _components(after.pairs, positions, counts)
+        self._of = _components(before.pairs, old_positions, counts).T
 
     def physical(self, values: Array) -> Array:
         """Convert tractions [stress] or jumps [length], (size,) or (size, k), to the new B."""
@@ -158,29 +158,29 @@ def _components(
             matrix it uses, from 0 to count - 1.
         counts: for each pair the number of nodes that have columns, 1 + d columns each.
     """
-    values, columns, lengths, first = [], [], [], 0
+    values, columns, lengths, start = [], [], [], 0
     for pair, node, count in zip(pairs, nodes, counts, strict=True):
         dim = pair.tangents.shape[1]
-        vectors = first + count + dim * node[pair.tangent_node, None] + np.arange(dim)
-        columns += [first + node[pair.normal_node], vectors.ravel()]
+        vectors = start + count + dim * node[pair.tangent_node, None] + np.arange(dim)
+        columns += [start + node[pair.normal_node], vectors.ravel()]
         values += [np.ones(len(pair.normal_node)), pair.tangents.ravel()]
         lengths += [np.ones(len(pair.normal_node), int), np.full(len(vectors), dim)]
-        first += (1 + dim) * count
+        start += (1 + dim) * count
     ends = np.append(0, np.cumsum(np.concatenate(lengths)))
-    shape = len(ends) - 1, first
+    shape = len(ends) - 1, start
     return csr_array((np.concatenate(values), np.concatenate(columns), ends), shape)
 
 
-def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
-    """Return the position (n,) of each node among others; len(others) if it is missing.
+def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
+    """Return the position (n,) of each node among old ones; len(old_nodes) if it is missing.
 
     Both arrays are ascending. A node on a sharp edge occurs once for each of its normals: its
     occurrences are matched in order.
     """
-    most = max(len(nodes), len(others))
-    keys, known = (
-        one.astype(np.int64) * most + np.arange(len(one)) - np.searchsorted(one, one)
-        for one in (nodes, others)
+    most = max(len(nodes), len(old_nodes))
+    keys, old_keys = (
+        array.astype(np.int64) * most + np.arange(len(array)) - np.searchsorted(array, array)
+        for array in (nodes, old_nodes)
     )
-    place = np.searchsorted(known, keys)
-    return np.where(np.append(known, -1)[place] == keys, place, len(others))
+    place = np.searchsorted(old_keys, keys)
+    return np.where(np.append(old_keys, -1)[place] == keys, place, len(old_nodes))

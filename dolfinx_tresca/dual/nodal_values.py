@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from mpi4py import MPI
@@ -43,7 +43,7 @@ LEAST_CHANGE, LARGEST_CHANGE = 1e-12, 1e-2
 def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
     """Return the Constants and Functions in a field, and the variables of a Python function."""
     if isinstance(field, tuple):
-        return [one for part in field for one in inputs_of(part)]
+        return [variable for component in field for variable in inputs_of(component)]
     if isinstance(field, fem.Expression):
         field = field.ufl_expression
     variables: list[Any] = []
@@ -52,13 +52,13 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
     elif inspect.isfunction(field):
         seen = inspect.getclosurevars(field)
         variables = [*seen.nonlocals.values(), *seen.globals.values(), *(field.__defaults__ or ())]
-    return [one for one in variables if isinstance(one, fem.Constant | fem.Function)]
+    return [variable for variable in variables if isinstance(variable, fem.Constant | fem.Function)]
 
 
 def values_of(control: fem.Constant | fem.Function) -> Array:
     """Return the values of a control, as a flat array that shares their memory."""
-    found = control.value if hasattr(control, "value") else control.x.array
-    return np.asarray(found).reshape(-1)
+    values = control.value if hasattr(control, "value") else control.x.array
+    return np.asarray(values).reshape(-1)
 
 
 @contextmanager
@@ -67,14 +67,14 @@ def replaced(
 ) -> Iterator[None]:
     """Replace the values of controls inside the block."""
     present = [values_of(control) for control in controls]
-    before = [one.copy() for one in present]
-    for one, value in zip(present, values, strict=True):
-        one[:] = value
+    before = [array.copy() for array in present]
+    for array, value in zip(present, values, strict=True):
+        array[:] = value
     try:
         yield
     finally:
-        for one, value in zip(present, before, strict=True):
-            one[:] = value
+        for array, value in zip(present, before, strict=True):
+            array[:] = value
 
 
 def central_differences(
@@ -107,7 +107,7 @@ def central_differences(
                 with replaced([control], [given + end * direction]):
                     ends.append(values())
         high, low = np.split(np.array(ends), 2)
-        sizes = [np.abs(part).max(initial=0.0) for part in (high - low, high, low)]
+        sizes = [np.abs(values).max(initial=0.0) for values in (high - low, high, low)]
         change, *largest = reduce_array(comm, sizes, MPI.MAX)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
@@ -138,7 +138,7 @@ class NodalValues:
         while self._interpolations:
             self._interpolations.popitem()[1][1].destroy()
 
-    def at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
+    def scalars_at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar at nodes of this rank. Collective.
 
         Args:
@@ -225,7 +225,7 @@ class NodalValues:
         """
         slopes = self._slopes(field, control, direction, nodes, name)
         if slopes is not None and isinstance(control, fem.Function):
-            slopes = slopes * self.at(direction, nodes, name)
+            slopes = slopes * self.scalars_at(direction, nodes, name)
         return slopes
 
     def _slopes(
@@ -244,9 +244,8 @@ class NodalValues:
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if callable(field) and not isinstance(field, Expr):
-            rates = central_differences(
-                self._V.mesh.comm, control, along[None], lambda: self.at(field, nodes, name), name
-            )
+            comm, values = self._V.mesh.comm, partial(self.scalars_at, field, nodes, name)
+            rates = central_differences(comm, control, along[None], values, name)
             return None if rates is None else rates[0]
         if control not in inputs_of(field):
             return None
@@ -308,18 +307,18 @@ class NodalValues:
         n = len(nodes)
         if n == 0:
             return np.zeros((components, 0))
-        found = np.asarray(function(self._points[nodes].T.copy()))
-        one, kind = ((), "a real number") if components == 1 else ((3,), "a vector")
-        shapes = (one, (components, n), (n,)) if components == 1 else (one, (components, n))
-        if found.dtype.kind not in "biuf" or found.shape not in shapes:
+        array = np.asarray(function(self._points[nodes].T.copy()))
+        shape, kind = ((), "a real number") if components == 1 else ((3,), "a vector")
+        shapes = (shape, (components, n), (n,)) if components == 1 else (shape, (components, n))
+        if array.dtype.kind not in "biuf" or array.shape not in shapes:
             wanted = f"({n},)" if components == 1 else f"({components}, {n})"
             raise InputError(
                 f"the function for {name} must return {kind}, or one for each "
                 f"point: for the {n} contact nodes of this rank it gets x of shape (3, {n}) and "
                 f"should return an array of shape {wanted}, found "
-                + (f"{found}." if found.shape == () else f"shape {found.shape} of {found.dtype}.")
+                + (f"{array}." if array.shape == () else f"shape {array.shape} of {array.dtype}.")
             )
-        columns = found[:, None] if components == 3 and found.shape == one else found
+        columns = array[:, None] if components == 3 and array.shape == shape else array
         values: Array = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
         return values
 
@@ -341,16 +340,16 @@ class NodalValues:
         self._check_mesh(expression, name)
         mesh = self._V.mesh
         if expression not in self._compiled:
-            one = fem.Constant(mesh, 1.0)  # expressions of numbers alone have no mesh
+            unity = fem.Constant(mesh, 1.0)  # expressions of numbers alone have no mesh
             self._compiled[expression] = fem.Expression(
-                one * expression, interpolation_points(self._V.element)
+                unity * expression, interpolation_points(self._V.element)
             )
         cells = self._V.dofmap.list
-        first = self._first_seen[nodes]
-        found = self._compiled[expression].eval(mesh, first // cells.shape[1])
+        places = self._first_seen[nodes]
+        sampled = self._compiled[expression].eval(mesh, places // cells.shape[1])
         components = int(np.prod(expression.ufl_shape, dtype=int))
-        values: Array = found.reshape(len(nodes), cells.shape[1], components)[
-            np.arange(len(nodes)), first % cells.shape[1]
+        values: Array = sampled.reshape(len(nodes), cells.shape[1], components)[
+            np.arange(len(nodes)), places % cells.shape[1]
         ]
         return values
 
@@ -364,9 +363,9 @@ class NodalValues:
     def _first_seen(self) -> LocalNumbers:
         """The first position of each node in the cells' list of nodes."""
         cells = self._V.dofmap.list
-        first = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
-        first[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
-        return first
+        result = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
+        result[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
+        return result
 
     @cached_property
     def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:

@@ -57,7 +57,7 @@ class DualProgram:
     history: SlipHistory
 
     @classmethod
-    def of(
+    def from_bounds(
         cls,
         compliance: ContactCompliance,
         guess: InitialGuess,
@@ -86,7 +86,7 @@ class DualProgram:
             load = jump.system.f.x.petsc_vec.array
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
-        response = ElasticResponse.of(compliance, guess, history.origin)
+        response = ElasticResponse.from_compliance(compliance, guess, history.origin)
         return cls(compliance, response, admissible, equilibrium, constraints, history)
 
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
@@ -145,7 +145,7 @@ class DualProgram:
             r: (size,) the gradient, computed from u.
             error: error of r in the norm of `ElasticResponse.gradient`.
         """
-        return self.compliance.certificate.at(self.bounds(x, r), x, r, error)
+        return self.compliance.certificate.energy_bound(self.bounds(x, r), x, r, error)
 
     def decoupled_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
@@ -191,7 +191,7 @@ class DualProgram:
             the change and the largest traction [stress].
         """
         change = x - self.bounds(x, r).project(self.decoupled_minimiser(x, r))
-        sizes = [self._largest_stress(one) for one in (change, x)]
+        sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest), float(traction)
 
@@ -234,11 +234,11 @@ class DualProgram:
         if not self.jump.system.form_of_displacement:
             return np.inf
         u = fem.Function(self.jump.system.V)
-        self.response.known(x, u.x.petsc_vec)
+        self.response.set_known_displacement(x, u.x.petsc_vec)
         self.in_equilibrium(x, u.x.petsc_vec, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)
-        return total(self.compliance.estimator.of(u)) / norm if norm > 0.0 else 0.0
+        return total(self.compliance.estimator.cell_errors(u)) / norm if norm > 0.0 else 0.0
 
     def norm_of(self, u: fem.Function) -> float:
         """Return |u|_K = sqrt(a(u, u)). Collective."""

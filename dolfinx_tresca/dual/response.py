@@ -67,7 +67,7 @@ class ElasticResponse(ABC):
         self._load_terms: tuple[float, Array] | None = None
 
     @classmethod
-    def of(
+    def from_compliance(
         cls, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
     ) -> ElasticResponse:
         """Return the response of the kind that suits the solver for K. Not collective.
@@ -97,7 +97,7 @@ class ElasticResponse(ABC):
             u.set(0.0)  # exactly zero without load
         self.b_error = self._solver.improve(load, u, rtol=rtol, accuracy=0.0)
         self._guess.set_load(u)
-        self.b = self._jump.of(u) - self.offset
+        self.b = self._jump.of_unknowns(u) - self.offset
         u.destroy()
 
     @property
@@ -149,7 +149,7 @@ class ElasticResponse(ABC):
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
-        return self.offset - self._jump.of(u)
+        return self.offset - self._jump.of_unknowns(u)
 
     def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
@@ -170,7 +170,7 @@ class ElasticResponse(ABC):
         return self.error(x, u)
 
     @abstractmethod
-    def known(self, x: Array, u: PETSc.Vec) -> None:
+    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Set u to the displacement from which the gradient at x was computed. Collective."""
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
@@ -234,7 +234,7 @@ class ElasticResponse(ABC):
         u = load.duplicate()
         u.set(0.0)
         self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
-        jump = self._jump.of(u)
+        jump = self._jump.of_unknowns(u)
         u.destroy()
         return energy, jump
 
@@ -254,7 +254,7 @@ class DirectResponse(ElasticResponse):
         presses = float(self._jump.reductions.inner(x, x)) > 0.0
         return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
 
-    def known(self, x: Array, u: PETSc.Vec) -> None:
+    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Set u to the displacement at x, and keep it: one solve with K. Collective."""
         self._solver.solve(self._jump.net_force(x), u)
         self._solved = x.copy(), u.array.copy()
@@ -311,14 +311,14 @@ class IterativeResponse(ElasticResponse):
         """Solve K u = f - B'x, unless u is known well enough; return its error. Collective."""
         if accuracy is None:
             return super().displacement(x, u)
-        self.known(x, u)
+        self.set_known_displacement(x, u)
         error = self.error(x, u)
         if error > SLACK * accuracy:
             self._improve(x, u, accuracy)
             error = self.error(x, u)  # includes rounding, which the iteration does not see
         return error
 
-    def known(self, x: Array, u: PETSc.Vec) -> None:
+    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Set u to the displacement from which the gradient at x was computed. Collective."""
         near = self._guess.near(x)
         near.copy(u)

@@ -100,7 +100,7 @@ class SlipBounds:
             return
         for name in TERMS:
             for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
-                self.values.at(field, nodes, words)
+                self.values.scalars_at(field, nodes, words)
         if friction.terms.curve is not None:
             nowhere = np.zeros(len(nodes))
             self.check_curve(friction.terms.curve, nowhere, nowhere)
@@ -130,9 +130,9 @@ class SlipBounds:
         for name in ("constant", "limit"):
             for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
                 if real(field) is not None:
-                    self._at(field, nodes, words, stress_rounding)
+                    self._bound(field, nodes, words, stress_rounding)
 
-    def at(
+    def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
     ) -> NodalBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
@@ -149,16 +149,16 @@ class SlipBounds:
                 error.
         """
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
-        found: dict[str, Array] = {}
+        bounds: dict[str, Array] = {}
         shape: Array = np.ones((len(nodes), 2))
         for name in TERMS:
             words = _name(friction, name)
             fields = _semi_axes(getattr(terms, name), words)
             rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
             values = np.stack(
-                [self._at(field, nodes, of, rounding) for field, of in fields], axis=1
+                [self._bound(field, nodes, text, rounding) for field, text in fields], axis=1
             )
-            found[name] = values.max(axis=1)
+            bounds[name] = values.max(axis=1)
             if len(fields) == 2:
                 shape = self._shape(values, words)
         ellipses = None
@@ -166,7 +166,7 @@ class SlipBounds:
             direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
             ellipses = NodalEllipses(direction, shape)
         return NodalBounds(
-            found["constant"], found["coefficient"], found["limit"], ellipses, terms.curve
+            bounds["constant"], bounds["coefficient"], bounds["limit"], ellipses, terms.curve
         )
 
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
@@ -210,14 +210,14 @@ class SlipBounds:
         np.divide(semi_axes, longer, out=shape, where=np.isfinite(longer) & (longer > 0.0))
         return shape
 
-    def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
+    def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
         """Return values at nodes of this rank; negative rounding errors become zero. Collective.
 
         Raises:
             InputError: a value is negative by more than rounding, or a coefficient of friction is
                 infinite.
         """
-        values = self.values.at(field, nodes, name)
+        values = self.values.scalars_at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = BOUND_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
         zero = -max(relative, rounding)

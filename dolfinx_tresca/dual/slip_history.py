@@ -117,9 +117,9 @@ class SlipHistory:
         """
         slipped = []
         for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):
-            now = before.copy()
-            now[pair.nodes] = before[pair.nodes] + step
-            slipped.append(now)
+            after = before.copy()
+            after[pair.nodes] = before[pair.nodes] + step
+            slipped.append(after)
         return replace(
             self,
             origin=self.origin + slip,

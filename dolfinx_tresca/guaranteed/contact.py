@@ -191,7 +191,8 @@ class ContactSurface:
             distance = heights / np.where(touching, cosine, 1.0)
         gaps = distance[: V.dofmap.index_map.size_local, None].copy()
         if pair.gap is not None:
-            gaps[own, 0] += NodalValues(V).at(pair.gap, own, f"the gap of contact pair {pair}")
+            name = f"the gap of contact pair {pair}"
+            gaps[own, 0] += NodalValues(V).scalars_at(pair.gap, own, name)
         return spread(V, gaps)[:, 0]
 
     def _no_match(self) -> InputError:

@@ -52,8 +52,8 @@ class EnergyBalance:
         state = surfaces.state
         self._motions = state.motions, surfaces.obstacles.motions
         self._start = problem.u.x.array.copy()
-        known = [u for u in (state.end, state.accepted.unknowns) if u is not None]
-        self._ends = known or [np.zeros_like(self._start)]
+        known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
+        self._ends = known_ends or [np.zeros_like(self._start)]
         self._forces_at_start, self._work_at_start, _ = self._contact()
 
     def _contact(self) -> tuple[Array, float, float]:
@@ -62,12 +62,12 @@ class EnergyBalance:
         jump, multipliers = surfaces.jump, surfaces.state.multipliers
         forces, work = np.array(jump.whole_force(multipliers).array), 0.0
         farthest = 0.0
-        for before, now, rows in zip(*self._motions, jump.slices, strict=True):
-            if not np.array_equal(before, now):
+        for before, after, rows in zip(*self._motions, jump.slices, strict=True):
+            if not np.array_equal(before, after):
                 own = np.zeros_like(multipliers)
-                for part in rows:
-                    own[part] = multipliers[part]
-                moved = surfaces.obstacles.displacement(before, now, problem.displacement)
+                for indices in rows:
+                    own[indices] = multipliers[indices]
+                moved = surfaces.obstacles.displacement(before, after, problem.displacement)
                 moves = problem.tangent.whole(moved)[: len(forces)]
                 work += float(jump.whole_force(own).array @ moves)
                 farthest = max(farthest, np.abs(moves).max(initial=0.0))
@@ -108,8 +108,8 @@ class EnergyBalance:
         path += [(0.5 + 0.5 * s, 0.0, 0.5 * w) for s, w in zip(points, weights, strict=True)]
         at_ends = stored = 0.0
         try:
-            for part, of_ends, of_path in path:
-                with problem.at(self._start + part * change):
+            for fraction, of_ends, of_path in path:
+                with problem.at_unknowns(self._start + fraction * change):
                     power = float(tangent.all_forces() @ owned)
                 at_ends, stored = at_ends + of_ends * power, stored + of_path * power
         except StiffnessError:

@@ -58,7 +58,7 @@ class MixedNorm(PetscOwner):
         for owned in (self._A, self._S, self._product):
             owned.destroy()
 
-    def of(self, w: fem.Function) -> float:
+    def of_function(self, w: fem.Function) -> float:
         """Return the norm of a Function on the mixed space, whose ghosts are up to date.
 
         Collective.

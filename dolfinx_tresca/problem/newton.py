@@ -76,7 +76,7 @@ class Newton:
     Attributes:
         steps: all Newton steps so far.
         fraction: part of the change of load that has been applied.
-        found: the solution for `fraction` of the change of load; if no part was solved, the
+        solution: the solution for `fraction` of the change of load; if no part was solved, the
             solution of the last step; None if no step could be made.
         failure: why the last part of the load failed; empty after a success.
         timings: seconds of each phase, summed over the steps.
@@ -107,7 +107,7 @@ class Newton:
         self.contact, self._units = contact, units
         self.steps: list[NewtonStep] = []
         self.fraction = 0.0
-        self.found: ContactSolution | None = None
+        self.solution: ContactSolution | None = None
         self.failure = ""
         self.level = level
         self.timings: dict[str, float] = {}
@@ -130,10 +130,10 @@ class Newton:
         """
         problem = self.problem
         self._start = problem.u.x.array.copy()
-        part = 1.0
+        step = 1.0
         while self.fraction < 1.0:
             state = problem.surfaces.state
-            fraction = min(1.0, self.fraction + part)
+            fraction = min(1.0, self.fraction + step)
             try:
                 problem.apply_load(fraction)
                 self.failure = self._equilibrium()
@@ -141,7 +141,7 @@ class Newton:
                 self.failure = f"{fraction:.4g} of the load: {str(error).rstrip('.')}"
             if not self.failure:
                 self.fraction = fraction
-                part *= 2.0
+                step *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
                     self._observe(replace(self._iteration, newton=self._progress(ended=True)))
                 continue
@@ -149,8 +149,8 @@ class Newton:
             self.unbalanced = problem.unbalanced_forces()
             self.flips = problem.function_at_nodes("flips", self._flips)
             problem.surfaces.return_to(state)
-            part *= 0.5
-            if self.stopped or self.stuck or part < 0.5**self.options.max_halvings:
+            step *= 0.5
+            if self.stopped or self.stuck or step < 0.5**self.options.max_halvings:
                 self.failure += self._diagnosis()
                 return
 
@@ -164,15 +164,15 @@ class Newton:
         problem = self.problem
         place = problem.place_of_largest(self._last_change)
         shown = ", ".join(f"{x:.4g}" for x in place)
-        found = f". Last the displacement changed most at ({shown}) of the undeformed bodies"
+        text = f". Last the displacement changed most at ({shown}) of the undeformed bodies"
         (nodes,) = reduce_array(problem.comm, [int((self._flips >= OFTEN).sum())])
         if nodes:
-            found += f"; contact at {int(nodes)} node(s) begins and ends again and again"
+            text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if self._unstable:
-            found += ", and the tangent is indefinite even with fixed contact: they are unstable"
+            text += ", and the tangent is indefinite even with fixed contact: they are unstable"
         if any("proximal" in step.added for step in self.steps):
-            found += self._unstable_elements()
-        return found
+            text += self._unstable_elements()
+        return text
 
     def _unstable_elements(self) -> str:
         """Return a text on elements that are unstable since they keep their volume. Collective."""
@@ -195,7 +195,7 @@ class Newton:
         Raises:
             PairingError: the displaced surfaces cannot be paired.
         """
-        problem, last = self.problem, math.inf
+        problem, norm = self.problem, math.inf
         number, slow = 0, False
         errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
@@ -239,14 +239,14 @@ class Newton:
             self.timings = summed_timings((self.timings, solution.timings))
             was_slow, slow = slow, self.level >= FIRST_SLOW
             grows = (
-                number > 2 and residual * size >= GROWTH * last and not (was_slow or self.level > 0)
+                number > 2 and residual * size >= GROWTH * norm and not (was_slow or self.level > 0)
             )
-            stalls = number > 2 and residual * size >= STALLED * last
+            stalls = number > 2 and residual * size >= STALLED * norm
             reached = residual <= self.options.accuracy or (
                 stalls and problem.comm.bcast(residual * size <= problem.rounding_norm())
             )
             if self.fraction == 0.0 or reached:
-                self.found = solution
+                self.solution = solution
             self.steps.append(
                 NewtonStep(
                     number=number,
@@ -270,19 +270,19 @@ class Newton:
                 return ""
             # residuals in two configurations are not comparable
             if grows and self._sliding is None:
-                return f"{where} diverges: residual {residual:.1e}, after {last / size:.1e}"
+                return f"{where} diverges: residual {residual:.1e}, after {norm / size:.1e}"
             errors.append(1.0 if reached else residual / self.options.accuracy)
             if self._sliding is not None:
                 errors[-1] = max(errors[-1], self._sliding.error / self.contact.geometry_accuracy)
             if not self._may_continue(errors):
                 failure = (
                     f"{where} converges too slowly: residual {residual:.1e}, after "
-                    f"{last / size:.1e}; requested {self.options.accuracy:.0e}"
+                    f"{norm / size:.1e}; requested {self.options.accuracy:.0e}"
                 )
                 if self._sliding is not None:
                     failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
                 return failure
-            last = residual * size
+            norm = residual * size
 
     def _settled(self, reached: bool, start: float) -> bool:
         """Return whether u is an equilibrium; if not, pair surfaces in the next configuration.
@@ -306,9 +306,9 @@ class Newton:
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""
-        last = self.steps[-1].residual if self.steps else math.inf
+        residual = self.steps[-1].residual if self.steps else math.inf
         number, fraction = len(self.steps) + (not ended), self.problem.tangent.fraction
-        return NewtonProgress(number, fraction, last, ended, self.fraction)
+        return NewtonProgress(number, fraction, residual, ended, self.fraction)
 
     def _observed(self, iteration: Iteration) -> bool:
         """Show an iteration of a step's contact problem to the user's observer. Collective."""
@@ -349,8 +349,8 @@ class Newton:
             StiffnessError: no entry makes the tangent definite.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
-        first = self.level if self.level < FIRST_SLOW else self.level - 1
-        for level in range(first, len(ADDED)):
+        first_level = self.level if self.level < FIRST_SLOW else self.level - 1
+        for level in range(first_level, len(ADDED)):
             try:
                 self.level = level
                 self._unstable |= level >= FIRST_SLOW

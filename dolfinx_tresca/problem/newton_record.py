@@ -138,10 +138,10 @@ class NewtonRecord:
 
     def __str__(self) -> str:
         lines = ["   load  step  correction  residual  contact  pressed  products  added to K"]
-        for one in self.steps:
+        for step in self.steps:
             lines.append(
-                f"{one.fraction:7.4f}  {one.number:4d}  {one.correction:10.1e}  "
-                f"{one.residual:8.1e}  {one.contact_residual:7.0e}  {one.pressed:7d}  "
-                f"{one.products:8d}  {one.added}".rstrip()
+                f"{step.fraction:7.4f}  {step.number:4d}  {step.correction:10.1e}  "
+                f"{step.residual:8.1e}  {step.contact_residual:7.0e}  {step.pressed:7d}  "
+                f"{step.products:8d}  {step.added}".rstrip()
             )
         return "\n".join([*lines, self.message] if self.message else lines)

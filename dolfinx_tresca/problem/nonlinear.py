@@ -188,11 +188,11 @@ class NonlinearContactProblem(ContactProcess):
                 "F does not contain u, so its derivative is not known: give J, with the tangent "
                 "that before_assembly computes."
             )
-        found = len(F.arguments())
-        if found != 1:
+        argument_count = len(F.arguments())
+        if argument_count != 1:
             raise InputError(
                 f"F must be the residual form, with a test function and no other argument, found "
-                f"{found}: of an energy it is ufl.derivative(energy, u, v)."
+                f"{argument_count}: of an energy it is ufl.derivative(energy, u, v)."
             )
         self.options = SolverOptions(rtol=1e-6) if options is None else options
         self.newton = NewtonOptions() if newton is None else newton
@@ -364,8 +364,8 @@ class NonlinearContactProblem(ContactProcess):
             self._linearised.end_load()
         self._contact.surfaces.end_solve()
         released, snaps = np.nan, False
-        if run.found is not None and run.fraction == 1.0:
-            released, snaps = self._linearised.balance.released(run.found.dissipation)
+        if run.solution is not None and run.fraction == 1.0:
+            released, snaps = self._linearised.balance.released(run.solution.dissipation)
         if snaps:
             log(
                 self._contact.comm,
@@ -384,32 +384,32 @@ class NonlinearContactProblem(ContactProcess):
                 level=logging.WARNING,
             )
         self._linearised.note_forces()
-        if run.found is None:
+        if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "
                 "at another one, such as zero."
             )
-        self._level, found = run.level, run.found
-        status, message = found.status, ""
+        self._level, solution = run.level, run.solution
+        status, message = solution.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             surfaces = self._contact.surfaces
             surfaces.state = surfaces.state.with_status(status)
-            parts = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
-            parts += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
-            parts += "max_iterations=...). "
+            hint = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
+            hint += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
+            hint += "max_iterations=...). "
             message = (
                 f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. {parts * (not run.stuck)}Look at `u`: bodies that snap through, "
+                f"{run.failure}. {hint * (not run.stuck)}Look at `u`: bodies that snap through, "
                 "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
         failed = (run.unbalanced, run.flips) if run.fraction < 1.0 else (None, None)
-        values = vars(found) | {
+        values = vars(solution) | {
             "status": status,
-            "iterations": sum(one.iterations for one in run.steps),
-            "products": sum(one.products for one in run.steps),
+            "iterations": sum(step.iterations for step in run.steps),
+            "products": sum(step.products for step in run.steps),
             "krylov_iterations": run.krylov_iterations,
             "timings": run.timings,
             "newton": NewtonRecord(

@@ -36,9 +36,9 @@ class NonlinearContactSolution(ContactSolution):
 
     def _rows(self) -> list[Row]:
         steps = self.newton.steps
-        parts = len({one.fraction for one in steps})
+        fractions = len({step.fraction for step in steps})
         newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
-        newton += f", load in {parts} parts" * (parts > 1)
+        newton += f", load in {fractions} parts" * (fractions > 1)
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
         result = [rows[0], ("Newton", newton), *rows[1:]]
         if self.newton.snaps:

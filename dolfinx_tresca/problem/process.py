@@ -320,8 +320,8 @@ class ContactProcess(PetscOwner, Tabulated):
             InputError: material is no list of Functions on the mesh.
         """
         if not isinstance(material, Sequence) or not all(
-            isinstance(one, fem.Function) and one.function_space.mesh is self.mesh
-            for one in material
+            isinstance(function, fem.Function) and function.function_space.mesh is self.mesh
+            for function in material
         ):
             raise InputError(
                 "material must be a list of Functions on the mesh of the problem, found "

@@ -80,7 +80,7 @@ class TangentProblem:
         self._norm: MixedNorm | None = None
         self._solved_forces: Array | None = None
         self._last_contact_forces: Array = np.zeros(len(tangent.prescribed))
-        with self.at(self._reference):
+        with self.at_unknowns(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
@@ -93,7 +93,7 @@ class TangentProblem:
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
     @contextmanager
-    def at(self, values: Array) -> Iterator[None]:
+    def at_unknowns(self, values: Array) -> Iterator[None]:
         """Set u to other values inside the block, and restore it at the end. Not collective."""
         present = self.u.x.array.copy()
         self.u.x.array[:] = values
@@ -121,7 +121,7 @@ class TangentProblem:
         if not self._has_history:
             return
         try:
-            with self.at(u.x.array):
+            with self.at_unknowns(u.x.array):
                 self.tangent.forget_material()
                 forces = self.tangent.internal_forces()
                 if self._solved_forces is not None:
@@ -140,7 +140,7 @@ class TangentProblem:
         """
         solution = self.surfaces.state.solution
         if self._has_history and solution is not None:
-            with self.at(solution.fields.w.x.array):
+            with self.at_unknowns(solution.fields.w.x.array):
                 self._solved_forces = self.tangent.internal_forces()
 
     def _check_unchanged(self, change: Array) -> None:
@@ -184,21 +184,21 @@ class TangentProblem:
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return
         self._tangent_is_plain = False
-        parts: list[PETSc.Mat] = []
+        added: list[PETSc.Mat] = []
         if springs > 0.0:
-            parts.append(self._contact_springs(springs))
+            added.append(self._contact_springs(springs))
         if proximal > 0.0:
-            parts.append(self._reference_stiffness(proximal))
-        for part in parts[1:]:
-            parts[0].axpy(1.0, part, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        self.tangent.added = parts[0] if parts else None
+            added.append(self._reference_stiffness(proximal))
+        for matrix in added[1:]:
+            added[0].axpy(1.0, matrix, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        self.tangent.added = added[0] if added else None
         try:
             self.contact.update_stiffness()
-            self._tangent_is_plain = not parts
+            self._tangent_is_plain = not added
         finally:
             self.tangent.added = None
-            for part in parts:
-                part.destroy()
+            for matrix in added:
+                matrix.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
         """Return the springs B_a'C B_a, where B_a are the rows of B in contact. Collective.
@@ -220,7 +220,7 @@ class TangentProblem:
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.surfaces.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self.at(self._reference):
+            with self.at_unknowns(self._reference):
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -244,7 +244,7 @@ class TangentProblem:
     def _touching(self) -> Mask:
         """Return a mask (size,) of the rows of B at nodes with a closed gap at u_k. Collective."""
         jump = self.surfaces.jump
-        closed = jump.of(self.u.x.petsc_vec)
+        closed = jump.of_unknowns(self.u.x.petsc_vec)
         largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)
         held: Mask = np.ones(len(closed), dtype=np.bool_)
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
@@ -260,7 +260,7 @@ class TangentProblem:
         Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
         other than displacements are zero, too: stiffness added to them would change constraints.
         """
-        with self.at(self._reference):
+        with self.at_unknowns(self._reference):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free, moves = stiffness.createVecs()
@@ -372,7 +372,7 @@ class TangentProblem:
         force.destroy()
         if self._norm is not None:
             correction.x.scatter_forward()
-            return self._norm.of(correction)
+            return self._norm.of_function(correction)
         return float(np.sqrt(max(square, 0.0)))
 
     def rounding_norm(self) -> float:
@@ -422,7 +422,7 @@ class TangentProblem:
         if self.tangent.component is not None:
             return ""
         self._tangent_is_plain = False
-        with self.at(self._reference):
+        with self.at_unknowns(self._reference):
             self.tangent.assemble_stiffness()
         ratios = poisson_ratios(self.tangent, self.contact.bodies)
         names = [
@@ -469,8 +469,8 @@ class TangentProblem:
         moved = self.tangent.displacement(w, w.name).x.array.reshape(-1, dim)[:owned]
         sizes = np.linalg.norm(moved, axis=1)
         largest = np.argsort(sizes)[-1:]
-        found = gather_rows(self.comm, np.column_stack((sizes[largest], points[largest])))
-        return np.array(found[np.argmax(found[:, 0]), 1:])
+        rows = gather_rows(self.comm, np.column_stack((sizes[largest], points[largest])))
+        return np.array(rows[np.argmax(rows[:, 0]), 1:])
 
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.
@@ -480,5 +480,5 @@ class TangentProblem:
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values
         if self._norm is not None:
-            return self._norm.of(v)
+            return self._norm.of_function(v)
         return float(np.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0)))

@@ -85,7 +85,7 @@ class TangentSystem(LinearSystem):
         self.u = u
         self._before_assembly = before_assembly
         forms = [form for form in (F, J) if isinstance(form, ufl.Form)]
-        self._functions = {one: None for form in forms for one in form.coefficients() if one != u}
+        self._functions = {f: None for form in forms for f in form.coefficients() if f != u}
         self._updated_at: Array | None = None
         self._material_changed = False
         self.added: PETSc.Mat | None = None
@@ -162,7 +162,7 @@ class TangentSystem(LinearSystem):
 
         The text is empty if there is no such Function.
         """
-        wrong = [one for one in self._functions if not np.isfinite(one.x.array).all()]
+        wrong = [field for field in self._functions if not np.isfinite(field.x.array).all()]
         return shown(wrong[0]) if wrong else ""
 
     def forget_material(self) -> None:

@@ -102,7 +102,7 @@ def evaluate(
     dual: DualProgram,
     surfaces: Sequence[Surface],
     bodies: Bodies,
-    found: DualSolution,
+    solution: DualSolution,
     *,
     estimate: bool,
 ) -> tuple[Evaluation, SlipHistory]:
@@ -112,51 +112,50 @@ def evaluate(
         dual: the dual problem.
         surfaces: secondary surfaces of the pairs.
         bodies: bodies of the mesh.
-        found: solution of the dual problem.
+        solution: solution of the dual problem.
         estimate: whether to estimate the discretisation error.
 
     Returns:
         the evaluation, and the slip history after this solution if it becomes a load step.
     """
-    B, response, lam = dual.jump, dual.response, dual.bounds(found.multipliers, found.gradient)
-    comm = B.comm
+    B, response, comm = dual.jump, dual.response, dual.jump.comm
+    lam = dual.bounds(solution.multipliers, solution.gradient)
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
-    error = response.end_at(found.multipliers, solved, found.accuracy)
-    stress = found.multipliers * B.stress_scale
-    c = found.c
-    r, missing = dual.in_equilibrium(found.multipliers, solved, c)
+    error = response.end_at(solution.multipliers, solved, solution.accuracy)
+    stress, c = solution.multipliers * B.stress_scale, solution.c
+    r, missing = dual.in_equilibrium(solution.multipliers, solved, c)
     in_frames.x.scatter_forward()
     w = in_frames if B.frames is None else B.frames.displacement(in_frames)
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
-    jump = B.of(solved)
+    jump = B.of_unknowns(solved)
     increment = jump - response.offset
-    target = dual.decoupled_minimiser(found.multipliers, r)
-    cones = dual.admissible.at_point(found.multipliers, r)
+    target = dual.decoupled_minimiser(solution.multipliers, r)
+    cones = dual.admissible.at_point(solution.multipliers, r)
     moved = cones.section(target)
     stick = moved.face(target).stick
-    change, _ = dual.local_change(found.multipliers, r)
+    change, _ = dual.local_change(solution.multipliers, r)
     undecided = discs_at_edge(moved, target, B.stress_scale, change)
     slip = np.zeros_like(jump)
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
-    dissipation = float(dual.inner(found.multipliers, slip))
-    increment, moved_by = (one * B.length_scale for one in (increment, slip))
+    dissipation = float(dual.inner(solution.multipliers, slip))
+    increment, moved_by = (values * B.length_scale for values in (increment, slip))
 
     counts = np.zeros(7, dtype=np.int64)
     steps: list[Array] = []
     states: list[Array] = []
     befores: list[Array] = []
     greatest = np.zeros(3)
-    first = 0
+    start = 0
     tangential_rows = reduce_array(comm, [len(pair.tangent_node) for pair in B.pairs])
     for operators, slipped, rows, (n, t) in zip(
         B.pairs, dual.history.slipped, tangential_rows, B.slices, strict=True
     ):
-        own = slice(first, first + len(operators.nodes))
+        own = slice(start, start + len(operators.nodes))
         sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
-        first += len(operators.nodes)
+        start += len(operators.nodes)
         # strict inequality: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
         pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
@@ -168,8 +167,8 @@ def evaluate(
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
-            some = (pressed, sticking, pressed & sticking, ~pressed & ~rubbing)
-            counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in some)]
+            counted = (pressed, sticking, pressed & sticking, ~pressed & ~rubbing)
+            counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in counted)]
             doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
             counts[6] += np.count_nonzero(doubtful)
         greatest[0] = max(greatest[0], stress[n].max(initial=0.0))
@@ -202,14 +201,14 @@ def evaluate(
     history = dual.history.after(B, slip, steps, dissipation)
     peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
-    primal, dual_energy = dual.energies(found.multipliers, solved, error)
+    primal, dual_energy = dual.energies(solution.multipliers, solved, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
         primal, dual_energy = primal - work, dual_energy - work
-    bound = dual.energy_bound(found.multipliers, r, error + missing)
+    bound = dual.energy_bound(solution.multipliers, r, error + missing)
     # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
     # rounding
-    norm = energy_norm(dual, Point(found.multipliers, c, r), error + missing)
+    norm = energy_norm(dual, Point(solution.multipliers, c, r), error + missing)
     if norm <= dual.response.energy_resolution():
         norm = 0.0
         log(
@@ -217,8 +216,8 @@ def evaluate(
             "the displacement is zero to rounding: the contact carries all loads, and an accuracy "
             "in the energy norm has nothing to refer to",
         )
-    cells = dual.compliance.estimator.of(deformation) if estimate else None
-    force_on_nodes = _contact_force(B, found.multipliers)
+    cells = dual.compliance.estimator.cell_errors(deformation) if estimate else None
+    force_on_nodes = _contact_force(B, solution.multipliers)
     displaced = u if B.frames is not None or B.system.is_tangent else None
     on_bodies = _on_bodies(force_on_nodes, displaced, bodies)
     evaluation = Evaluation(
@@ -235,7 +234,7 @@ def evaluate(
         total_dissipation=history.dissipation,
         energy_error_bound=relative_error(dual, bound, norm),
         bound_is_rigorous=dual.operator.exact,
-        local_error=dual.local_error(found.multipliers, r),
+        local_error=dual.local_error(solution.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),

@@ -166,7 +166,7 @@ class SurfaceFields:
         """
         function = getattr(self, name, None) if isinstance(name, str) else None
         if not isinstance(function, fem.Function) or function is self.state:
-            names = ", ".join(one.name for one in self.functions if one is not self.state)
+            names = ", ".join(field.name for field in self.functions if field is not self.state)
             raise InputError(
                 f"this surface has no field {shown(name)} to transfer; its fields are {names}."
             )
@@ -175,14 +175,14 @@ class SurfaceFields:
     @property
     def functions(self) -> tuple[fem.Function, ...]:
         """All fields, for output; from step 2 on also `slip_increment` and `slip_path`."""
-        first = self.slip_increment is self.slip
+        is_first_step = self.slip_increment is self.slip
         fields = (
             self.displacement,
             self.pressure,
             self.traction,
             self.slip,
-            None if first else self.slip_increment,
-            None if first else self.slip_path,
+            None if is_first_step else self.slip_increment,
+            None if is_first_step else self.slip_path,
             self.gap,
             self.state,
             self.normal,
@@ -238,9 +238,9 @@ class Surface:
         V, surfaces = work.function_space, []
         dim, shares = V.mesh.geometry.dim, -(-len(pairs) // SURFACE_MESHES)
         for start in range(0, len(pairs), shares):
-            some = pairs[start : start + shares]
+            group = pairs[start : start + shares]
             facets = np.unique(
-                np.concatenate([pair.facet_tags.find(pair.secondary) for pair in some])
+                np.concatenate([pair.facet_tags.find(pair.secondary) for pair in group])
             )
             mesh, parent_nodes, entity_maps = compat.create_submesh(
                 V.mesh, V.mesh.topology.dim - 1, facets
@@ -255,7 +255,7 @@ class Surface:
             of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
             parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
             originals = fem.Function(scalar), fem.Function(vector)
-            surfaces += [cls(mesh, *originals, parent, work, pair, entity_maps) for pair in some]
+            surfaces += [cls(mesh, *originals, parent, work, pair, entity_maps) for pair in group]
         return surfaces
 
     def function(

@@ -44,7 +44,7 @@ def hint_at_scene(
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
-    for pair, one in zip(pairs, operators, strict=True):
+    for pair, paired in zip(pairs, operators, strict=True):
         coefficient = _coefficient(pair)
         if coefficient > LARGEST_COEFFICIENT:
             log(
@@ -54,7 +54,7 @@ def hint_at_scene(
                 *(pair, coefficient),
                 level=logging.WARNING,
             )
-        secondary = _bodies_at(bodies, one.nodes, comm)
+        secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
         if not isinstance(pair.primary, RigidObstacle):
             primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
@@ -68,7 +68,7 @@ def hint_at_scene(
                     *(pair, 1 + int(secondary.argmax())),
                     level=logging.WARNING,
                 )
-        depth = comm.allreduce(float((-one.gap).max(initial=0.0)), op=MPI.MAX)
+        depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
         if depth >= thinnest:
             log(
                 comm,
@@ -89,15 +89,15 @@ def hint_at_overlap(u: fem.Function, pairs: Sequence[ContactPair], jump: JumpOpe
     """
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
     rounding = ROUNDING * comm.allreduce(float(np.abs(points).max(initial=0.0)), op=MPI.MAX)
-    for pair, one, closing in zip(pairs, jump.pairs, jump.closings(u), strict=True):
-        depth = np.where(one.prescribed, closing - one.gap, 0.0)
+    for pair, paired, closing in zip(pairs, jump.pairs, jump.closings(u), strict=True):
+        depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
             continue
-        number = comm.allreduce(len(np.unique(one.nodes[depth > rounding])))
+        number = comm.allreduce(len(np.unique(paired.nodes[depth > rounding])))
         # the least of all equally deep points: the same with any number of ranks
-        there = points[one.nodes[depth >= deepest - rounding]]
-        place = min(comm.allgather(min(map(tuple, there.tolist()), default=(np.inf,))))
+        deepest_points = points[paired.nodes[depth >= deepest - rounding]]
+        place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
         log(
             comm,
             "%s overlaps by up to %.3g, at (%s): Dirichlet conditions prescribe the displacement "
@@ -159,7 +159,7 @@ def _coefficient(pair: ContactPair) -> float:
         return 0.0
     coefficient = pair.friction.terms.coefficient
     both = coefficient if isinstance(coefficient, tuple) else (coefficient,)
-    numbers = [one.value if isinstance(one, fem.Constant) else real(one) for one in both]
+    numbers = [value.value if isinstance(value, fem.Constant) else real(value) for value in both]
     return max(float(0.0 if number is None else number) for number in numbers)
 
 
@@ -172,5 +172,5 @@ def _nodes_of(V: Any, pair: ContactPair) -> Any:
 
 def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
     """Return whether each body (number,) has one of the nodes, on any rank. Collective."""
-    found = np.bincount(bodies.label[nodes], minlength=bodies.number)
-    return reduce_array(comm, found) > 0
+    node_counts = np.bincount(bodies.label[nodes], minlength=bodies.number)
+    return reduce_array(comm, node_counts) > 0

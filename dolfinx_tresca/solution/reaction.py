@@ -76,7 +76,7 @@ def reaction_at(
         loads = nodal(ufl.replace(residual, {u: fem.Function(u.function_space)}))
         forces = frames.into_space(forces - loads) + loads
     forces -= contact_force.x.array[: len(prescribed)]
-    sizes = [np.abs(forces[some]).max(initial=0.0) for some in (~prescribed, slice(None))]
+    sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~prescribed, slice(None))]
     sizes.append(np.abs(contact_force.x.array).max(initial=0.0))
     unbalanced, *largest = reduce_array(comm, sizes, MPI.MAX)
     if unbalanced > BALANCED * max(largest):
@@ -115,7 +115,7 @@ def reaction_at(
         raise InputError(f"nothing holds the bodies at {shown(where)}: no condition and no spring.")
     forces = np.where(held, forces, 0.0)
     if springs:
-        only = [one.reconstruct(subdomain_id=tag) for one in springs]
+        only = [spring.reconstruct(subdomain_id=tag) for spring in springs]
         forces -= nodal(ufl.Form(only))
     rows = forces.reshape(-1, dim)
     places = V.tabulate_dof_coordinates()[: len(rows), :dim]

@@ -40,15 +40,15 @@ class Resultant:
             InputError: the point does not have d finite coordinates.
         """
         try:
-            other = np.array(point, dtype=np.float64)
+            centre = np.array(point, dtype=np.float64)
         except (TypeError, ValueError):
-            other = np.zeros(0)
-        if other.shape != self.point.shape or not np.isfinite(other).all():
+            centre = np.zeros(0)
+        if centre.shape != self.point.shape or not np.isfinite(centre).all():
             raise InputError(
                 f"the point of a moment must have {len(self.point)} coordinates, "
                 f"found {shown(point)}."
             )
-        return Resultant(self.force, self.moment + moments(self.point - other, self.force), other)
+        return Resultant(self.force, self.moment + moments(self.point - centre, self.force), centre)
 
 
 def moments(arm: Array, force: Array) -> Array:
@@ -81,23 +81,23 @@ def centre_of_forces(comm: Any, places: Array, forces: Array) -> Array:
 
 
 def resultants_on(
-    comm: Any, parts: Sequence[tuple[Array, Array, Indices]], number: int, point: Array
+    comm: Any, groups: Sequence[tuple[Array, Array, Indices]], number: int, point: Array
 ) -> tuple[Resultant, ...]:
     """Return resultants about a point. Collective.
 
     Args:
         comm: communicator of the mesh.
-        parts: groups of this rank's forces: points of application (n, d) [length], forces (n, d),
+        groups: groups of this rank's forces: points of application (n, d) [length], forces (n, d),
             and the index (n,) of the resultant to which each force belongs.
         number: number of resultants.
         point: (d,) reference point of the moments [length].
     """
-    places, forces, index = (np.concatenate(column) for column in zip(*parts, strict=True))
+    places, forces, index = (np.concatenate(column) for column in zip(*groups, strict=True))
     both = np.hstack([forces, moments(places - point, forces)])
     sums = np.zeros((number, both.shape[1]))
     np.add.at(sums, index, both)
     dim = forces.shape[1]
-    return tuple(Resultant(one[:dim], one[dim:], point) for one in reduce_array(comm, sums))
+    return tuple(Resultant(row[:dim], row[dim:], point) for row in reduce_array(comm, sums))
 
 
 def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Array) -> Array:
@@ -133,12 +133,12 @@ def shares_of_bodies(
     """
     primary = operators.primary.tocsr()
     numbers, column = np.unique(primary.indices, return_inverse=True)
-    other = labels_of(V, label, numbers.astype(np.int64))[column]
+    partner = labels_of(V, label, numbers.astype(np.int64))[column]
     node = np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     body = label[operators.nodes[node]]
-    some = body != other
-    node, share = node[some], primary.data[some]
-    both = np.column_stack([body, other])[some]
+    foreign = body != partner
+    node, share = node[foreign], primary.data[foreign]
+    both = np.column_stack([body, partner])[foreign]
     return operators.places[node], share[:, None] * forces[node], both
 
 
@@ -164,10 +164,10 @@ def resultants_between(
     rows = _summed_by_bodies(gather_rows(comm, _summed_by_bodies(rows)))
     dim = forces.shape[1]
     ends = [2, 3, 3 + dim, 3 + 2 * dim]
-    found = (np.split(row, ends) for row in rows)
+    split_rows = (np.split(row, ends) for row in rows)
     return {
         (int(both[0]), int(both[1])): Resultant(force, moment, np.zeros(dim)).about(place / size)
-        for both, size, place, force, moment in found
+        for both, size, place, force, moment in split_rows
     }
 
 

@@ -241,11 +241,11 @@ def _motions_of_pair(
         undeformed = operators.undeformed
         facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
         beyond = ~_lies_over(comm, facets, operators, jumps)
-        part = float(reduce_array(comm, force @ beyond)) / total
-        of_force = f"{text}, and {100.0 * part:.0f} % of the contact force is at nodes that have "
+        share = float(reduce_array(comm, force @ beyond)) / total
+        of_force = f"{text}, and {100.0 * share:.0f} % of the contact force is at nodes that have "
         of_force += "left the other side, but keep their normals and partners"
-        if part > FORCE_BEYOND_PARTNER.noticed:
-            yield Departure(part, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
+        if share > FORCE_BEYOND_PARTNER.noticed:
+            yield Departure(share, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
     tilt = normals @ (direction / (np.linalg.norm(direction) or 1.0))
     affine = np.column_stack([np.ones(len(tilt)), operators.places / size, tilt])
     gram = reduce_array(comm, affine.T @ ((operators.weights * pressed)[:, None] * affine))

@@ -57,9 +57,9 @@ def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Arr
     result = np.zeros((sum(counts), 1 + jump.system.V.mesh.geometry.dim))
     for rows, fields in zip(jump.by_pair, surfaces, strict=True):
         if fields.slip is not None and fields.slip_path is not None:
-            known = fields.state.x.array != ContactState.OUTSIDE
+            carries = fields.state.x.array != ContactState.OUTSIDE
             values = np.column_stack([_values(fields, fields.slip), fields.slip_path.x.array])
-            result[rows.nodes] = _at(fields, values, x[rows.operators.nodes], known)
+            result[rows.nodes] = _values_at_points(fields, values, x[rows.operators.nodes], carries)
     return np.split(result, np.cumsum(counts)[:-1])
 
 
@@ -74,8 +74,8 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     """
     tractions = _values(fields, fields.traction)
     values = np.column_stack([fields.pressure.x.array, tractions])
-    found = _at(fields, values, points, np.ones(len(values), dtype=np.bool_))
-    return found[:, 0], found[:, 1:]
+    interpolated = _values_at_points(fields, values, points, np.ones(len(values), dtype=np.bool_))
+    return interpolated[:, 0], interpolated[:, 1:]
 
 
 def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
@@ -84,7 +84,7 @@ def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
     return np.zeros((count, dim)) if function is None else function.x.array.reshape(-1, dim)
 
 
-def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
+def _values_at_points(fields: SurfaceFields, values: Array, points: Array, usable: Mask) -> Array:
     """Return values (n, k) interpolated on the facets nearest to points. Collective.
 
     Facets without a node that carries multipliers are left out, such as those of other pairs.
@@ -96,7 +96,7 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
         fields: fields of a solution on any mesh.
         values: (nodes, k) values at the nodes of the surface on this rank, ghosts included.
         points: (n, 3) points of this rank [length]; each rank has its own points.
-        known: (nodes,) whether the value of a node is used.
+        usable: (nodes,) whether the value of a node is used.
     """
     comm = fields.mesh.comm
     V = fields.pressure.function_space
@@ -108,24 +108,24 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
         outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
         near.append(np.flatnonzero(np.linalg.norm(outside, axis=1) <= reach))
     asked = np.concatenate(near)
-    ranks = np.repeat(np.arange(comm.size), [len(some) for some in near])
+    ranks = np.repeat(np.arange(comm.size), [len(points_near) for points_near in near])
     questions, source = exchange(comm, points[asked], ranks)
     distance: Array = np.full(len(questions), np.inf)
-    found: Array = np.zeros((len(questions), values.shape[1]))
+    interpolated: Array = np.zeros((len(questions), values.shape[1]))
     carries = fields.state.x.array != ContactState.OUTSIDE
     facets = np.flatnonzero(carries[V.dofmap.list].any(axis=1)).astype(np.int32)
     if len(questions) and len(facets):
         nodes, weights, distance = _nearest_places(V, facets, places, questions)
-        weights = weights * known[nodes]
+        weights = weights * usable[nodes]
         total = weights.sum(axis=1)
         weights = weights / np.where(total > 0.0, total, 1.0)[:, None]
-        found = np.einsum("nc,nck->nk", weights, values[nodes])
-    answers, _ = exchange(comm, np.column_stack([distance, found]), source)
+        interpolated = np.einsum("nc,nck->nk", weights, values[nodes])
+    answers, _ = exchange(comm, np.column_stack([distance, interpolated]), source)
 
     # keep the answer of the rank with the nearest facet
     order = np.lexsort((answers[:, 0], asked))
-    asked, first = np.unique(asked[order], return_index=True)
-    answers = answers[order][first]
+    asked, nearest = np.unique(asked[order], return_index=True)
+    answers = answers[order][nearest]
     close = answers[:, 0] <= reach
     result = np.zeros((len(points), values.shape[1]))
     result[asked[close]] = answers[close, 1:]
@@ -160,8 +160,8 @@ def _nearest_places(
         dolfinx.geometry.create_midpoint_tree(mesh, dim, facets),
     )
     nearest = dolfinx.geometry.compute_closest_entity(*trees, mesh, points)
-    parts = SIMPLICES[V.dofmap.list.shape[1]]
-    nodes: Indices = np.asarray(V.dofmap.list)[nearest][:, parts].astype(np.intp)
+    corners_of_simplices = SIMPLICES[V.dofmap.list.shape[1]]
+    nodes: Indices = np.asarray(V.dofmap.list)[nearest][:, corners_of_simplices].astype(np.intp)
     corners = places[nodes]
     sides = corners[:, :, 1:] - corners[:, :, :1]
     arm = points[:, None] - corners[:, :, 0]

@@ -60,7 +60,7 @@ def defects(
         ]
         bounds = SlipBounds(model.V)
         terms = [
-            bounds.at(pair.friction, found.nodes)
+            bounds.nodal_bounds(pair.friction, found.nodes)
             for pair, found in zip(model.pairs, pairs, strict=True)
         ]
         pairs = [

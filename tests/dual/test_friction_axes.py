@@ -68,7 +68,7 @@ def test_bound_of_a_single_tangent_is_the_semi_diameter(comm, shape):
             expected = 1.0 / np.linalg.norm(t[nonzero] / axes[nonzero])
         assert np.abs(found.semi_axes[alone] - expected).max(initial=0.0) <= ROUNDING
         assert (found.tangents[alone] == pair.tangents[alone]).all()
-        discs = FrictionDiscs.of(found)
+        discs = FrictionDiscs.from_pair(found)
         assert (
             np.abs(discs.radius[pair.tangent_node[alone]] - expected).max(initial=0.0) <= ROUNDING
         )
@@ -79,7 +79,7 @@ def test_bound_of_a_single_tangent_is_the_semi_diameter(comm, shape):
 def test_discs_are_the_ellipses_stretched(comm, shape):
     V, pair = floor_operators(comm)
     turned = with_tangents_along_axes(V, pair, ellipses_of(pair, (1.0, 0.0, 0.0), shape))
-    discs = FrictionDiscs.of(turned)
+    discs = FrictionDiscs.from_pair(turned)
     positive = turned.semi_axes > 0.0
     bound = (discs.stretch * discs.radius[turned.tangent_node])[positive]
     assert np.abs(bound - turned.semi_axes[positive]).max(initial=0.0) <= ROUNDING

@@ -51,7 +51,7 @@ def test_the_energy_is_that_of_the_lift(comm, solver):
         K.mult(w, Kw)
         expected = np.sqrt(w.dot(Kw))
         # the energy is as accurate as the solve, but for the condition of the matrix, below 100
-        found = lifted.energy_norm(jump.of(w))
+        found = lifted.energy_norm(jump.of_unknowns(w))
         assert found == pytest.approx(expected, rel=1e3 * FULL_ACCURACY)
         assert lifted.energy_norm(np.zeros_like(z)) == 0.0
         for owned in (w, Kw, compliance):

@@ -78,7 +78,7 @@ def test_values_at_nodes(comm, degree):
     every_third = owned_nodes(V)[::3]
     points = V.tabulate_dof_coordinates()[every_third].T
     for name, (bound, expected) in bounds_of(V).items():
-        values = SlipBounds(V).at(Tresca(bound), every_third).constant
+        values = SlipBounds(V).nodal_bounds(Tresca(bound), every_third).constant
         assert values.shape == every_third.shape and values.dtype == np.float64, name
         assert np.abs(values - expected(points)).max(initial=0.0) <= 10 * EPS, name
 
@@ -101,7 +101,7 @@ def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
         for scale in (1.0, 3.0):
             p.interpolate(lambda x, factor=factor: factor * linear(x))
             c.value = scale
-            found = values.at(c * p, nodes, "the bound")
+            found = values.scalars_at(c * p, nodes, "the bound")
             expected = scale * factor * linear(points)
             assert np.abs(found - expected).max(initial=0.0) <= 100 * EPS
     assert len(compiled) == 1
@@ -134,7 +134,7 @@ def test_a_function_of_points_sees_contact_nodes_only(comm):
 
     values = NodalValues(V)
     for _ in range(2):
-        assert (values.at(bound, nodes, "the bound") == 0.1).all()
+        assert (values.scalars_at(bound, nodes, "the bound") == 0.1).all()
     assert all((x == V.tabulate_dof_coordinates()[nodes].T).all() for x in seen)
     assert len(seen) == (2 if len(nodes) else 0)
 
@@ -154,7 +154,7 @@ def one_value(comm, value: float, others: float):
 @pytest.mark.parametrize("value", [-1e-18, -0.9 * BOUND_ROUNDING * 0.1])
 def test_rounding_below_zero_is_zero(comm, value):
     V = space(comm)
-    found = SlipBounds(V).at(one_value(comm, value, 0.1), owned_nodes(V)).constant
+    found = SlipBounds(V).nodal_bounds(one_value(comm, value, 0.1), owned_nodes(V)).constant
     assert (found[1:] == 0.1).all()
     assert comm.rank > 0 or found[0] == 0.0
 
@@ -187,7 +187,7 @@ def test_rounding_below_zero_everywhere_is_zero(comm, scale):
 def test_what_is_below_zero_is_refused(comm, value, others):
     V = space(comm)
     with pytest.raises(InputError, match=f"must not be (negative|NaN), found {value:g} at 1 of"):
-        SlipBounds(V).at(one_value(comm, value, others), owned_nodes(V))
+        SlipBounds(V).nodal_bounds(one_value(comm, value, others), owned_nodes(V))
 
 
 def test_numbers_are_judged_once(comm):
@@ -203,7 +203,7 @@ def test_numbers_are_judged_once(comm):
 
 def test_infinite_bounds_are_kept(comm):
     V = space(comm)
-    found = SlipBounds(V).at(one_value(comm, np.inf, 0.1), owned_nodes(V)).constant
+    found = SlipBounds(V).nodal_bounds(one_value(comm, np.inf, 0.1), owned_nodes(V)).constant
     assert (found[1:] == 0.1).all()
     assert comm.rank > 0 or found[0] == np.inf
 
@@ -248,7 +248,7 @@ def test_directions_at_nodes(comm, degree):
     ):
         law = Tresca((0.2, 0.1), direction=direction)
         SlipBounds(V).check(law, every_third)
-        ellipses = SlipBounds(V).at(law, every_third).ellipses
+        ellipses = SlipBounds(V).nodal_bounds(law, every_third).ellipses
         assert ellipses.direction.shape == (len(every_third), 3), name
         assert np.abs(ellipses.direction.T - expected).max(initial=0.0) <= 10 * EPS, name
 
@@ -267,13 +267,13 @@ def test_two_bounds_are_the_longer_semi_axis_and_a_shape(comm):
             ((0.0, 0.1), 0.1, (0.0, 1.0)),
             ((0.0, 0.0), 0.0, (1.0, 1.0)),
         ):
-            found = SlipBounds(V).at(law(pair), nodes)
+            found = SlipBounds(V).nodal_bounds(law(pair), nodes)
             assert (getattr(found, name) == longer).all()
             assert (found.ellipses.shape == shape).all()
             others = {"constant", "coefficient", "limit"} - {name}
-            same = SlipBounds(V).at(law((longer, longer)), nodes)
+            same = SlipBounds(V).nodal_bounds(law((longer, longer)), nodes)
             assert all((getattr(found, one) == getattr(same, one)).all() for one in others)
-    found = SlipBounds(V).at(Tresca((np.inf, np.inf), direction=(1, 0, 0)), nodes)
+    found = SlipBounds(V).nodal_bounds(Tresca((np.inf, np.inf), direction=(1, 0, 0)), nodes)
     assert np.isinf(found.constant).all() and (found.ellipses.shape == 1.0).all()
 
 
@@ -300,7 +300,7 @@ def test_what_is_wrong_with_two_bounds_or_their_direction(comm):
         (Tresca((0.1, 0.2), direction=lambda x: 1j * x), "must return a vector, or one for each"),
     ):
         with pytest.raises(InputError, match=text):
-            SlipBounds(V).at(law, nodes)
+            SlipBounds(V).nodal_bounds(law, nodes)
 
 
 def test_there_is_no_direction_in_2d(comm):

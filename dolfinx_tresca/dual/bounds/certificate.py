@@ -55,7 +55,7 @@ class EnergyBound(PetscOwner):
         if self._lift is not None:
             self._lift.destroy()
 
-    def at(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
+    def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
 
         Args:
@@ -70,22 +70,22 @@ class EnergyBound(PetscOwner):
         """
         if self._lift is None:
             return np.inf
-        rest, gap = self._best_nodes(feasible_set, x, r)
+        opening, gap = self._best_nodes(feasible_set, x, r)
         total = float(reduce_array(self.comm, gap))
-        lift = self._lift.energy_norm(r - rest)
+        lift = self._lift.energy_norm(r - opening)
         return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
 
     def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
         """Return d - N v and -T v (size,), and this rank's nodal terms of the duality gap.
 
-        The remaining term of the gap, 1/2 |v - u|_K^2, is added in `at`. The jumps of v are chosen
-        node by node: each node gets the jump for which the duality gap is smallest if its
-        neighbours are fixed.
+        The remaining term of the gap, 1/2 |v - u|_K^2, is added in `energy_bound`. The jumps of v
+        are chosen node by node: each node gets the jump for which the duality gap is smallest if
+        its neighbours are fixed.
         """
         local = self._local_stiffness
         normal, tangential = feasible_set.normal, feasible_set.tangential
-        rest = np.zeros_like(r)  # stays zero at bonded nodes
-        rest[normal] = np.maximum(r[normal] - x[normal] / local[normal], 0.0)
+        opening = np.zeros_like(r)  # stays zero at bonded nodes
+        opening[normal] = np.maximum(r[normal] - x[normal] / local[normal], 0.0)
         # one stiffness for all directions of a friction disc
         stiffness = feasible_set.disc_means(local)
         stiffness[stiffness == 0.0] = 1.0  # nodes without tangential rows
@@ -96,6 +96,6 @@ class EnergyBound(PetscOwner):
             1.0 - feasible_set.radius / (stiffness * np.maximum(length, LEAST_DIVISOR)), 0.0
         )
         slip[tangential] *= factor[feasible_set.node]
-        rest[tangential] = -slip[tangential]
+        opening[tangential] = -slip[tangential]
         friction = feasible_set.dissipation(slip) - float(x[tangential] @ slip[tangential])
-        return rest, float(x[normal] @ rest[normal]) + max(friction, 0.0)
+        return opening, float(x[normal] @ opening[normal]) + max(friction, 0.0)

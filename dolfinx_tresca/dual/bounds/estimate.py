@@ -114,7 +114,7 @@ class DiscretisationError:
             fem.form(with_gradient(a, generic, weight)), fem.form(weight * ring * ufl.dx)
         )
 
-    def of(self, u: fem.Function) -> fem.Function:
+    def cell_errors(self, u: fem.Function) -> fem.Function:
         """Return the estimate of each cell [energy^(1/2)], a function of degree 0. Collective."""
         squares = self._squares(u.x.array)
         result = zero_like(self._errors, "cell_errors")
@@ -133,8 +133,8 @@ class DiscretisationError:
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
         if not scale.all():
             return np.zeros_like(self._squares(values[0]))
-        one, other = values[0] / scale[0], values[1] / scale[1]
-        difference = self._squares(one + other) - self._squares(one - other)
+        scaled_u, scaled_z = values[0] / scale[0], values[1] / scale[1]
+        difference = self._squares(scaled_u + scaled_z) - self._squares(scaled_u - scaled_z)
         return np.asarray(0.25 * scale[0] * scale[1] * difference)
 
     def _squares(self, u: Array) -> Array:
@@ -193,8 +193,8 @@ class DiscretisationError:
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
         sums.array[:] = 0.0
         tensors = sums.array.reshape(-1, dofmap.index_map_bs)
-        for first in range(0, len(owned), CELLS_AT_ONCE):
-            cells = owned[first : first + CELLS_AT_ONCE]
+        for start in range(0, len(owned), CELLS_AT_ONCE):
+            cells = owned[start : start + CELLS_AT_ONCE]
             nodes = dofmap.list[cells]
             sampled = self._expression.eval(mesh, cells)
             values = self._at_nodes @ sampled.reshape(len(cells), self._at_nodes.shape[1], -1)

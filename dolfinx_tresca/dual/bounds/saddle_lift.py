@@ -55,7 +55,7 @@ class SaddleLift(PetscOwner):
         whole = nest.copy()
         whole.convert(PETSc.Mat.Type.AIJ)
         whole.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._right, self._found = whole.createVecs()
+        self._right, self._solution = whole.createVecs()
         self._product = self._right.duplicate()
         self._w_size = K.getLocalSize()[0]
         self._solver: StiffnessSolver | None
@@ -79,7 +79,7 @@ class SaddleLift(PetscOwner):
         """Free the PETSc objects. Collective."""
         if self._solver is not None:
             self._solver.destroy()
-        for owned in (self._right, self._found, self._product, self._matrix):
+        for owned in (self._right, self._solution, self._product, self._matrix):
             owned.destroy()
 
     def energy_norm(self, jump: Array) -> float:
@@ -90,13 +90,13 @@ class SaddleLift(PetscOwner):
         """
         if self._solver is None:
             return np.inf
-        right, found = self._right, self._found
+        right, solution = self._right, self._solution
         right.set(0.0)
         right.array[self._w_size :] = jump
         size = right.norm()
-        self._solver.solve(right, found)
-        energy = -float(right.dot(found))  # w'K w = -y'B w
-        self._matrix.mult(found, self._product)
+        self._solver.solve(right, solution)
+        energy = -float(right.dot(solution))  # w'K w = -y'B w
+        self._matrix.mult(solution, self._product)
         self._product.axpy(-1.0, right)
         if not self._product.norm() <= DEPENDENT_ROWS * size:  # or NaN
             return np.inf

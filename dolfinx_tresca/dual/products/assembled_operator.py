@@ -79,8 +79,8 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
         return None
     members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
-    first, end = jump.matrix.getOwnershipRange()
-    place = csr_array(members)[first:end].data
+    start, end = jump.matrix.getOwnershipRange()
+    place = csr_array(members)[start:end].data
     B = sparse_matrix(forces, jump.matrix.getSizes()[1], jump.comm)
     responses = _columns(operator, place, count, B)
     B.destroy()
@@ -88,7 +88,7 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     multiplier = members.indices[members.indptr[body[force]] + column]
     entries = (responses[force, column], (row[force], multiplier))
     rows = csr_array(entries, shape=(len(jump.gap), size))
-    return WholeModel(jump.reductions, rows, first, jump.row_nodes, local_compliance, _solve)
+    return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
 
 
 def dense_model(
@@ -106,11 +106,11 @@ def dense_model(
     jump, size = operator.jump, operator.jump.matrix.getSize()[0]
     if size > (LARGEST_DENSE if operator.exact else LARGEST_DENSE_ITERATIVE):
         return None
-    first, end = jump.matrix.getOwnershipRange()
+    start, end = jump.matrix.getOwnershipRange()
     rows = None if surface is None else surface.product_rows(operator)
     if rows is None:
-        rows = _columns(operator, np.arange(first, end), size, jump.matrix)
-    return WholeModel(jump.reductions, rows, first, jump.row_nodes, local_compliance, _solve)
+        rows = _columns(operator, np.arange(start, end), size, jump.matrix)
+    return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
 
 
 class SurfaceCompliance:

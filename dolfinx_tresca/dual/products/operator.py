@@ -71,7 +71,7 @@ class DualOperator(PetscOwner):
         self.products += 1
         error = self.solver.solve(self.jump.contact_force(x), self._u)
         self._u.array[self.jump.system.prescribed] = 0.0
-        return self.jump.of(self._u), error
+        return self.jump.of_unknowns(self._u), error
 
     def apply_to_all(self, X: Array, B: PETSc.Mat | None = None) -> Array:
         """Return A X for X (size, k), with a direct solver for all columns together. Collective.
