@@ -422,14 +422,14 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
     "gears": {name: partial(gear_pair, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
     "bearing": {
         f"16 rollers, {turn} degrees, {name}": partial(rollers, turn=turn, nonlinear=nonlinear)
-        for turn, (name, nonlinear) in ((90, MATERIALS[0]), *((10, one) for one in MATERIALS))
+        for turn, (name, nonlinear) in ((90, MATERIALS[0]), *((10, each) for each in MATERIALS))
     },
     "drum": {name: partial(shoe, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
     "cube": {f"{3 * (n + 1) ** 3:,} unknowns": partial(cube, n=n) for n in (4, 8, 16)},
 }
 
 #: Cases that take long.
-FULL = {"5,005 bricks", "300 seeds"}
+FULL = {"5,005 bricks", "300 seeds", "16 rollers, 10 degrees, St. Venant-Kirchhoff"}
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -454,7 +454,11 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
-    parser.add_argument("--full", action="store_true", help="also the largest wall, and 300 piles")
+    parser.add_argument(
+        "--full",
+        action="store_true",
+        help="also the largest wall, 300 piles, and a nonlinear bearing",
+    )
     parser.add_argument("--small", action="store_true", help="a case of a few cells for each scene")
 
 
