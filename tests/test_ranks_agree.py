@@ -483,7 +483,7 @@ CASES: dict[str, Case] = {
         False,
         "h differs",
     ),
-    "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "differs"),
+    "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "where differs"),
     "guaranteed_error": (
         lambda s, x: s.problem.guaranteed_error(steps=x),
         3,

@@ -476,7 +476,7 @@ class ContactProcess(PetscOwner, Tabulated):
         data.linearise(contact)
         return data
 
-    @collective(comm_of_self, ignored=("where",))
+    @collective(comm_of_self)
     def reaction(self, where: Any, point: npt.ArrayLike | None = None) -> Resultant:
         """Return the force and moment that a support exerts on the bodies in the last solution.
 
