@@ -253,7 +253,7 @@ class FiniteSliding:
             surfaces.pair_where_changed(w)
 
     def _part_of_last_motion(self, values: Array) -> float:
-        """Return how far prescribed values go on in this step, relative to the last one.
+        """Return the change of the prescribed values in this step, relative to the last one.
 
         It is 1 if they change by the same amounts, and zero if they do not change or the step
         before the last one is not known. Collective.

@@ -165,7 +165,7 @@ class DataOfSolution:
             form = self._along(self._residual, control, direction)
             if form is not None:
                 is_input = True
-                change.force.x.array[:owned] -= assembled(form)[:owned]
+                change.force.x.array[:owned] -= owned_entries(form)
             for scalar in self._fields:
                 rates = self._values.pushed_forward(
                     scalar.field, control, direction, scalar.nodes, scalar.name
@@ -199,7 +199,7 @@ class DataOfSolution:
         owned, terms = owned_size(control), []
         form = self._along(self._work, control, None)
         if form is not None:
-            terms.append(-assembled(form)[:owned])
+            terms.append(-owned_entries(form))
         for scalar in self._fields:
             weights = scalar.offset.T @ derivatives.offset
             weights += scalar.radius * derivatives.radius[scalar.discs]
@@ -260,12 +260,12 @@ class DataOfSolution:
         The result is None if the form does not depend on the Function.
         """
         derivative = self._along(form, control, None)
-        return None if derivative is None else assembled(derivative)[: owned_size(control)]
+        return None if derivative is None else owned_entries(derivative)
 
     def pull_of(self, prescribed: fem.Function) -> Array:
         """Return K u (owned,) [force] for a displacement u of prescribed nodes. Collective."""
         form = self._forms.compiled(ufl.action(self._forms.tangent, prescribed))
-        return assembled(form)[: owned_size(prescribed)]
+        return owned_entries(form)
 
     def reaction_of(self, z: fem.Function) -> Array:
         """Return K'z (owned,) for a displacement z. Collective."""
@@ -276,7 +276,7 @@ class DataOfSolution:
             self._compiled["reaction"] = self._forms.compiled(
                 ufl.replace(self._forms.tangent, moved)
             )
-        return assembled(self._compiled["reaction"])[: owned_size(z)]
+        return owned_entries(self._compiled["reaction"])
 
     def _prescribed_by(self, control: Control, values: Array) -> Array:
         """Return the values that Dirichlet conditions take from a control. Not collective.
@@ -363,11 +363,8 @@ def owned_size(function: fem.Function) -> int:
     return int(function.x.index_map.size_local * function.x.block_size)
 
 
-def assembled(form: fem.Form) -> Array:
-    """Return the values of a linear form on this rank. Collective.
-
-    Values of owned degrees of freedom are sums over the ranks; values of ghosts are not.
-    """
+def owned_entries(form: fem.Form) -> Array:
+    """Return the entries of a linear form for the degrees of freedom of this rank. Collective."""
     vector = fem.assemble_vector(form)
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    return np.asarray(vector.array)
+    return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])

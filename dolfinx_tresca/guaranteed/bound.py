@@ -224,7 +224,7 @@ def _in_equilibrium(
 def _defects(
     owned: OwnedCells, surfaces: list[ContactSurface], held: Mask, v: fem.Function
 ) -> Array:
-    """Return what tractions and jumps lack of the law of contact (2, n), by cell. Collective.
+    """Return by how much tractions and jumps miss the law of contact (2, n), by cell. Collective.
 
     The rows are the integrals of complementarity and of friction.
 
