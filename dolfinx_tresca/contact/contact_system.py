@@ -45,6 +45,9 @@ from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
 
+#: Statuses with which a solution may have left linear theory. Where a body slides without end,
+#: there is no fixed point of pressures and slip bounds, and the last iterate shows the motion.
+CHECKED = (ContactStatus.CONVERGED, ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED)
 Solution = TypeVar("Solution", bound=ContactSolution)
 
 
@@ -237,7 +240,8 @@ class ContactSystem(PetscOwner):
     def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
-        Prescribed overlaps and the reason of a failure are logged. With finite sliding, the first
+        Prescribed overlaps and the reason of a failure are logged. A solve that found no solution
+        since bodies slide away has this as its reason. With finite sliding, the first
         configurations are not checked, since surfaces that come from afar may lie deep inside other
         bodies there.
 
@@ -246,7 +250,8 @@ class ContactSystem(PetscOwner):
             linear: whether bodies are linear, so that rotations and deformations have limits.
         """
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
-        if solution.status is ContactStatus.CONVERGED:
+        status = solution.status
+        if status in CHECKED and not solution.sliding:
             surfaces, u, v = self.surfaces, solution.u, solution.deformation
             paired, tractions = surfaces.state.geometry, solution.multipliers
             departures = [
@@ -255,10 +260,13 @@ class ContactSystem(PetscOwner):
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:
-                status = ContactStatus.OUTSIDE_THEORY
-                surfaces.state = surfaces.state.with_status(status)
+                if status is ContactStatus.CONVERGED:
+                    status = ContactStatus.OUTSIDE_THEORY
+                    surfaces.state = surfaces.state.with_status(status)
+                else:
+                    reason = f"The last iterate has left linear theory: {reason}"
                 solution = replace(solution, status=status, sliding=reason)
-        elif solution.failure:
+        if solution.failure:
             log(self.comm, "%s", solution.failure, level=logging.WARNING)
         return solution
 

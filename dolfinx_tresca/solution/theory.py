@@ -104,7 +104,7 @@ class Departure(NamedTuple):
 def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
     """Return why a solution is outside of the theory; empty if it is inside. Collective.
 
-    Departures are logged; those within the limits only once.
+    Departures within the limits are logged once.
 
     Args:
         comm: communicator of the mesh.
@@ -118,9 +118,10 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
     noticed.update(departure.limit for departure in told)
     advice = dict.fromkeys(departure.advice for departure in told)
     text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
-    where = "the scene has left" if outside else "near the end of"
-    log(comm, "%s linear theory: %s", where, text, level=logging.WARNING)
-    return str(comm.bcast(text if outside else ""))
+    if not comm.bcast(bool(outside)):
+        log(comm, "near the end of linear theory: %s", text, level=logging.WARNING)
+        return ""
+    return str(comm.bcast(text))
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
