@@ -36,8 +36,7 @@ from harness.memory import peak_memory, resident_memory
 
 from dolfinx_tresca import TaggedMesh, refine
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.choice import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 from scenes.two_bricks import on_bricks, two_bricks

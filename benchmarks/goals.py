@@ -31,7 +31,7 @@ from dolfinx_tresca import (
     refine,
     solve_adaptively,
 )
-from dolfinx_tresca.dual.bounds.estimate import total
+from dolfinx_tresca.dual.mesh_error import total
 from scenes.hertz import (
     cylinder_on_plane,
     nearest_of_cylinder,

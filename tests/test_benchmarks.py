@@ -57,7 +57,10 @@ RUNS = {
     "extremes": ("--only condition", "passed"),
     "published": ("--cases shrink_fit incline --meshes 1", "value"),
     "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
-    "ablation": ("--scenes dense --parts solvers.whole_model.SHIFT _base.forcing.FORCING", "total"),
+    "ablation": (
+        "--scenes dense --parts solvers.whole_model.SHIFT _base.tolerances.FORCING",
+        "total",
+    ),
     "embedding": ("--models impact", "lines"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags
 
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.parallel import mark_raised_on_all_ranks, picklable, raised_on_all_ranks
 from dolfinx_tresca.errors import InputError
 

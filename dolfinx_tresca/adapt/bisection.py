@@ -15,11 +15,9 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Mask, splitmix64
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.mixing import splitmix64
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import exchange, reduce_array
 
 #: Range of the shifts of nodes, relative to the shortest edge, that make equal edge lengths differ.
 MOVED = 1e-5

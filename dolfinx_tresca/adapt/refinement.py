@@ -18,15 +18,14 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
-from dolfinx_tresca.stiffness.nested import Bisection, remember
+from dolfinx_tresca.stiffness.levels import Bisection, remember
 
 #: Step to which logarithms of errors are rounded when they go to other ranks.
 LOGARITHM_STEP = 1e-6

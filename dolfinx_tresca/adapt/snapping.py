@@ -9,8 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.number import integer
+from dolfinx_tresca._base.arrays import Array, Mask, integer
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.errors import InputError, shown

@@ -12,9 +12,13 @@ from typing import Any, TypeAlias
 from mpi4py import MPI
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
-from dolfinx_tresca._base.number import real
-from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import each_warning_once, errors_on_all_ranks, log
+from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.parallel import (
+    agreed_observer,
+    each_warning_once,
+    errors_on_all_ranks,
+    log,
+)
 from dolfinx_tresca.adapt.judgement import Judgement, judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level, expected_error, growth_to
 from dolfinx_tresca.adapt.patch import with_node_in_patch

@@ -15,9 +15,14 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.owner import PetscOwner, free_unused
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca._base.timing import largest_over_ranks, timed
+from dolfinx_tresca._base.parallel import (
+    errors_on_all_ranks,
+    largest_over_ranks,
+    log,
+    reduce_array,
+    timed,
+)
+from dolfinx_tresca._base.petsc import PetscOwner, free_unused
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.friction_checks import check_curves, check_curves_of_floating_bodies
@@ -31,9 +36,10 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.hints import hint_at_overlap, hint_at_scene
-from dolfinx_tresca.solution.theory import (
+from dolfinx_tresca.solution.scene_checks import (
     Limit,
+    hint_at_overlap,
+    hint_at_scene,
     motions_of_bodies,
     motions_of_pairs,
     reason_outside,

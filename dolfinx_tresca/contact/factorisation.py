@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dolfinx_tresca._base.timing import timed
+from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.errors import InputError
@@ -22,7 +22,7 @@ from dolfinx_tresca.stiffness.choice import (
     choose,
     solver_for,
 )
-from dolfinx_tresca.stiffness.nested import is_nested
+from dolfinx_tresca.stiffness.levels import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import SLACK
-from dolfinx_tresca._base.timing import timed
+from dolfinx_tresca._base.parallel import timed
+from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies

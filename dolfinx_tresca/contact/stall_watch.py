@@ -10,12 +10,12 @@ from dataclasses import replace
 from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca._base.patience import PATIENCE
+from dolfinx_tresca._base.tolerances import PATIENCE
 from dolfinx_tresca.monitor import Iteration
 
 #: Number of Newton steps without progress, and number of configurations with finite sliding, after
 #: which a solve counts as stalled. (For iterations of a contact problem, the number is
-#: `_base.patience.PATIENCE`.)
+#: `_base.tolerances.PATIENCE`.)
 #: Of the solves in tests/validation and tests/problem that converge, none needs more than 6 such
 #: Newton steps or 15 configurations. If both numbers are doubled, the warning comes later, and
 #: nothing else changes.
@@ -26,7 +26,7 @@ class StallWatch:
     """An observer that detects whether a solve makes progress, and calls another observer.
 
     The log gets one warning, when the solve stalls for the first time. A contact problem makes
-    progress if its residual halves within `_base.patience.PATIENCE` iterations. Newton's method
+    progress if its residual halves within `_base.tolerances.PATIENCE` iterations. Newton's method
     makes progress if its residual halves, or a further part of the load is solved, within
     `IDLE_NEWTON_STEPS` steps. With finite sliding, a solve stalls after `IDLE_CONFIGURATIONS`
     configurations.

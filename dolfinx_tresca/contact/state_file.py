@@ -16,8 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.atomic_write import atomic_write
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
 from dolfinx_tresca.errors import InputError
 
 #: Name and version of the format of the file.

@@ -36,7 +36,7 @@ from dolfinx_tresca.dual.slip_bounds import TERMS
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"

@@ -17,11 +17,10 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
-from dolfinx_tresca.dual.friction_axes import NodalEllipses
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
-from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
+from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds, NodalEllipses
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction

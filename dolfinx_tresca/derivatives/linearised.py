@@ -38,9 +38,8 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FULL_ACCURACY, ROUGH
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds

@@ -17,8 +17,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
@@ -33,7 +32,7 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).

@@ -24,8 +24,7 @@ from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import collapse, interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.scalar_field import ScalarField
-from dolfinx_tresca.scene.vector_field import VectorField
+from dolfinx_tresca.scene.user_fields import ScalarField, VectorField
 
 #: Step of central differences, relative to the size of a Constant. The truncation error is about
 #: the square of the step; with twice the step it is four times as large.

@@ -15,10 +15,9 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
+from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.number import integer
-from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import agreed_observer, log
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.stall_watch import StallWatch
@@ -34,7 +33,7 @@ from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units

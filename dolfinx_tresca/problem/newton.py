@@ -11,9 +11,8 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import agreed_observer, log, reduce_array
+from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, summed_timings
 from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.errors import PairingError, StiffnessError

@@ -26,7 +26,7 @@ from dolfinx_tresca.problem.process import ContactProcess, check_units
 from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units

@@ -14,9 +14,8 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Mask
-from dolfinx_tresca._base.number import integer
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.arrays import Mask, integer
+from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -39,9 +38,7 @@ from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forms import Forms
-from dolfinx_tresca.solution.reaction import reaction_at
-from dolfinx_tresca.solution.resultants import Resultant
+from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 

@@ -16,11 +16,10 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import collapse
-from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 from dolfinx_tresca.problem.compressibility import HARDLY_COMPRESSIBLE, poisson_ratios
 from dolfinx_tresca.problem.energy_balance import EnergyBalance

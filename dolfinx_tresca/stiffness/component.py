@@ -16,8 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.functions import zero_like
-from dolfinx_tresca._base.matrices import sparse_matrix
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.petsc import PetscOwner, sparse_matrix
 
 
 class Component(PetscOwner):

@@ -19,18 +19,16 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
-from dolfinx_tresca._base.forcing import ROUGH
-from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.checks import (
+from dolfinx_tresca.stiffness.component import Component
+from dolfinx_tresca.stiffness.forms import (
     check_hoop_stiffness,
     check_meridian,
     check_signs,
     check_symmetry,
-)
-from dolfinx_tresca.stiffness.component import Component
-from dolfinx_tresca.stiffness.forms import (
     coefficients,
     compiled,
     component_index,

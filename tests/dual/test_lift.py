@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import Tresca
-from dolfinx_tresca._base.forcing import FULL_ACCURACY
-from dolfinx_tresca.dual.bounds import lift
-from dolfinx_tresca.dual.bounds.lift import Lift
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY
+from dolfinx_tresca.dual import energy_bound as lift
+from dolfinx_tresca.dual.energy_bound import Lift
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem

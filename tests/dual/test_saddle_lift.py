@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import Tresca
-from dolfinx_tresca.dual.bounds.saddle_lift import SaddleLift
+from dolfinx_tresca.dual.energy_bound import SaddleLift
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.stiffness.cholesky import saddle_cholesky
+from dolfinx_tresca.stiffness.choice import saddle_cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import LEFT, YOUNG, block
 from scenes.pressures import with_pressure

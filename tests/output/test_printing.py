@@ -49,8 +49,7 @@ from dolfinx_tresca import (
     Units,
     contacts,
 )
-from dolfinx_tresca._base.lines import LINE_WIDTH, UNBROKEN, fill
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN, fill, log
 from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.output.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
