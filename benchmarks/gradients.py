@@ -7,9 +7,8 @@ solve to solve, as in steps.py, and solves end at a residual of 1e-8. "One solut
 of the normal force is computed after the first solve, which starts from zero, and after each later
 solve; the control is a gap that is one number, or a Function with a value at each node of the mesh.
 "Process": all solves are recorded, with `accept()` after each, and the gradient of the last normal
-force goes back through all of them; with checkpoints each step is solved again, starting from its
-stored solution. Seconds are processor seconds of one thread on one rank, which depend less on other
-work on the machine.
+force goes back through all of them. Seconds are processor seconds of one thread on one rank, which
+depend less on other work on the machine.
 """
 
 from __future__ import annotations
@@ -34,10 +33,7 @@ from scenes.two_bricks import ENDS, two_bricks
 RTOL, LATER = 1e-8, 6
 
 #: Kinds of gradients: of one solution or a process, and with respect to which gap.
-WHAT = (
-    *("one solution, one value", "one solution, many values"),
-    *("process, many values", "process with checkpoints, many values"),
-)
+WHAT = ("one solution, one value", "one solution, many values", "process, many values")
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -80,8 +76,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
                 yield
 
         if "process" in case["what"]:
-            every = 1 if "checkpoints" in case["what"] else None
-            with problem.record(checkpoint_every=every) as tape:
+            with problem.record() as tape:
                 for _ in timed_solves():
                     problem.accept()
             goal = {len(tape) - 1: NormalForce()}

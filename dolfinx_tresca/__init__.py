@@ -6,7 +6,6 @@ from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.contact.found_pairs import Contacts, contacts
-from dolfinx_tresca.derivatives.controls import ControlVector
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
@@ -61,7 +60,6 @@ __all__ = [
     "ContactStatus",
     "ContactTangent",
     "Contacts",
-    "ControlVector",
     "ConvergenceError",
     "Coulomb",
     "FrictionCurve",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -392,21 +391,11 @@ class ContactProblem(ContactProcess):
         )
 
     @contextmanager
-    def record(
-        self, *, checkpoint_every: int | None = None, folder: str | Path | None = None
-    ) -> Iterator[ProcessTape]:
+    def record(self) -> Iterator[ProcessTape]:
         """Record the load steps that are accepted inside the block, for derivatives.
 
         Not collective; each recorded `accept()` is collective, and assembles the load once more to
         check that nothing has changed since the solve.
-
-        Args:
-            checkpoint_every: number k: keep only the state of each k-th step (values on the contact
-                surfaces), and repeat the solves of all steps for derivatives; None: keep the
-                displacement of each step, and repeat no solve. With k = 1, each repeated solve
-                starts from the recorded solution of its step, and costs a product or two.
-            folder: folder for files with these states, in the format of `save_state`; None: keep
-                the states in memory.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
@@ -414,16 +403,14 @@ class ContactProblem(ContactProcess):
 
         Raises:
             ContactError: the problem records already.
-            InputError: `a` or `L` is no form of UFL, a pair has finite sliding, whose pairing
-                depends on the solution, or an argument is wrong.
+            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding, whose pairing
+                depends on the solution.
         """
         self._contact.check_not_destroyed()
         self._check_pairing_fixed()
         if self._tape is not None:
             raise ContactError("the problem records its load steps already.")
-        self._tape = tape = ProcessTape(
-            self._contact, self._solved_for, self._forms_at, checkpoint_every, folder
-        )
+        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
         try:
             yield tape
         finally:
