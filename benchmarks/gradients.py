@@ -3,7 +3,7 @@
     tools/fenicsx python3 benchmarks/gradients.py --json benchmarks/data/gradients.json
 
 The two bricks have Coulomb friction with F = 0.3. The load changes by a factor of 0.9 or 1.1 from
-solve to solve, as in steps.py, and solves end at a residual of 1e-8. "One solution": the gradient
+solve to solve, and solves end at a residual of 1e-8. "One solution": the gradient
 of the normal force is computed after the first solve, which starts from zero, and after each later
 solve; the control is a gap that is one number, or a Function with a value at each node of the mesh.
 "Process": all solves are recorded, with `accept()` after each, and the gradient of the last normal
@@ -22,15 +22,20 @@ from typing import Any
 
 import numpy as np
 from harness import DASH, Benchmark, Column, Comm, Row, Table
-from steps import BACKENDS, CHANGE, SEED
 
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, Coulomb, NormalForce
 from scenes.two_bricks import ENDS, two_bricks
 
+#: Solvers for K.
+BACKENDS = ("cholesky", "multigrid")
+
 #: Relative residual at which solves end, and number of solves after the first one.
 RTOL, LATER = 1e-8, 6
+
+#: Seed of the signs of the changes of the load, and relative size of a change.
+SEED, CHANGE = 1, 0.1
 
 #: Kinds of gradients: of one solution or a process, and with respect to which gap.
 WHAT = ("one solution, one value", "one solution, many values", "process, many values")

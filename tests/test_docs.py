@@ -385,12 +385,12 @@ def test_docstrings_are_escaped_but_for_names_and_examples():
 def test_measured_figures_are_those_of_the_table():
     pytest.importorskip("sphinx")
     measured = importlib.import_module("extensions.measured")
-    heads, _, code = measured.tables()["readings"]
-    (row,) = measured.chosen("readings", ["the default"])
-    assert heads[0] == "`local_accuracy`"
-    assert row[0] == "**0.003, the default**"
+    heads, _, code = measured.tables()["convergence"]
+    (row,) = measured.chosen("convergence", ["hexahedra"])
+    assert heads[0] == "cells"
+    assert row[0] == "hexahedra"
     assert code.startswith("Code: ")
-    for wrong in (("readings", ["no such row"]), ("no such table", [])):
+    for wrong in (("convergence", ["no such row"]), ("no such table", [])):
         with pytest.raises(ValueError, match="no "):
             measured.chosen(*wrong)
 

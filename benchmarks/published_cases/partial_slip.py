@@ -2,9 +2,9 @@
 
     tools/fenicsx python3 benchmarks/published_cases/partial_slip.py 48
 
-K. L. Johnson, Contact Mechanics, section 7.2; the scene of `benchmarks/cattaneo.py`, which has more
-loads, a cycle, and 3D. The values of theory are values for the computed forces. The argument is the
-number of cells along a body.
+K. L. Johnson, Contact Mechanics, section 7.2; the scene of `tests/validation/test_cattaneo.py`,
+which has a cycle, and 3D. The values of theory are values for the computed forces. The argument is
+the number of cells along a body.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
     ```
 
 is a table of benchmarks/README.md: the lines in which all these texts, divided by semicolons, are
-cells or parts of cells; and the columns with these heads. {measured}`readings; 0.003; products` is
+cells or parts of cells; and the columns with these heads. {measured}`cost; 105456; ratio` is
 the cell of the first such line. So no figure on a page is typed by hand.
 """
 

@@ -35,7 +35,7 @@ MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 #: both in the energy norm. The keys are the degree of the displacement, and whether cells are
 #: simplices. The ratio is not 1, since the mean has a higher order than the gradient only for
 #: degree 1, and since singular edges lower the difference by up to a third. The factors are in the
-#: middle of the ranges that benchmarks/estimate.py finds.
+#: middle of the ranges that were measured (benchmarks/README.md, "Measured once").
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -52,8 +52,8 @@ class DiscretisationError:
     an edge would depend on that edge alone, and the difference would be zero on the boundary, which
     has singular edges.
 
-    The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
-    singular edges and Poisson's ratios of up to 0.49. It is not a bound. For Poisson's ratios
+    The estimate was 0.7 to 1.5 times the error on scenes with singular edges and Poisson's ratios
+    of up to 0.49 (benchmarks/README.md, "Measured once"). It is not a bound. For Poisson's ratios
     closer to 0.5, cells lock: the error spreads from its origin, and is larger compared with the
     estimate. At the corners of inclusions that are 1000 times stiffer than the rest, the estimate
     is up to 1.7 times the error for degree 2. If the material inside a body changes abruptly, the
