@@ -227,22 +227,22 @@ def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
     The texts are equal on all ranks if the values agree. Meshes, and values of Functions, are
     distributed and not compared.
     """
-    parts: dict[str, Any] | None = None
+    items: dict[str, Any] | None = None
     if hasattr(value, "values_to_agree"):
-        parts = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}
+        items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}
     elif dataclasses.is_dataclass(value) and type(value).__module__.startswith("dolfinx_tresca."):
         names = [field.name for field in dataclasses.fields(value) if field.init]
-        parts = {f"{name}.{key}": getattr(value, key) for key in names}
+        items = {f"{name}.{key}": getattr(value, key) for key in names}
     elif isinstance(value, Mapping):
-        parts = {f"{name}[{key!r}]" if name else key: item for key, item in value.items()}
+        items = {f"{name}[{key!r}]" if name else key: item for key, item in value.items()}
     elif isinstance(value, list | tuple) and not all(real(item) is not None for item in value):
-        parts = {f"{name}[{index}]": item for index, item in enumerate(value)}
-    if parts is None:
+        items = {f"{name}[{index}]": item for index, item in enumerate(value)}
+    if items is None:
         yield name, _text(value)
         return
     if name:
-        yield name, f"{type(value).__name__} of {len(parts)}"
-    for key, item in parts.items():
+        yield name, f"{type(value).__name__} of {len(items)}"
+    for key, item in items.items():
         yield from _described(key, item)
 
 
