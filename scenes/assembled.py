@@ -45,10 +45,9 @@ def dual_program(
         bounds = [SlipBounds(scene.V).nodal_bounds(scene.pair.friction, operators.nodes)]
         with (
             JumpOperator(system, [operators]) as jump,
-            InitialGuess(jump) as guess,
             ContactCompliance(jump, solver, None) as compliance,
         ):
-            dual = DualProgram.from_bounds(compliance, guess, bounds)
+            dual = DualProgram.from_bounds(compliance, InitialGuess(jump), bounds)
             dual.response.solve_load()
             yield dual
 

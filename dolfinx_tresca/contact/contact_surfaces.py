@@ -108,7 +108,7 @@ class ContactSurfaces(PetscOwner):
         self.guess = InitialGuess(self.jump)
         self.obstacles.note_pairing(self.jump)
         self._state = StepState.undeformed(self.jump, self.obstacles.motions)
-        with destroyed_on_error(self.guess), destroyed_on_error(self.jump):
+        with destroyed_on_error(self.jump):
             self.compliance = stiffness.compliance(self.jump, self.timings)
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
@@ -139,8 +139,8 @@ class ContactSurfaces(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._drop_operators()
-        for owner in (self.nodal_values, self.compliance, self.guess, self.jump):
-            owner.destroy()
+        self.compliance.destroy()
+        self.jump.destroy()
 
     @property
     def operators(self) -> tuple[ContactOperators, ...]:

@@ -310,6 +310,7 @@ class ContactSystem(PetscOwner):
             MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
+        free_unused(self.comm)  # vectors of the solves before
         surfaces, bodies = self.surfaces, self._stiffness.bodies
         requested = requested or options
         self._stiffness.check_suits(options)

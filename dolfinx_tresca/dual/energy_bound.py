@@ -8,21 +8,11 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca._base.petsc import PetscOwner
-from dolfinx_tresca._base.tolerances import FULL_ACCURACY
 from dolfinx_tresca.dual.jump import JumpOperator, nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.stiffness.choice import cholesky, saddle_cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
-
-#: Largest number of rows of B for which MUMPS factors B D B' on all ranks together. The analysis of
-#: MUMPS stores the pattern of all rows, and a graph of the pattern, on one rank: 1 to 2 kB per row,
-#: or half a gigabyte for this number of rows.
-MOST_FACTORED = 300_000
-
-#: Limit on steps of conjugate gradients.
-MOST_ITERATIONS = 1000
 
 #: The rows of B count as linearly dependent if the ratio |B w - jump| / |jump| (Euclidean norms) of
 #: a lift w exceeds this number. The ratio is of the order of 1 for a jump outside the range of B,
@@ -30,29 +20,21 @@ MOST_ITERATIONS = 1000
 DEPENDENT_ROWS = 1e-6
 
 
-class Lift(PetscOwner):
+class Lift:
     """The displacement w of least D^-1 norm with B w = jump: w = D B' (B D B')^-1 jump.
 
     Here D is diag(K)^-1. `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row
-    for each row of B. If it has more than `MOST_FACTORED` rows, systems with it are solved by
-    conjugate gradients preconditioned by a factorisation of each rank's own rows: memory and work
-    of a rank depend on these rows alone. Conjugate gradients take 10 to 40 steps. If a fine, stiff
-    secondary side touches a coarse primary side that is 1e6 times softer, the number of steps grows
-    with the number of ranks: 288, 1124 and 2108 steps on 2, 3 and 5 ranks. The iteration stops
-    after `MOST_ITERATIONS` steps; the energy norm of w counts as infinite if B w then misses the
-    jump by more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
-
-    Owns PETSc objects: call `destroy()`. The caller keeps B and K.
+    for each row of B. It is factored by all ranks together; the analysis of MUMPS stores the
+    pattern of all rows on one rank, 1 to 2 kB a row.
     """
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Factor B D B', or for many rows the block of each rank's own rows. Collective.
+        """Factor B D B'. Collective.
 
         Args:
             jump: B, and the system with K.
         """
         self._system, self._B = jump.system, jump.matrix
-        self.comm = self._system.comm
         self._compliance = nodal_compliance(jump.system)
         self._jump, self._force = self._B.createVecs("left"), self._B.createVecs("right")
         self._multipliers = self._jump.duplicate()
@@ -62,22 +44,11 @@ class Lift(PetscOwner):
         transposed = self._B.copy().transpose()
         local = weighted.matMult(transposed)
         local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._solver: StiffnessSolver | PETSc.KSP | None
+        self._solver: StiffnessSolver | None
         try:
-            self._solver = _solver(local)
+            self._solver = cholesky(local, {}, None)
         except StiffnessError:  # dependent rows
             self._solver = None
-        for owned in (weighted, transposed, local):
-            owned.destroy()
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        if self._solver is not None:
-            self._solver.destroy()
-        for owned in (self._compliance, self._jump, self._force, self._multipliers):
-            owned.destroy()
-        for owned in (self._w, self._Kw):
-            owned.destroy()
 
     def energy_norm(self, jump: Array) -> float:
         """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
@@ -99,31 +70,7 @@ class Lift(PetscOwner):
         return float(np.sqrt(max(self._w.dot(self._Kw), 0.0)))
 
 
-def _solver(local: PETSc.Mat) -> StiffnessSolver | PETSc.KSP:
-    """Return a solver for B D B', the matrix `local`. Collective.
-
-    Raises:
-        StiffnessError: the matrix is singular.
-    """
-    if local.getSize()[0] <= MOST_FACTORED:
-        return cholesky(local, {}, None)
-    ksp = PETSc.KSP().create(local.comm)
-    ksp.setOperators(local)
-    ksp.setType(PETSc.KSP.Type.CG)
-    ksp.setNormType(PETSc.KSP.NormType.NATURAL)
-    ksp.setTolerances(rtol=FULL_ACCURACY, atol=0.0, max_it=MOST_ITERATIONS)
-    blocks = ksp.getPC()
-    blocks.setType(PETSc.PC.Type.ASM)
-    blocks.setASMOverlap(0)
-    blocks.setUp()
-    for block in blocks.getASMSubKSP():
-        block.setType(PETSc.KSP.Type.PREONLY)
-        block.getPC().setType(PETSc.PC.Type.CHOLESKY)
-        block.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    return ksp
-
-
-class SaddleLift(PetscOwner):
+class SaddleLift:
     """The displacement of least energy with a given jump, and its pressure.
 
     Both are in w, which satisfies K w + B'y = 0 and B w = jump with multipliers y.
@@ -131,8 +78,6 @@ class SaddleLift(PetscOwner):
     `Lift` moves contact nodes only. In a body that cannot change its volume, moving contact nodes
     alone costs infinite, or nearly infinite, energy. This lift has the least energy of all lifts,
     and needs a factorisation as large as the factorisation of K.
-
-    Owns PETSc objects: call `destroy()`. The caller keeps B and K.
     """
 
     def __init__(self, jump: JumpOperator) -> None:
@@ -149,7 +94,7 @@ class SaddleLift(PetscOwner):
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
         system = jump.system
-        K, self.comm = system.K, system.comm
+        K = system.K
         free, zero = jump.matrix.createVecs()
         zero.set(0.0)
         free.array = system.moves
@@ -172,23 +117,13 @@ class SaddleLift(PetscOwner):
         except StiffnessError:  # dependent rows
             self._solver = None
         self._matrix = whole
-        for owned in (free, zero, B, transposed, nothing, nest):
-            owned.destroy()
         if self._solver is None and _independent(jump):
-            self.destroy()
             raise StiffnessError(
                 "the contact and the conditions close in a body that cannot change its volume: its "
                 "pressure is not determined where it touches everywhere, and gaps of another "
                 "volume cannot be closed. Let it change its volume a little (Poisson's ratio "
                 "0.4999, say), or leave a part of its boundary free."
             )
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        if self._solver is not None:
-            self._solver.destroy()
-        for owned in (self._right, self._solution, self._product, self._matrix):
-            owned.destroy()
 
     def energy_norm(self, jump: Array) -> float:
         """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
@@ -214,11 +149,10 @@ class SaddleLift(PetscOwner):
 def _independent(jump: JumpOperator) -> bool:
     """Return whether the rows of B are linearly independent. Collective."""
     rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
-    with Lift(jump) as alone:
-        return bool(np.isfinite(alone.energy_norm(rough)))
+    return bool(np.isfinite(Lift(jump).energy_norm(rough)))
 
 
-class EnergyBound(PetscOwner):
+class EnergyBound:
     """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
 
     Here u* is the exact solution of the discrete problem. By weak duality, the primal energy J, the
@@ -234,8 +168,6 @@ class EnergyBound(PetscOwner):
     all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the pressure
     eliminated. If such a K is the tangent of a Newton step, there is no bound: the factorisation
     for `SaddleLift` would double the cost of the step.
-
-    Owns PETSc objects: call `destroy()`.
     """
 
     def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
@@ -254,11 +186,6 @@ class EnergyBound(PetscOwner):
             self._lift = Lift(jump)
         elif not system.is_tangent:
             self._lift = SaddleLift(jump)
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        if self._lift is not None:
-            self._lift.destroy()
 
     def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.

@@ -381,6 +381,4 @@ def local_stiffness(jump: JumpOperator) -> Array:
     compliance, total = nodal_compliance(jump.system), B.createVecLeft()
     squares.mult(compliance, total)
     result: Array = 1.0 / np.maximum(total.array, LEAST_DIVISOR)
-    for owned in (squares, compliance, total):
-        owned.destroy()
     return result

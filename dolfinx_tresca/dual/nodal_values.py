@@ -132,11 +132,6 @@ class NodalValues:
         #: the space keeps the id valid.
         self._interpolations: dict[int, tuple[Any, PETSc.Mat]] = {}
 
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        while self._interpolations:
-            self._interpolations.popitem()[1][1].destroy()
-
     def scalars_at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar at nodes of this rank. Collective.
 
@@ -200,8 +195,6 @@ class NodalValues:
         np.add.at(of_field.array, position[nodes], weights * slopes)
         matrix.multTranspose(of_field, of_control)
         result = np.array(of_control.array)
-        for owned in (of_control, of_field):
-            owned.destroy()
         return result
 
     def pushed_forward(

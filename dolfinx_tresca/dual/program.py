@@ -260,7 +260,6 @@ class DualProgram:
         system.K.mult(u, force)
         inside = np.where(system.prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, system.signs * force.array))
-        force.destroy()
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.response.gradient_of(u)
         friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))

@@ -358,8 +358,6 @@ def check_hoop_stiffness(K: PETSc.Mat) -> None:
         force.norm(PETSc.NormType.INFINITY),
         diagonal.norm(PETSc.NormType.INFINITY),
     )
-    for vector in (motion, force, diagonal):
-        vector.destroy()
     if resistance <= HOOP_ROUNDING * largest:
         raise InputError(
             "the form a is that of a plane body: it does not resist a radial translation. An "
@@ -390,8 +388,6 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
     K.mult(y, Ky)
     defect = abs(x.dot(Ky) - y.dot(Kx))
     scale = x.norm() * Ky.norm()
-    for vector in (x, y, Kx, Ky):
-        vector.destroy()
     if defect > SYMMETRY * scale:
         raise StiffnessError(
             f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
@@ -412,9 +408,7 @@ def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
     Raises:
         StiffnessError: a diagonal entry of C is negative.
     """
-    diagonal = K.getDiagonal()
-    entries = diagonal.array[not_displacement]
-    diagonal.destroy()
+    entries = K.getDiagonal().array[not_displacement]
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)
     if largest > 0.0:
         raise StiffnessError(

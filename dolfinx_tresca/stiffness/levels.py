@@ -72,15 +72,11 @@ def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
         if P is None:
             P = step
         else:
-            P, factors = P.matMult(step), (P, step)
-            for factor in factors:
-                factor.destroy()
+            P = P.matMult(step)
         if P.getSize()[0] >= COARSENING * P.getSize()[1]:
             yield coarse, P
             P = None
         fine = coarse
-    if P is not None:
-        P.destroy()
 
 
 def is_nested(V: Any) -> bool:
@@ -149,8 +145,6 @@ def _told(
     scatter = PETSc.Scatter().create(sent, wanted, answer, None)
     scatter.scatter(sent, answer)
     result: npt.NDArray[np.int64] = answer.array.astype(np.int64)
-    for used in (sent, wanted, answer, scatter):
-        used.destroy()
     return result
 
 
@@ -195,11 +189,9 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
         # if either scaling is left out, corrections change prescribed values, and far more
         # iterations are needed
         P.diagonalScale(free, coarse_free)
-        free.destroy()
         free = coarse_free
-        product = matrices[-1].ptap(P)
-        below = product.copy()  # drops data for further products, which are larger than the matrix
-        product.destroy()
+        # a copy drops data for further products, which are larger than the matrix
+        below = matrices[-1].ptap(P).copy()
         start, _ = below.getOwnershipRange()
         held = start + np.flatnonzero(free.array == 0.0)
         below.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
@@ -207,16 +199,13 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
         matrices.append(below)
         interpolations.append(P)
         lowest = coarse
-    free.destroy()
     set_rigid_body_modes(matrices[-1], lowest)
     pc.setType(PETSc.PC.Type.MG)
     pc.setMGLevels(len(matrices))
     for level, P in enumerate(reversed(interpolations), start=1):
         pc.setMGInterpolation(level, P)
-        P.destroy()
     for level, matrix in enumerate(reversed(matrices[1:])):
         pc.getMGSmoother(level).setOperators(matrix)
-        matrix.destroy()
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
@@ -234,7 +223,6 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
     ones.chop(0.99)
     result = ones.createVecRight()
     ones.multTranspose(values, result)
-    ones.destroy()
     result.array = result.array.round()
     return result
 
@@ -252,5 +240,3 @@ def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
     near_nullspace = PETSc.NullSpace().createRigidBody(points)
     K.setNearNullSpace(near_nullspace)
-    near_nullspace.destroy()
-    points.destroy()

@@ -81,8 +81,6 @@ class ContactCompliance(PetscOwner):
         self.operator.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
-        if "certificate" in vars(self):
-            self.certificate.destroy()
         if "near_field" in vars(self):
             self.near_field.destroy()
         self.operator.destroy()
