@@ -11,7 +11,9 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._base.arrays import Indices
+import dolfinx.la
+
+from dolfinx_tresca._base.arrays import Array, Indices
 
 _logger = logging.getLogger("dolfinx_tresca.exchange")
 
@@ -47,6 +49,22 @@ def exchange(
     )
     row.Free()
     return received, np.repeat(np.arange(comm.size), incoming)
+
+
+def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at nodes (...) of all ranks. Collective.
+
+    Args:
+        index_map: the nodes of this rank, ghosts included.
+        nodes: (...) local numbers of nodes, each any number of times.
+        values: (..., k) values at the nodes.
+    """
+    vector = dolfinx.la.vector(index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, values.shape[-1])
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
