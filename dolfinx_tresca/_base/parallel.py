@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, issparse, vstack
 
+import dolfinx.la
 from dolfinx import common
 
 from dolfinx_tresca._base.arrays import Array, Indices
@@ -239,6 +240,22 @@ def exchange(
     )
     row.Free()
     return received, np.repeat(np.arange(comm.size), incoming)
+
+
+def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at nodes (...) of all ranks. Collective.
+
+    Args:
+        index_map: the nodes of this rank, ghosts included.
+        nodes: (...) local numbers of nodes, each any number of times.
+        values: (..., k) values at the nodes.
+    """
+    vector = dolfinx.la.vector(index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, values.shape[-1])
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
