@@ -16,12 +16,9 @@ Cases (`--cases`): see docs/large_sliding_cases.md and scenes/large_sliding.py.
 from __future__ import annotations
 
 import argparse
-import importlib
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,8 +27,6 @@ from harness import Benchmark, Column, Comm, Row, Table
 from dolfinx_tresca import ContactError, Coulomb, Frictionless
 from scenes import large_sliding
 from scenes.large_sliding import Process
-
-sys.path.insert(0, str(Path(__file__).with_name("published_cases")))
 
 #: Values of a case: for each its quantity, the published values as text, and our value.
 Values = list[tuple[str, str, float]]
@@ -152,24 +147,11 @@ def hertz_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
     ]
 
 
-def rolling_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
-    """Roll a rigid cylinder without creepage; a half width has `size` cells. Collective."""
-    rolling = importlib.import_module("rolling")
-    block = rolling.read_gmsh(Path(rolling.__file__).with_name("rolling.geo"), comm, h=1.0 / size)
-    way = rolling.Way(block, 1.0 / size, Coulomb(rolling.COEFFICIENT), 0.0)
-    tangential, normal = abs(way.forces[-1])
-    return [], [
-        ("half width of the stick zone over the contact's", "1", way.stick_zone(comm)),
-        ("tangential force over the slip bound", "0", tangential / normal / rolling.COEFFICIENT),
-    ]
-
-
 #: Title of a case -> function that solves the case, and sizes of its meshes.
 CASES: dict[str, tuple[Callable[[Comm, float], tuple[list[Process], Values]], tuple[int, ...]]] = {
     "shallow ironing": (ironing_case, (60, 120)),
     "closed path, plane": (closed_path_in_the_plane, (40, 60)),
     "closed path, space": (closed_path_in_space, (6, 10)),
-    "rolling cylinder": (rolling_case, (4, 8)),
     "Hertz, 50 radii away": (hertz_case, (10, 20)),
     "half ring on a block": (half_ring_case, (32, 64)),
 }

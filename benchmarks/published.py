@@ -2,15 +2,17 @@
 
     tools/fenicsx python3 benchmarks/published.py --json benchmarks/data/published.json \
         --picture docs/published.png
+    tools/fenicsx python3 benchmarks/published.py --cases plate --sizes 64
 
-Each case is a script in `benchmarks/published_cases`. From mesh to mesh cells are refined by a
-constant factor r, so a value changes twice. The observed order of convergence is the logarithm, to
-the base r, of the first change divided by the last change. The error of the value on the finest
-mesh is estimated as the last change divided by r^q - 1, where the order q is the observed order,
-limited to the range from 0.5 to the order of theory (W. L. Oberkampf and C. J. Roy, Verification
-and Validation in Scientific Computing, 2010, section 8.6). The last change may be small by chance:
-if the change that follows from the first change and the order of theory is larger, that change is
-used instead. If the changes have different signs, the error is the larger change. Changes below the
+Each case is a file in `benchmarks/published_cases`; the second line solves a case on one mesh,
+whose size is the argument that the case names. From mesh to mesh cells are refined by a constant
+factor r, so a value changes twice. The observed order of convergence is the logarithm, to the base
+r, of the first change divided by the last change. The error of the value on the finest mesh is
+estimated as the last change divided by r^q - 1, where the order q is the observed order, limited to
+the range from 0.5 to the order of theory (W. L. Oberkampf and C. J. Roy, Verification and
+Validation in Scientific Computing, 2010, section 8.6). The last change may be small by chance: if
+the change that follows from the first change and the order of theory is larger, that change is used
+instead. If the changes have different signs, the error is the larger change. Changes below the
 residual of the solves count as zero.
 """
 
@@ -80,7 +82,7 @@ def case_of(name: str) -> Case:
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
     """Yield each case on each mesh."""
     for name in arguments.cases:
-        sizes = case_of(name).sizes[: arguments.meshes]
+        sizes = arguments.sizes or case_of(name).sizes[: arguments.meshes]
         for level, size in enumerate(sizes):
             yield {"case": name, "level": level, "size": size, "finest": size == sizes[-1]}
 
@@ -110,6 +112,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
     parser.add_argument("--cases", nargs="+", default=NAMES, choices=NAMES)
     parser.add_argument("--meshes", type=int, default=3, help="the coarsest ones")
+    parser.add_argument("--sizes", type=float, nargs="+", help="instead of the usual meshes")
 
 
 #: Observed orders of convergence below this number are replaced by it.

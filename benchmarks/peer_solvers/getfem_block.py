@@ -16,10 +16,10 @@ import numpy as np
 from pushed_block import (
     ABOVE,
     BESIDE,
+    CASE,
     COEFFICIENT,
     HEIGHT,
     POISSON,
-    SHEAR,
     WIDTH,
     YOUNG,
     graded,
@@ -91,7 +91,7 @@ def values(n: int) -> tuple[dict[str, float], dict[float, float]]:
         np.trapezoid(q[half], x[half]) / np.trapezoid(q, x),
     )
     return quantities(places, u, x, p, q, on_left), {
-        place: np.interp(place, x, q) for place in SHEAR
+        place: np.interp(place, x, q) for place in CASE.marks[0]
     }
 
 

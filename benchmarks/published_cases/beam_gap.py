@@ -1,7 +1,5 @@
 """Three cantilevers that are pinched until they touch at five places: a benchmark of Abaqus.
 
-    tools/fenicsx python3 benchmarks/published_cases/beam_gap.py 8
-
 Abaqus Benchmarks Guide, section 1.1.1, "Beam/gap example": three parallel beams, five gaps of 0.01
 between them, and two forces that bend the outer beams towards the middle beam. Contact begins at
 the tips of the two upper beams, and ends there again when the forces have grown. The guide has a
@@ -22,7 +20,7 @@ import itertools
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, by_group, exactly
+from case import Case, Result, by_group, next_step
 
 import ufl
 from dolfinx import fem
@@ -55,17 +53,12 @@ TABLE = {
     200.0: (73.4, 90.4, 0.0, 73.4, 90.4),
 }
 
-#: Forces that are compared: for each the load, and the number of the gap, counted from zero.
+#: Forces that are compared: for each the load, and the number of the gap, counted from zero; the
+#: last quantity is the number of gaps that are open or closed as in the table, of 50.
 SHOWN = ((20.0, 1), (20.0, 2), (20.0, 4), (120.0, 1), (140.0, 0), (200.0, 0), (200.0, 1))
-STATES = "gaps that are open or closed as in the table, of 50"
 
 #: Tags of the first gap's sides and the clamped ends; of the loads, with beam and side.
 UPPER, LOWER, CLAMPED, PUSHED_DOWN, PUSHED_UP = 10, 20, 1, (2, 0, 0), (3, 2, 3)
-
-
-def quantity(load: float, gap: int) -> str:
-    """Return the name of the force in a gap under a load."""
-    return f"P = {load:g}: force in gap {gap + 1}"
 
 
 def theory(load: float) -> np.ndarray:
@@ -131,13 +124,10 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     with ContactProblem(a, L, pairs, bcs) as problem:
         for load in TABLE:
             pinch.value = load
-            solution = problem.solve(rtol=RTOL)
-            solution.raise_if_failed()
-            found[load] = np.array([one.force[1] for one in solution.pair_resultants])
-    values = {quantity(load, gap): float(found[load][gap]) for load, gap in SHOWN}
-    values[STATES] = float(
-        sum(((found[load] > 0.0) == (np.array(TABLE[load]) > 0.0)).sum() for load in TABLE)
-    )
+            resultants = next_step(problem).pair_resultants
+            found[load] = np.array([resultant.force[1] for resultant in resultants])
+    right = sum(((found[load] > 0.0) == (np.array(TABLE[load]) > 0.0)).sum() for load in TABLE)
+    values = CASE.named(*(found[load][gap] for load, gap in SHOWN), right)
     return Result(values, V, np.array(list(found)), np.array([one[1] for one in found.values()]))
 
 
@@ -149,17 +139,9 @@ def published(load: float, gap: int):
     return by_group(both, 0.5 * digit)
 
 
-CASE = Case(
-    name="beam_gap",
-    title="Pinched beams, of Abaqus",
-    published={quantity(*one): published(*one) for one in SHOWN} | {STATES: exactly(50.0)},
-    source="programs",
-    argument="cells along a fifth of a beam",
-    sizes=(8, 16, 32),
-    solve=solve,
-    axes=("load", "force in the second gap"),
+CASE = Case.read(
+    __file__,
+    solve,
+    *(published(*force) for force in SHOWN),
     marks=(list(TABLE), [forces[1] for forces in TABLE.values()]),
 )
-
-if __name__ == "__main__":
-    CASE.main()

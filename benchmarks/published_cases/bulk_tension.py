@@ -1,7 +1,5 @@
 """Fretting fatigue: partial slip between two cylinders, one of which is under tension.
 
-    tools/fenicsx python3 benchmarks/published_cases/bulk_tension.py 48
-
 D. Nowell and D. A. Hills, Mechanics of fretting fatigue tests, Int. J. Mech. Sci. 29, 1987. Two
 equal cylinders are pressed together; then a shift and a tension sigma in the lower one grow
 together. The stick zone is as wide as without the tension (Cattaneo and Mindlin), but moves by
@@ -17,7 +15,7 @@ from dataclasses import replace
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import Case, Result, half_ellipse, next_step
 
 import ufl
 from dolfinx import fem
@@ -33,8 +31,6 @@ TENSION, DEPTH, SHIFT = 0.6, 4 * APPROACH[2], -0.3
 STICK = 0.7015
 
 MODULUS = YOUNG / (1.0 - POISSON[2] ** 2)
-
-MIDDLE, WIDTH = "shift of the stick zone over theory's", "stick half width over theory's"
 
 
 def solve(comm: MPI.Comm, n: float) -> Result:
@@ -53,15 +49,14 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     ]
     L = tension * side * ufl.TestFunction(V)[0] * ufl.ds
     with replace(scene, L=L, bcs=bcs).problem(stiffness="cholesky") as problem:
-        pressed = Found.of(problem.solve(rtol=RTOL), 2)
-        problem.accept()
+        pressed = Found.of(next_step(problem), 2)
         peak = Cattaneo(2, pressed.force(pressed.pressure), 0.0).peak
         tension.value = TENSION * COEFFICIENT * peak
         strain = float(tension.value) / MODULUS
         across = POISSON[2] / (1.0 - POISSON[2]) * strain
         stretch.interpolate(lambda x: np.stack([strain * x[0], np.full_like(x[0], across)]))
         end.value[0] = SHIFT * DEPTH
-        solution = problem.solve(rtol=RTOL)
+        solution = next_step(problem)
         found = Found.of(solution, 2)
     place = solution.surface.points[:, 0]
     normal, tangential = found.force(found.pressure), found.force(found.traction)
@@ -70,10 +65,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     middle = float(short @ place / short.sum())
     width = 2.0 * float(np.sqrt(short @ (place - middle) ** 2 / short.sum()))
     shift = float(tension.value) * theory.radius / (4.0 * COEFFICIENT * theory.peak)
-    values = {
-        MIDDLE: abs(middle) / shift,
-        WIDTH: width / theory.stick_radius(tangential),
-    }
+    values = CASE.named(abs(middle) / shift, width / theory.stick_radius(tangential))
     along = np.sign(middle) * place / theory.radius
     order = np.argsort(along)
     order = order[abs(along[order]) < 1.2]
@@ -83,24 +75,8 @@ def solve(comm: MPI.Comm, n: float) -> Result:
 
 def shear_stress(x: np.ndarray) -> np.ndarray:
     """Return shear stresses (n,) / (mu p0) at positions (n,) / (half width of the contact)."""
-    full, stuck = (
-        np.maximum(one, 0.0) for one in (1.0 - x**2, STICK**2 - (x - 0.25 * TENSION) ** 2)
-    )
-    return np.asarray(np.sqrt(full) - np.sqrt(stuck))
+    return half_ellipse(x) - STICK * half_ellipse((x - 0.25 * TENSION) / STICK)
 
 
 X = np.linspace(-1.2, 1.2, 481)
-CASE = Case(
-    name="bulk_tension",
-    title="Cattaneo and Mindlin with a tension",
-    published={MIDDLE: exactly(1.0), WIDTH: exactly(1.0)},
-    source="formula",
-    argument="cells along a body",
-    sizes=(48, 96, 192),
-    solve=solve,
-    axes=("place over half width of the contact", "shear stress over mu p0"),
-    curve=(X, shear_stress(X)),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, curve=(X, shear_stress(X)))

@@ -1,15 +1,42 @@
-"""The description of a published case: quantities, their published values, and our solve."""
+"""What published cases have in common: their description, and parts of their solves.
+
+    tools/fenicsx python3 benchmarks/published.py --cases plate --sizes 64
+
+solves the case of `plate.py` with the size 64, whose meaning is the `argument` of its `CASE`.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
+import runpy
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
+from unittest import mock
 
 from mpi4py import MPI
 
 import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import locate_entities_boundary, meshtags
+
+from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, RigidPlane, read_gmsh
+from scenes.elasticity import by_body, elasticity, no_load
+from scenes.nodal import gathered, nodal, surface_nodes_of
+from scenes.scene import Scene
+
+FOLDER = Path(__file__).parent
+DEMOS = FOLDER.parents[1] / "demos"
+
+#: A rigid plane below bodies that rest on the height 0, in 2D.
+GROUND = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
 
 #: Relative residual at which solves end, so small that only errors of the mesh remain.
 RTOL = 1e-8
@@ -60,6 +87,114 @@ def by_group(values: Mapping[str, float], rounding: float = 0.0, source: str = "
     )
 
 
+def bodies(
+    comm: MPI.Comm,
+    file: str | Path,
+    young: float | dict[str, float],
+    poisson: float,
+    degree: int = 2,
+    **parameters: Any,
+) -> Scene:
+    """Return elastic bodies in plane strain, without loads, conditions and pairs. Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        file: Gmsh's file, with its folder if it is not that of the cases.
+        young: Young's modulus, or that of each named body.
+        poisson: Poisson's ratio.
+        degree: degree of the displacement.
+        parameters: parameters of the file.
+    """
+    read = read_gmsh(FOLDER / file, comm, **parameters)
+    V = fem.functionspace(read.mesh, ("Lagrange", degree, (2,)))
+    modulus = by_body(read, young) if isinstance(young, dict) else young
+    return Scene(
+        V,
+        elasticity(V, modulus, poisson),
+        no_load(V),
+        [],
+        [],
+        read.facet_tags,
+        read.cell_tags,
+        read.tags,
+        geometry=read.geometry,
+    )
+
+
+def tags_of_sides(mesh: Any, sides: Mapping[int, Callable[[np.ndarray], np.ndarray]]) -> Any:
+    """Return facet tags of a mesh: tag -> function that says which points (3, n) are on a side."""
+    facets = {tag: locate_entities_boundary(mesh, 1, where) for tag, where in sides.items()}
+    numbers = np.concatenate(list(facets.values()))
+    values = np.repeat(np.array(list(facets), dtype=np.int32), [len(f) for f in facets.values()])
+    order = np.argsort(numbers)
+    return meshtags(mesh, 1, numbers[order], values[order])
+
+
+def measure_on(scene: Scene, name: str) -> Any:
+    """Return the measure of a named surface."""
+    tags = scene.facet_tags
+    return ufl.Measure("ds", scene.mesh, subdomain_data=tags, subdomain_id=scene.tags[name])
+
+
+def pair_of(scene: Scene, secondary: str, primary: Any, friction: Any) -> ContactPair:
+    """Return a pair of two named surfaces, or of a named surface and an obstacle."""
+    if isinstance(primary, str):
+        primary = scene.tags[primary]
+    return ContactPair(scene.facet_tags, scene.tags[secondary], primary, friction)
+
+
+def next_step(problem: ContactProblem) -> ContactSolution:
+    """Solve and accept a load step. Collective.
+
+    Raises:
+        ConvergenceError: the solve has failed.
+    """
+    solution = problem.solve(rtol=RTOL)
+    solution.raise_if_failed()
+    problem.accept()
+    return solution
+
+
+def along_surface(comm: MPI.Comm, solution: ContactSolution, *names: str) -> list[np.ndarray]:
+    """Return the first coordinate of the contact nodes, ascending, and fields there. Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        solution: the solution.
+        names: fields, such as "pressure" or "weights"; of a vector the first component.
+    """
+    points, fields = surface_nodes_of(solution)
+    columns = (fields[name] if fields[name].ndim == 1 else fields[name][:, 0] for name in names)
+    x, *values = gathered(comm, points[:, 0], *columns)
+    order = np.argsort(x)
+    return [x[order], *(value[order] for value in values)]
+
+
+def displacements(comm: MPI.Comm, solution: ContactSolution) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (n, 2) and displacements (n, 2) of all nodes, in 2D. Collective."""
+    u = nodal(solution.u)
+    x = solution.u.function_space.tabulate_dof_coordinates()[: len(u), :2]
+    places, u = gathered(comm, x, u)
+    return places, u
+
+
+def run_demo(name: str, size: float) -> dict[str, Any]:
+    """Run a demo of this size and return its variables. Collective."""
+    script = DEMOS / f"demo_{name}.py"
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(io.StringIO()),
+        mock.patch.object(sys, "argv", [script.stem, str(int(size))]),
+    ):
+        return runpy.run_path(str(script))
+
+
+def half_ellipse(x: np.ndarray) -> np.ndarray:
+    """Return sqrt(1 - x^2) at positions (n,), and zero beyond 1."""
+    return np.sqrt(np.maximum(1.0 - np.square(x), 0.0))
+
+
 def peak_of(x: np.ndarray, pressure: np.ndarray) -> float:
     """Return the peak of the half ellipse that is fitted to the inner half of a contact.
 
@@ -93,15 +228,18 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A published case.
+    """A published case: a JSON file that any program can read, and our solve.
+
+    The file of a case has these fields, but for `solve`, and often published values and `marks`.
 
     Attributes:
-        name: name of the script.
         title: title in tables and pictures.
-        published: quantity -> published value.
+        published: quantity -> published value; in the file a number, a range {"low", "high"}, the
+            values of several programs (the arguments of `by_group`), or null: the script computes
+            the value of a formula.
         source: whether the values come from a formula, from other programs, or from tests of
             specimens.
-        argument: meaning of the size, which is the argument of the script.
+        argument: meaning of the size of a mesh.
         sizes: mesh sizes or numbers of cells, from coarse to fine; the ratio of successive sizes is
             constant.
         solve: function from a communicator and a size to the result. Collective.
@@ -112,7 +250,6 @@ class Case:
         marks: published points, x and y, in place of a curve.
     """
 
-    name: str
     title: str
     published: Mapping[str, Published]
     source: Literal["formula", "programs", "experiments"]
@@ -125,11 +262,39 @@ class Case:
     curve: tuple[np.ndarray, np.ndarray] | None = None
     marks: tuple[Sequence[float], Sequence[float]] | None = None
 
-    def main(self) -> None:
-        """Print published values and ours; the mesh size may be given as an argument."""
-        size = float(sys.argv[1]) if len(sys.argv) > 1 else self.sizes[0]
-        values = self.solve(MPI.COMM_WORLD, size).values
-        if MPI.COMM_WORLD.rank == 0:
-            print(f"{self.title}; {self.argument}: {size:g}")
-            for quantity, known in self.published.items():
-                print(f"{quantity:42s} {values[quantity]:12.6g}   published {known.text}")
+    @classmethod
+    def read(
+        cls,
+        script: str,
+        solve: Callable[[MPI.Comm, float], Result],
+        *formulas: float | Published,
+        **fields: Any,
+    ) -> Case:
+        """Return the case of a script.
+
+        Args:
+            script: path of the script; the JSON file is beside it.
+            solve: see `solve`.
+            formulas: values in place of the nulls of the file, in their order.
+            fields: further fields, in place of those of the file.
+        """
+        data = json.loads(Path(script).with_suffix(".json").read_text())
+        computed = iter(formulas)
+        published = {
+            quantity: from_json(next(computed) if value is None else value)
+            for quantity, value in data.pop("published").items()
+        }
+        return cls(solve=solve, published=published, **{**data, **fields})
+
+    def named(self, *values: float) -> dict[str, float]:
+        """Return the values of the quantities, which are given in their order."""
+        return dict(zip(self.published, map(float, values), strict=True))
+
+
+def from_json(value: Any) -> Published:
+    """Return a published value of a JSON file."""
+    if isinstance(value, Published):
+        return value
+    if not isinstance(value, dict):
+        return exactly(value)
+    return by_group(**value) if "values" in value else between(**value)

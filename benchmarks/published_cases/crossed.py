@@ -1,7 +1,5 @@
 """Two cylinders of different radii that cross at a right angle: Hertz's ellipse.
 
-    tools/fenicsx python3 benchmarks/published_cases/crossed.py 12
-
 K. L. Johnson, Contact Mechanics, section 4.2. One is elastic, a quarter of a block with a
 cylindrical top; the other is rigid. The radii are so large that linear theory holds. The semi-axes
 are computed from the second moments of the pressure, and the peak from half an ellipsoid that is
@@ -16,7 +14,7 @@ import math
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly, peak_of
+from case import Case, Result, half_ellipse, next_step, peak_of
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
@@ -73,37 +71,18 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     bcs = [fixed(V, tags.find(BOTTOM), (0.0, 0.0, APPROACH))]
     bcs += [fixed(V, tags.find(side), 0.0, axis) for axis, side in enumerate(SIDES)]
     with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        points, fields = surface_nodes_of(solution)
+        points, fields = surface_nodes_of(next_step(problem))
         points, p, weights = gathered(comm, points, fields["pressure"], fields["weights"])
     force = float(weights @ p)
     second = (weights * p) @ points[:, :2] ** 2 / force  # a fifth of the squares of the semi-axes
     long, short, peak = theory(4 * force)
     x, y = points[:, 0] / short, points[:, 1] / long  # the rigid cylinder is flat along x
-    values = {
-        LONG: math.sqrt(5 * second[1]) / long,
-        SHORT: math.sqrt(5 * second[0]) / short,
-        PEAK: peak_of(np.hypot(x, y), p) / peak,
-    }
+    axes = (5 * second[1]) ** 0.5 / long, (5 * second[0]) ** 0.5 / short
+    values = CASE.named(*axes, peak_of(np.hypot(x, y), p) / peak)
     along = np.flatnonzero((points[:, 0] < 1e-9) & (y < 1.4))
     along = along[np.argsort(y[along])]
     return Result(values, V, y[along], p[along] / peak)
 
 
 X = np.linspace(0.0, 1.4, 281)
-LONG, SHORT, PEAK = (f"{one} over Hertz's" for one in ("long axis", "short axis", "peak pressure"))
-CASE = Case(
-    name="crossed",
-    title="Crossed cylinders, 3D",
-    published={name: exactly(1.0) for name in (LONG, SHORT, PEAK)},
-    source="formula",
-    argument="cells along a side",
-    sizes=(8, 16, 32),
-    solve=solve,
-    axes=("place over the long semi-axis", "pressure over the peak"),
-    curve=(X, np.sqrt(np.maximum(1.0 - X**2, 0.0))),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, curve=(X, half_ellipse(X)))

@@ -1,7 +1,5 @@
 """The force that pushes a block up an incline against friction: NAFEMS contact benchmark CGS-4.
 
-    tools/fenicsx python3 benchmarks/published_cases/incline.py 8
-
 Q. Feng and N. K. Prinja, Benchmark tests for finite element modelling of contact, gapping and
 sliding, NAFEMS R0081, 2001. A block of weight G lies on a plane of slope 0.1 with F = 0.3; a
 horizontal force pushes it upwards. The block holds up to the force G (tan(alpha) + F) / (1 - F
@@ -17,12 +15,12 @@ import math
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import GROUND, RTOL, Case, Result, tags_of_sides
 
 import ufl
 from dolfinx import fem, mesh
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, InputError, RigidPlane
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, InputError
 from scenes.elasticity import elasticity
 
 SLOPE, COEFFICIENT = 0.1, 0.3
@@ -38,8 +36,7 @@ WIDTH = 1e-5
 def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n cells along the block. Collective."""
     block = mesh.create_rectangle(comm, [[0.0, 0.0], [LENGTH, HEIGHT]], [int(n), int(n) // 2])
-    bottom = mesh.locate_entities_boundary(block, 1, lambda x: np.isclose(x[1], 0.0))
-    tags = mesh.meshtags(block, 1, bottom, np.ones(len(bottom), dtype=np.int32))
+    tags = tags_of_sides(block, {1: lambda x: np.isclose(x[1], 0.0)})
     V = fem.functionspace(block, ("Lagrange", 1, (2,)))
     v = ufl.TestFunction(V)
     along = np.array([1.0, SLOPE]) / math.hypot(1.0, SLOPE)  # direction along the slope
@@ -50,8 +47,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         (fem.Constant(block, w) + factor * fem.Constant(block, p)) * v[i] * ufl.dx
         for i, (w, p) in enumerate(zip(weight, push, strict=True))
     )
-    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
-    pair = ContactPair(tags, 1, plane, Coulomb(COEFFICIENT))
+    pair = ContactPair(tags, 1, GROUND, Coulomb(COEFFICIENT))
     loads, friction = [], []
     with ContactProblem(elasticity(V, YOUNG, POISSON), L, [pair], []) as problem:
         low, high = 0.0, 1.0
@@ -68,22 +64,10 @@ def solve(comm: MPI.Comm, n: float) -> Result:
                 loads.append(low)
                 friction.append(abs(float(solution.pair_resultants[0].force[0])))
     order = np.argsort(loads)
-    return Result({"force over weight": low}, V, np.array(loads)[order], np.array(friction)[order])
+    return Result(CASE.named(low), V, np.array(loads)[order], np.array(friction)[order])
 
 
 F = np.linspace(0.0, LIMIT, 200)
-CASE = Case(
-    name="incline",
-    title="Block on an incline",
-    published={"force over weight": exactly(LIMIT)},
-    source="formula",
-    argument="cells along the block",
-    resolution=WIDTH,
-    sizes=(4, 8, 16),
-    solve=solve,
-    axes=("force over weight", "friction force over weight"),
-    curve=(F, np.abs(F - SLOPE) / math.hypot(1.0, SLOPE)),
+CASE = Case.read(
+    __file__, solve, LIMIT, resolution=WIDTH, curve=(F, np.abs(F - SLOPE) / math.hypot(1.0, SLOPE))
 )
-
-if __name__ == "__main__":
-    CASE.main()

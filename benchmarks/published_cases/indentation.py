@@ -1,7 +1,5 @@
 """A rigid ball on steel that yields, without friction.
 
-    tools/fenicsx python3 benchmarks/published_cases/indentation.py 8
-
 K. L. Johnson, Contact Mechanics, sections 3.4 and 6.2: by Hertz's stresses below the surface and
 von Mises' condition, yield begins when the pressure in the middle is 1.613 Y, for Poisson's ratio
 0.3. W. C. Oliver and G. M. Pharr, J. Mater. Res. 7, 1992: when the ball begins to go up, the
@@ -12,24 +10,13 @@ downwards; with more steps cells are smaller and the last depth is larger.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import runpy
-import sys
-import tempfile
-from pathlib import Path
-from unittest import mock
-
 from mpi4py import MPI
 
 import numpy as np
-from case import Case, Result, exactly
+from case import Case, Result, run_demo
 from scipy.optimize import minimize_scalar
 
-DEMO = Path(__file__).parents[2] / "demos" / "demo_indentation.py"
 POISSON = 0.3
-
-YIELD, SLOPE = "pressure in the middle at first yield, over Y", "slope of the way up over 2 E* a"
 
 
 def pressure_at_yield() -> float:
@@ -46,18 +33,15 @@ def pressure_at_yield() -> float:
 
 def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n load steps downwards. Collective."""
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        with mock.patch.object(sys, "argv", ["demo_indentation", str(int(n))]):
-            with contextlib.redirect_stdout(io.StringIO()):
-                found = runpy.run_path(str(DEMO))
-    down, up, _ = found["smooth"]
-    reduced, radius, limit = (found[name] for name in ("reduced", "radius", "yield_stress"))
+    demo = run_demo("indentation", n)
+    down, up, _ = demo["smooth"]
+    reduced, radius, limit = (demo[name] for name in ("reduced", "radius", "yield_stress"))
     last = [step for step in down if step.stress <= limit][-1]  # elastic: stress ~ pressure
     middle = (6 * last.force * reduced**2 / (np.pi**3 * radius**2)) ** (1 / 3)
     slope = (down[-1].force - up[0].force) / (down[-1].depth - up[0].depth)
-    values = {YIELD: middle / last.stress, SLOPE: slope / (2 * reduced * down[-1].contact_radius)}
+    values = CASE.named(middle / last.stress, slope / (2 * reduced * down[-1].contact_radius))
     strain, mean = np.array([(step.strain, step.mean_pressure / limit) for step in down]).T
-    return Result(values, found["V"], strain, mean)
+    return Result(values, demo["V"], strain, mean)
 
 
 #: E* a / (Y R), and below the mean pressure divided by Y: at first yield, by Hertz's formulas, and
@@ -65,18 +49,4 @@ def solve(comm: MPI.Comm, n: float) -> Result:
 STRAINS = (0.5 * np.pi * pressure_at_yield(), 40.0)
 PRESSURES = (2 / 3 * pressure_at_yield(), 3.0)
 
-CASE = Case(
-    name="indentation",
-    title="Yield under a ball",
-    published={YIELD: exactly(pressure_at_yield()), SLOPE: exactly(1.0)},
-    source="formula",
-    argument="load steps downwards",
-    sizes=(9, 12, 16),
-    solve=solve,
-    order=1.0,
-    axes=("E* a / (Y R)", "mean pressure over Y"),
-    marks=(STRAINS, PRESSURES),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, pressure_at_yield(), marks=(STRAINS, PRESSURES))

@@ -1,7 +1,5 @@
 """Partial slip: two equal cylinders are pressed together and drawn aside (Cattaneo, Mindlin).
 
-    tools/fenicsx python3 benchmarks/published_cases/partial_slip.py 48
-
 K. L. Johnson, Contact Mechanics, section 7.2; the scene of `tests/validation/test_cattaneo.py`,
 which has a cycle, and 3D. The values of theory are values for the computed forces. The argument is
 the number of cells along a body.
@@ -12,15 +10,13 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import Case, Result, half_ellipse, next_step
 
 from scenes.cattaneo import COEFFICIENT, Cattaneo, cattaneo
 from scenes.cattaneo_cycle import AMPLITUDE, APPROACH, Found
 
 #: Half width of the stick zone divided by that of the contact, for the shear force of this shift.
 RATIO = 0.3554
-
-CONTACT, STICK = "contact half width over theory's", "stick half width over theory's"
 
 
 def solve(comm: MPI.Comm, n: float) -> Result:
@@ -29,15 +25,14 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     with scene.problem(stiffness="cholesky") as problem:
         for shift in (0.0, AMPLITUDE[2] * APPROACH[2]):
             scene.data.end.value[0] = shift
-            found = Found.of(problem.solve(rtol=RTOL), 2)
-            problem.accept()
+            found = Found.of(next_step(problem), 2)
     normal, tangential = found.force(found.pressure), found.force(found.traction)
     theory, sign = Cattaneo(2, normal, abs(tangential)), np.sign(tangential)
     short = COEFFICIENT * found.pressure - sign * found.traction
-    values = {
-        CONTACT: found.dome_radius(found.pressure) / theory.radius,
-        STICK: found.dome_radius(short) / theory.stick_radius(tangential),
-    }
+    values = CASE.named(
+        found.dome_radius(found.pressure) / theory.radius,
+        found.dome_radius(short) / theory.stick_radius(tangential),
+    )
     order = np.argsort(found.r)
     order = order[found.r[order] < 1.2 * theory.radius]
     shear = sign * found.traction[order] / (COEFFICIENT * theory.peak)
@@ -45,18 +40,4 @@ def solve(comm: MPI.Comm, n: float) -> Result:
 
 
 X = np.linspace(0.0, 1.2, 481)
-DOMES = (np.sqrt(np.maximum(one, 0.0)) for one in (1.0 - X**2, RATIO**2 - X**2))
-CASE = Case(
-    name="partial_slip",
-    title="Cattaneo and Mindlin, 2D",
-    published={CONTACT: exactly(1.0), STICK: exactly(1.0)},
-    source="formula",
-    argument="cells along a body",
-    sizes=(48, 96, 192),
-    solve=solve,
-    axes=("distance from the middle over half width", "shear stress over mu p0"),
-    curve=(X, next(DOMES) - next(DOMES)),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, curve=(X, half_ellipse(X) - RATIO * half_ellipse(X / RATIO)))

@@ -1,7 +1,5 @@
 """A block that is pressed on a rigid plane and pushed along it: Kikuchi and Oden's example.
 
-    tools/fenicsx python3 benchmarks/published_cases/pushed_block.py 64
-
 J. T. Oden and E. B. Pires, Nonlocal and nonlinear friction laws and variational principles for
 contact problems in elasticity, J. Appl. Mech. 50, 1983; N. Kikuchi and J. T. Oden, Contact Problems
 in Elasticity, 1988: an elastic block with a pressure on its top and a pressure on one side is held
@@ -19,43 +17,18 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, by_group
+from case import GROUND, Case, Result, along_surface, displacements, next_step
 
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
-from scenes.nodal import gathered, nodal, surface_nodes_of
 
 WIDTH, HEIGHT = 4.0, 2.0
 YOUNG, POISSON, COEFFICIENT = 1000.0, 0.3, 0.5
 ABOVE, BESIDE = 100.0, 80.0
-
-#: Quantity -> value of GetFEM.
-GETFEM = {
-    "displacement of the upper left corner, across": 0.19703,
-    "displacement of the upper right corner, down": 0.23081,
-    "slip of the lower left corner": 0.067134,
-    "lift of the lower left corner": 0.0015247,
-    "slip at a quarter of the width": 0.012676,
-    "pressure in the middle": 98.283,
-    "shear stress in the middle": 39.145,
-    "part of the normal force on the left half": 0.3766,
-    "part of the friction force on the left half": 0.45466,
-}
-
-#: GetFEM's shear stresses by their distance from the left end.
-SHEAR = {
-    0.1522: 14.554,
-    0.5858: 35.276,
-    1.2346: 44.634,
-    2.0: 39.145,
-    2.7654: 37.872,
-    3.4142: 42.306,
-    3.8478: 57.205,
-}
 
 #: Position up to which the picture shows shear stresses, which are unbounded at the right corner.
 SHOWN = 3.9
@@ -75,7 +48,7 @@ def quantities(
     q: np.ndarray,
     on_left: tuple[float, float],
 ) -> dict[str, float]:
-    """Return the values of the quantities in `GETFEM` for a solution.
+    """Return the values of the quantities for a solution.
 
     Args:
         places: (n, 2) positions of the nodes.
@@ -101,7 +74,7 @@ def quantities(
         np.interp(0.5 * WIDTH, x, q),
         *on_left,
     )
-    return dict(zip(GETFEM, map(float, found), strict=True))
+    return CASE.named(*found)
 
 
 def solve(comm: MPI.Comm, n: float) -> Result:
@@ -115,20 +88,12 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     V, mesh = made.V, made.mesh
     ds, v = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.TestFunction(V)
     L = fem.Constant(mesh, BESIDE) * v[0] * ds(3) - fem.Constant(mesh, ABOVE) * v[1] * ds(2)
-    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
-    pair = ContactPair(tags, 1, plane, Coulomb(COEFFICIENT))
+    pair = ContactPair(tags, 1, GROUND, Coulomb(COEFFICIENT))
     with ContactProblem(elasticity(V, YOUNG, POISSON), L, [pair], []) as problem:
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        points, fields = surface_nodes_of(solution)
-        x, p, q, weights = gathered(
-            comm, points[:, 0], fields["pressure"], fields["traction"][:, 0], fields["weights"]
-        )
-        u = nodal(solution.u)
-        places, u = gathered(comm, V.tabulate_dof_coordinates()[: len(u), :2], u)
-
-    order = np.argsort(x)
-    x, p, q, weights = x[order], p[order], np.abs(q[order]), weights[order]
+        solution = next_step(problem)
+    x, p, q, weights = along_surface(comm, solution, "pressure", "traction", "weights")
+    places, u = displacements(comm, solution)
+    q = np.abs(q)
     left = weights * np.where(np.isclose(x, 0.5 * WIDTH), 0.5, x < 0.5 * WIDTH)
     on_left = left @ p / (weights @ p), left @ q / (weights @ q)
     found = quantities(places, u, x, p, q, on_left)
@@ -136,18 +101,4 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     return Result(found, V, x[shown], q[shown])
 
 
-CASE = Case(
-    name="pushed_block",
-    title="Pushed block",
-    published={name: by_group({"GetFEM": known}) for name, known in GETFEM.items()},
-    source="programs",
-    argument="cells along the block",
-    sizes=(32, 64, 128),
-    solve=solve,
-    order=1.5,
-    axes=("distance from the left end", "shear stress"),
-    marks=(list(SHEAR), list(SHEAR.values())),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve)

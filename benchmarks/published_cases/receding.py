@@ -1,7 +1,5 @@
 """Receding contact: a layer is pressed on a half-plane of the same material, without friction.
 
-    tools/fenicsx python3 benchmarks/published_cases/receding.py 0.05
-
 L. M. Keer, J. Dundurs and K. C. Tsai, Problems involving a receding contact between a layer and a
 half space, J. Appl. Mech. 39, 1972. Under any load the layer lifts off, except on a strip whose
 width does not depend on the load. The width and the pressure of theory solve the integral equation
@@ -11,20 +9,18 @@ the cell size at the contact, divided by the thickness of the layer.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import Case, Result, along_surface, bodies, measure_on, next_step, pair_of
 
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, read_gmsh
-from scenes.elasticity import elasticity, fixed
-from scenes.nodal import gathered, surface_nodes_of
+from dolfinx_tresca import Frictionless
 
 YOUNG, POISSON, FORCE, LOADED = 1.0, 0.3, 1e-4, 0.05  # -, -, per thickness, half width of load
 
@@ -75,33 +71,23 @@ def half_width(x: np.ndarray, p: np.ndarray) -> float:
 
 def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h at the contact. Collective."""
-    layer = read_gmsh(
-        Path(__file__).with_name("receding.geo"), comm, h=h, Growth=2 * h, Load=LOADED
-    )
-    facets, tags = layer.facet_tags, layer.tags
-    V = fem.functionspace(layer.mesh, ("Lagrange", 2, (2,)))
-    top = ufl.Measure("ds", layer.mesh, subdomain_data=facets, subdomain_id=tags["load"])
+    layer = bodies(comm, "receding.geo", YOUNG, POISSON, h=h, Growth=2 * h, Load=LOADED)
     load = fem.Constant(layer.mesh, (0.0, 0.0))
-    pair = ContactPair(facets, tags["layer_contact"], tags["block_contact"], Frictionless())
-    bcs = [fixed(V, facets.find(tags["bottom"])), fixed(V, facets.find(tags["symmetry"]), 0.0, 0)]
-    a, L = elasticity(V, YOUNG, POISSON), ufl.inner(load, ufl.TestFunction(V)) * top
+    scene = replace(
+        layer,
+        L=ufl.inner(load, ufl.TestFunction(layer.V)) * measure_on(layer, "load"),
+        bcs=[layer.fixed("bottom"), layer.fixed("symmetry", 0.0, 0)],
+        pairs=[pair_of(layer, "layer_contact", "block_contact", Frictionless())],
+    )
     widths = []
-    with ContactProblem(a, L, [pair], bcs) as problem:
+    with scene.problem() as problem:
         for force in (100 * FORCE, FORCE):
             load.value[1] = -0.5 * force / LOADED
-            solution = problem.solve(rtol=RTOL)
-            solution.raise_if_failed()
-            points, fields = surface_nodes_of(solution)
-            x, p, weights = gathered(comm, points[:, 0], fields["pressure"], fields["weights"])
-            order = np.argsort(x)
-            x, p, weights = x[order], p[order] / force, weights[order]
+            x, p, weights = along_surface(comm, next_step(problem), "pressure", "weights")
+            p = p / force
             widths.append(half_width(x, p))
-    values = {
-        "extrapolated half width over thickness": widths[1],
-        "half width under 100 times the load, over that": widths[0] / widths[1],
-        "root mean square distance of pressure": rms(x, weights * p),
-    }
-    return Result(values, V, x, p)
+    values = CASE.named(widths[1], widths[0] / widths[1], rms(x, weights * p))
+    return Result(values, scene.V, x, p)
 
 
 def rms(x: np.ndarray, forces: np.ndarray) -> float:
@@ -110,21 +96,10 @@ def rms(x: np.ndarray, forces: np.ndarray) -> float:
 
 
 X, P = theory()
-CASE = Case(
-    name="receding",
-    title="Receding contact of a layer",
-    published={
-        "extrapolated half width over thickness": exactly(half_width(X, P)),
-        "half width under 100 times the load, over that": exactly(1.0),
-        "root mean square distance of pressure": exactly(rms(X, P * np.where(X > 0, 2.0, 1.0))),
-    },
-    source="formula",
-    argument="cells at the contact, over thickness",
-    sizes=(0.1, 0.05, 0.025),
-    solve=solve,
-    axes=("distance from the middle over thickness", "pressure times thickness over P"),
+CASE = Case.read(
+    __file__,
+    solve,
+    half_width(X, P),
+    rms(X, P * np.where(X > 0, 2.0, 1.0)),
     curve=(np.append(X, X[-1] + STEP), np.append(P, 0.0)),
 )
-
-if __name__ == "__main__":
-    CASE.main()

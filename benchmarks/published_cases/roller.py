@@ -1,7 +1,5 @@
 """A steel cylinder on an aluminium block, without friction: NAFEMS R0094, benchmark 1.
 
-    tools/fenicsx python3 benchmarks/published_cases/roller.py 0.25
-
 A. Konter, Advanced finite element contact benchmarks, NAFEMS R0094, 2006. Plane strain; the
 published values are Hertz's values for half-planes. With 1/256 of the force the contact is 1/16 as
 wide, and the theory is more accurate. Hertz neglects tangential displacements. If the bodies are of
@@ -17,21 +15,29 @@ The argument is the cell size at the larger contact [mm].
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, by_group, exactly, peak_of
+from case import (
+    Case,
+    Result,
+    along_surface,
+    bodies,
+    displacements,
+    measure_on,
+    next_step,
+    pair_of,
+    peak_of,
+)
 
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, read_gmsh
-from scenes.elasticity import by_body, elasticity, fixed
+from dolfinx_tresca import Frictionless
 from scenes.hertz_theory import HertzLine
-from scenes.nodal import gathered, nodal, surface_nodes_of
 
 FORCE, RADIUS, LOADED = 35_000.0, 50.0, 10.0  # N per mm of thickness, mm, mm
 YOUNG, POISSON = {"cylinder": 210_000.0, "block": 70_000.0}, 0.3  # MPa
@@ -64,7 +70,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         half_width = 2 * math.sqrt(float(weights @ (p * x**2)) / float(weights @ p))
         values[f"peak pressure [MPa]{name}"] = peak_of(x / hertz(scale).contact_radius, p)
         values[f"half width [mm]{name}"] = half_width
-        values.setdefault(MIDDLE, down)  # for the whole force: the first contact
+        values.setdefault("displacement of the middle [mm]", down)  # first: for the whole force
     return Result(values, V, *curves[0])
 
 
@@ -77,65 +83,34 @@ def pressed(
         The space of the displacement; distances from the middle, pressures and weights of the
         contact nodes; and the displacement of the middle.
     """
-    roller = read_gmsh(
-        Path(__file__).with_name("roller.geo"),
-        comm,
-        R=RADIUS,
-        h=h,
-        Zone=10.0 * scale,
-        Growth=growth,
-    )
-    facets, tags = roller.facet_tags, roller.tags
-    V = fem.functionspace(roller.mesh, ("Lagrange", 2, (2,)))
-    top = ufl.Measure("ds", roller.mesh, subdomain_data=facets, subdomain_id=tags["top"])
+    shape = {"R": RADIUS, "h": h, "Zone": 10.0 * scale, "Growth": growth}
+    roller = bodies(comm, "roller.geo", young, POISSON, **shape)
+    top = measure_on(roller, "top")
     # length of the loaded arc of half the cylinder: the mesh has chords of this arc
     length = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(roller.mesh, 1.0) * top)))
     load = fem.Constant(roller.mesh, (0.0, -0.5 * scale**2 * FORCE / length))
-    pair = ContactPair(
-        facets,
-        secondary=tags["cylinder_contact"],
-        primary=tags["block_contact"],
-        friction=Frictionless(),
-        geometry=roller.geometry,
+    scene = replace(
+        roller,
+        L=ufl.inner(load, ufl.TestFunction(roller.V)) * top,
+        bcs=[roller.fixed("bottom"), roller.fixed("symmetry", 0.0, 0)],
+        pairs=[pair_of(roller, "cylinder_contact", "block_contact", Frictionless())],
     )
-    a = elasticity(V, by_body(roller, young), POISSON)
-    L = ufl.inner(load, ufl.TestFunction(V)) * top
-    bcs = [fixed(V, facets.find(tags["bottom"])), fixed(V, facets.find(tags["symmetry"]), 0.0, 0)]
-    with ContactProblem(a, L, [pair], bcs) as problem:
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        x, fields = surface_nodes_of(solution)
-        x, p, weights = gathered(comm, x[:, 0], fields["pressure"], fields["weights"])
-        u = nodal(solution.u)
-        middle = np.hypot(*V.tabulate_dof_coordinates()[: len(u), :2].T) < 1e-9
-        (down,) = gathered(comm, u[middle, 1])  # equal in both bodies
-    order = np.argsort(x)
-    return V, x[order], p[order], weights[order], -float(down.mean())
+    with scene.problem() as problem:
+        solution = next_step(problem)
+        x, p, weights = along_surface(comm, solution, "pressure", "weights")
+        places, u = displacements(comm, solution)
+    middle = np.hypot(*places.T) < 1e-9  # equal in both bodies
+    return scene.V, x, p, weights, -float(u[middle, 1].mean())
 
 
-MIDDLE = "displacement of the middle [mm]"
-HERTZ = hertz(1.0)
 R = np.linspace(0.0, 8.0, 200)
-CASE = Case(
-    name="roller",
-    title="Roller on a block",
-    published={
-        f"{quantity}{name}": exactly(getattr(hertz(scale), attribute))
-        for name, (scale, _) in CONTACTS.items()
-        for quantity, attribute in (
-            ("peak pressure [MPa]", "peak"),
-            ("half width [mm]", "contact_radius"),
-        )
-    }
-    | {MIDDLE: by_group({"Code_Aster": 1.27303, "its reference": 1.3069}, source="programs")},
-    source="formula",
-    argument="cells at the contact [mm]",
-    sizes=(0.5, 0.25, 0.125),
-    solve=solve,
-    order=1.5,
-    axes=("distance from the middle [mm]", "pressure [MPa]"),
-    curve=(R, HERTZ.pressure(R)),
+CASE = Case.read(
+    __file__,
+    solve,
+    *(
+        getattr(hertz(scale), attribute)
+        for scale, _ in CONTACTS.values()
+        for attribute in ("peak", "contact_radius")
+    ),
+    curve=(R, hertz(1.0).pressure(R)),
 )
-
-if __name__ == "__main__":
-    CASE.main()

@@ -1,7 +1,5 @@
 """Tractive rolling: a rigid cylinder rolls and creeps on an incompressible half-plane (Carter).
 
-    tools/fenicsx python3 benchmarks/published_cases/rolling.py 0.25
-
 F. W. Carter, Proc. R. Soc. Lond. A 112, 1926; K. L. Johnson, Contact Mechanics, section 8.3. The
 cylinder is pressed in by a constant depth and then rolls over several widths of the contact, in
 steps of one cell, until the tractions are steady. The surfaces stick at the leading edge; a
@@ -15,28 +13,16 @@ The argument is the cell size along the way, in half widths of the contact.
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 from mpi4py import MPI
 
 import numpy as np
-from case import Case, Result, exactly, peak_of
+from case import Case, Result, along_surface, bodies, half_ellipse, pair_of, peak_of
 
-from dolfinx import fem
-
-from dolfinx_tresca import (
-    ContactPair,
-    ContactProblem,
-    ContactState,
-    Coulomb,
-    Frictionless,
-    RigidSphere,
-    SolverOptions,
-    TaggedMesh,
-    read_gmsh,
-)
-from scenes.elasticity import elasticity, fixed, no_load
-from scenes.nodal import gathered, surface_nodes_of
+from dolfinx_tresca import ContactState, Coulomb, Frictionless, RigidSphere, SolverOptions
+from scenes.nodal import surface_nodes_of
+from scenes.scene import Scene
 
 RADIUS, YOUNG, POISSON, COEFFICIENT = 1000.0, 1000.0, 0.499, 0.3
 MODULUS = YOUNG / (1.0 - POISSON**2)
@@ -56,35 +42,26 @@ AHEAD = 6.0
 
 OPTIONS = SolverOptions(rtol=1e-6, geometry_accuracy=1e-5)
 
-FORCE = "tangential over normal force, over mu"
-STICK = "half width of the stick zone over the contact's"
-FREE = "the same without creepage"
-SMOOTH = "normal force without friction: largest over fitted"
-
 
 class Way:
     """The way of a cylinder over a block, in steps of one cell."""
 
     def __init__(
-        self, block: TaggedMesh, h: float, friction: Coulomb | Frictionless, creepage: float
+        self, block: Scene, h: float, friction: Coulomb | Frictionless, creepage: float
     ) -> None:
         """Roll from one end to the other. Collective.
 
         Args:
-            block: mesh of the block.
+            block: the block, from `bodies`.
             h: length of a step.
             friction: law of friction between cylinder and block.
             creepage: mean sliding velocity divided by the velocity of the cylinder.
         """
-        facets, tags = block.facet_tags, block.tags
-        V = fem.functionspace(block.mesh, ("Lagrange", 2, (2,)))
         cylinder = RigidSphere((START, RADIUS), RADIUS)
-        pair = ContactPair(facets, tags["contact"], cylinder, friction=friction, sliding="finite")
-        bcs = [fixed(V, facets.find(tags["bottom"]))]
-        problem = ContactProblem(
-            elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs, options=OPTIONS
-        )
-        self.V, self.forces = V, []
+        pair = replace(pair_of(block, "contact", cylinder, friction), sliding="finite")
+        scene = replace(block, bcs=[block.fixed("bottom")], pairs=[pair])
+        problem = scene.problem(options=OPTIONS)
+        self.V, self.forces = block.V, []
         with problem:
             for x in np.linspace(0.0, END - START, round((END - START) / h) + 1):
                 cylinder.move_to((x, -DEPTH), -(x + creepage * (x + AHEAD)) / RADIUS)
@@ -107,54 +84,31 @@ class Way:
 
 def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h. Collective."""
-    block = read_gmsh(Path(__file__).with_name("rolling.geo"), comm, h=h)
+    block = bodies(comm, "rolling.geo", YOUNG, POISSON, h=h)
     smooth = np.array(Way(block, h, Frictionless(), 0.0).forces)[:, 1]
     steps = np.arange(len(smooth))
     free = Way(block, h, Coulomb(COEFFICIENT), 0.0)
     creepage = CREEPAGE * COEFFICIENT * free.half_width / RADIUS
     driven = Way(block, h, Coulomb(COEFFICIENT), creepage)
     tangential, normal = abs(driven.forces[-1])
-    x, fields = surface_nodes_of(driven.last)
-    place, pressure, traction = gathered(
-        comm, x[:, 0] / driven.half_width, fields["pressure"], fields["traction"][:, 0]
-    )
-    order = np.argsort(place)
-    inside = order[abs(place[order]) < 1.2]
+    x, pressure, traction = along_surface(comm, driven.last, "pressure", "traction")
+    place = x / driven.half_width
+    inside = abs(place) < 1.2
     peak = COEFFICIENT * peak_of(abs(place), pressure)
-    values = {
-        FORCE: float(tangential / normal) / COEFFICIENT,
-        STICK: driven.stick_zone(comm),
-        FREE: free.stick_zone(comm),
-        SMOOTH: float((smooth / np.polyval(np.polyfit(steps, smooth, 2), steps)).max()),
-    }
+    values = CASE.named(
+        tangential / normal / COEFFICIENT,
+        driven.stick_zone(comm),
+        free.stick_zone(comm),
+        (smooth / np.polyval(np.polyfit(steps, smooth, 2), steps)).max(),
+    )
     return Result(values, driven.V, place[inside], abs(traction[inside]) / peak)
 
 
 def carter(x: np.ndarray) -> np.ndarray:
     """Return shear stresses (n,) / (mu p0) at positions (n,) / (half width of the contact)."""
     stick = 1.0 - CREEPAGE
-    full, taken = (np.maximum(one, 0.0) for one in (1.0 - x**2, stick**2 - (x - CREEPAGE) ** 2))
-    return np.asarray(np.sqrt(full) - np.sqrt(taken))
+    return half_ellipse(x) - stick * half_ellipse((x - CREEPAGE) / stick)
 
 
 X = np.linspace(-1.2, 1.2, 481)
-CASE = Case(
-    name="rolling",
-    title="Rolling cylinder",
-    published={
-        FORCE: exactly(1.0 - (1.0 - CREEPAGE) ** 2),
-        STICK: exactly(1.0 - CREEPAGE),
-        FREE: exactly(1.0),
-        SMOOTH: exactly(1.0),
-    },
-    source="formula",
-    argument="cells along the way, in half widths",
-    sizes=(0.25, 0.125, 0.0625),
-    solve=solve,
-    order=1.0,
-    axes=("place over half width of the contact", "shear stress over mu p0"),
-    curve=(X, carter(X)),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, 1.0 - (1.0 - CREEPAGE) ** 2, 1.0 - CREEPAGE, curve=(X, carter(X)))

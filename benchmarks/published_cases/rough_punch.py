@@ -1,7 +1,5 @@
 """A flat rigid punch on a half-plane with Coulomb's law: a stick zone, and slip at the edges.
 
-    tools/fenicsx python3 benchmarks/published_cases/rough_punch.py 0.008
-
 D. A. Spence, An eigenvalue problem for elastic contact with finite friction, Proc. Camb. Phil. Soc.
 73, 1973: the part of the contact that sticks does not depend on the load. The values of theory are
 solutions of the integral equations of the half-plane (K. L. Johnson, Contact Mechanics, section
@@ -17,11 +15,10 @@ from functools import cache
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import Case, Result, along_surface, next_step
 from punch import POISSON, under_punch
 
 from dolfinx_tresca import ContactState, Coulomb
-from scenes.nodal import gathered, surface_nodes_of
 
 COEFFICIENT = 0.5
 
@@ -31,12 +28,6 @@ COUPLING = (1.0 - 2.0 * POISSON) / (2.0 * (1.0 - POISSON))
 #: Number of strips on half the contact; with twice as many, values change by at most 1e-5 of
 #: themselves.
 STRIPS = 300
-
-STICK, INNER, SHEAR = (
-    "half width of the stick zone over a",
-    "part of the force in the inner half of the contact",
-    "shear force of one half over P",
-)
 
 
 def strip_ends() -> np.ndarray:
@@ -96,26 +87,16 @@ def theory() -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
 def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h at the edge of the punch. Collective."""
     with under_punch(comm, h, Coulomb(COEFFICIENT)) as problem:
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        points, fields = surface_nodes_of(solution)
-        x, p, q, state, weights = gathered(
-            comm,
-            points[:, 0],
-            fields["pressure"],
-            fields["traction"][:, 0],
-            fields["state"],
-            fields["weights"],
-        )
-    order = np.argsort(x)
-    x, p, q, weights = x[order], p[order], np.abs(q[order]), weights[order]
-    half_force = float(weights @ p)
-    sticks = state[order] == ContactState.STICK
-    values = {
-        STICK: float(weights[sticks].sum()),
-        INNER: float(np.trapezoid(*within(x, p))) / half_force,
-        SHEAR: float(weights @ q) / (2.0 * half_force),
-    }
+        solution = next_step(problem)
+        names = ("pressure", "traction", "state", "weights")
+        x, p, q, state, weights = along_surface(comm, solution, *names)
+    q, half_force = np.abs(q), float(weights @ p)
+    sticks = state == ContactState.STICK
+    values = CASE.named(
+        weights[sticks].sum(),
+        np.trapezoid(*within(x, p)) / half_force,
+        weights @ q / (2.0 * half_force),
+    )
     return Result(values, solution.u.function_space, x, np.pi * q / (2.0 * half_force))
 
 
@@ -127,22 +108,11 @@ def within(x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 C, X, P, Q = theory()
 WIDTHS = np.diff(strip_ends())
-CASE = Case(
-    name="rough_punch",
-    title="Flat punch that slips at its edges",
-    published={
-        STICK: exactly(C),
-        INNER: exactly(float(WIDTHS @ (P * inside_of_strips())) * 2.0 / np.pi),
-        SHEAR: exactly(float(WIDTHS @ Q) / np.pi),
-    },
-    source="formula",
-    argument="cells at the edge, over a",
-    sizes=(0.008, 0.004, 0.002),
-    solve=solve,
-    order=1.0,
-    axes=("distance from the middle over a", "shear stress over P / (π a)"),
+CASE = Case.read(
+    __file__,
+    solve,
+    C,
+    float(WIDTHS @ (P * inside_of_strips())) * 2.0 / np.pi,
+    float(WIDTHS @ Q) / np.pi,
     curve=(X[X < 0.98], Q[X < 0.98]),
 )
-
-if __name__ == "__main__":
-    CASE.main()

@@ -1,7 +1,5 @@
 """A flat rigid punch under an eccentric force on a half-plane, and partial slip below it.
 
-    tools/fenicsx python3 benchmarks/published_cases/tilted_punch.py 0.016
-
 K. L. Johnson, Contact Mechanics, section 2.8 (M. A. Sadowsky 1928); M. Ciavarella, The generalized
 Cattaneo partial slip plane contact problem, Int. J. Solids Struct. 35, 1998; J. Jäger, A new
 principle in contact mechanics, J. Tribol. 120, 1998. A tilt beta needs the moment pi E* a^2 beta /
@@ -16,18 +14,16 @@ each other. The argument is the cell size at the edges of the punch, divided by 
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from dataclasses import replace
 
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import Case, Result, along_surface, bodies, next_step, pair_of
 
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane, read_gmsh
-from scenes.elasticity import elasticity, fixed, no_load
-from scenes.nodal import gathered, surface_nodes_of
+from dolfinx_tresca import ContactProblem, Coulomb, RigidPlane
 
 YOUNG, POISSON, COEFFICIENT = 1.0, 0.4999, 0.5
 MODULUS = YOUNG / (1.0 - POISSON**2)
@@ -43,49 +39,28 @@ SLIGHT, LARGE = 7e-5, 2.2e-4
 #: `ASIDE`.
 STUCK = 0.616
 
-TILT, WIDTH, FORCE, STICK = (
-    "moment while all touches, over theory's",
-    "width of the contact over theory's",
-    "force over theory's",
-    "width of the stick zone over theory's",
-)
-
 
 def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h at the edges of the punch. Collective."""
-    block = read_gmsh(Path(__file__).with_name("tilted_punch.geo"), comm, h=h)
-    facets, tags = block.facet_tags, block.tags
-    V = fem.functionspace(block.mesh, ("Lagrange", 2, (2,)))
+    block = bodies(comm, "tilted_punch.geo", YOUNG, POISSON, h=h)
     end = fem.Constant(block.mesh, (0.0, DEPTH))
-    bcs = [fixed(V, facets.find(tags["bottom"]), end)]
+    bcs = [block.fixed("bottom", end)]
 
     def under(tilt: float) -> ContactProblem:
         """Return the problem with a punch that is tilted about its corner at x = 1."""
         plane = RigidPlane(point=(1.0, 0.0), normal=(-tilt, -1.0))
-        pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
-        return ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs)
+        pair = pair_of(block, "contact", plane, Coulomb(COEFFICIENT))
+        return replace(block, bcs=bcs, pairs=[pair]).problem()
 
-    def found(problem: ContactProblem) -> list[np.ndarray]:
+    def stresses(problem: ContactProblem) -> list[np.ndarray]:
         """Return positions, weights, pressures and shear stresses of the next load step."""
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        problem.accept()
-        points, fields = surface_nodes_of(solution)
-        x, *others = gathered(
-            comm,
-            points[:, 0],
-            fields["weights"],
-            fields["pressure"],
-            fields["traction"][:, 0],
-        )
-        order = np.argsort(x)
-        return [one[order] for one in (x, *others)]
+        return along_surface(comm, next_step(problem), "weights", "pressure", "traction")
 
     with under(SLIGHT) as problem:
-        x, weights, p, _ = found(problem)
+        x, weights, p, _ = stresses(problem)
         moment = weights * p @ x
     with under(LARGE) as problem:
-        x, weights, p, _ = found(problem)
+        x, weights, p, _ = stresses(problem)
         force = weights @ p
         width = 4.0 * (1.0 - weights * p @ x / force)
         # p^2 (1 - x) is linear in x, except in the cells at the corner and at the end of the
@@ -93,20 +68,20 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         inside = (x > 1.1 - width) & (x < 0.9)
         slope, start = np.polyfit(x[inside], p[inside] ** 2 * (1.0 - x[inside]), 1)
         end.value[0] = ASIDE
-        x, weights, p, q = found(problem)
+        x, weights, p, q = stresses(problem)
     q = q * np.sign(weights @ q)
     short = weights * (COEFFICIENT * p - q)  # F times the pressure under the force P - Q / F
     stick = 4.0 * (1.0 - short @ x / short.sum())
-    values = {
-        TILT: moment / (math.pi * MODULUS * SLIGHT / 4.0),
-        WIDTH: (1.0 + start / slope) / width,
-        FORCE: force / (math.pi * MODULUS * LARGE * width / 4.0),
-        STICK: stick / width / (1.0 - weights @ q / (COEFFICIENT * force)),
-    }
+    values = CASE.named(
+        moment / (math.pi * MODULUS * SLIGHT / 4.0),
+        (1.0 + start / slope) / width,
+        force / (math.pi * MODULUS * LARGE * width / 4.0),
+        stick / width / (1.0 - weights @ q / (COEFFICIENT * force)),
+    )
     unit = 2.0 * COEFFICIENT * force / (math.pi * width)
     away = (1.0 - x) / width
     near = np.flatnonzero((away > X[0]) & (away < X[-1]))[::-1]
-    return Result(values, V, away[near], q[near] / unit)
+    return Result(values, block.V, away[near], q[near] / unit)
 
 
 def shear_stress(x: np.ndarray) -> np.ndarray:
@@ -116,18 +91,4 @@ def shear_stress(x: np.ndarray) -> np.ndarray:
 
 
 X = np.linspace(0.02, 1.2, 300)
-CASE = Case(
-    name="tilted_punch",
-    title="Punch that tilts",
-    published={name: exactly(1.0) for name in (TILT, WIDTH, FORCE, STICK)},
-    source="formula",
-    argument="cells at the edges, over a",
-    sizes=(0.016, 0.008, 0.004),
-    solve=solve,
-    order=1.0,
-    axes=("distance from the corner over l", "shear stress over 2 F P / (π l)"),
-    curve=(X, shear_stress(X)),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, curve=(X, shear_stress(X)))

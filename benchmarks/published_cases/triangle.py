@@ -1,7 +1,5 @@
 """A triangle on a plane with a large coefficient of friction: one solution, three, and more.
 
-    tools/fenicsx python3 benchmarks/published_cases/triangle.py 4
-
 P. Hild, An example of nonuniqueness for the continuous static unilateral contact model with Coulomb
 friction, C. R. Acad. Sci. Paris 337, 2003; R. Hassani, P. Hild, I. R. Ionescu and N.-D. Sakki, A
 mixed finite element method and solution multiplicity for Coulomb frictional contact, Comput.
@@ -28,11 +26,10 @@ from types import SimpleNamespace
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, between, by_group, exactly
+from case import Case, Result, by_group, next_step, tags_of_sides
 
 import ufl
 from dolfinx import fem
-from dolfinx import mesh as meshes
 
 from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
 from scenes.elasticity import elasticity, lame_constants
@@ -86,19 +83,14 @@ def triangulation(n: int) -> tuple[np.ndarray, np.ndarray]:
 def scene(comm: MPI.Comm, n: int) -> SimpleNamespace:
     """Return forms, conditions, tags and loads of the triangle. Collective."""
     triangle = mesh_of(comm, "triangle", 1, *triangulation(n))
-    sides = {
-        1: lambda x: x[1],
-        2: lambda x: x[1] - HELD * x[0],
-        3: lambda x: x[1] - LOADED * (1.0 - x[0]),
-    }
-    facets = {
-        tag: meshes.locate_entities_boundary(triangle, 1, lambda x, off=off: abs(off(x)) < 1e-9)
-        for tag, off in sides.items()
-    }
-    places = np.concatenate(list(facets.values()))
-    values = np.repeat(np.array(list(facets), dtype=np.int32), [len(f) for f in facets.values()])
-    order = np.argsort(places)
-    tags = meshes.meshtags(triangle, 1, places[order], values[order])
+    tags = tags_of_sides(
+        triangle,
+        {
+            1: lambda x: abs(x[1]) < 1e-9,
+            2: lambda x: abs(x[1] - HELD * x[0]) < 1e-9,
+            3: lambda x: abs(x[1] - LOADED * (1.0 - x[0])) < 1e-9,
+        },
+    )
     V = fem.functionspace(triangle, ("Lagrange", 1, (2,)))
     stretch = fem.Constant(triangle, np.zeros(2))  # sticking: u = stretch y
     mu, lame = lame_constants(YOUNG, POISSON)
@@ -133,9 +125,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     def after(problem: ContactProblem, pull: float) -> tuple[float, np.ndarray]:
         """Solve the next load step; return its mean pressure divided by N, and its displacement."""
         one.pull(pull)
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        problem.accept()
+        solution = next_step(problem)
         _, fields = surface_nodes_of(solution)
         sums = np.array([fields["pressure"] @ fields["weights"], fields["weights"].sum()])
         force, width = comm.allreduce(sums)
@@ -165,28 +155,9 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         three,
         size(u, free) / size(free, free),
     )
-    return Result(dict(zip(PUBLISHED, found, strict=True)), one.V, PULLS, path)
+    return Result(CASE.named(*found), one.V, PULLS, path)
 
 
 ALL = by_group({"sticks": 1.0, "slips": slipping(THREE, BEYOND), "open": 0.0})
-PUBLISHED = {
-    f"F = {BELOW} F_c: critical coefficient over F_c, from the slip": exactly(1.0),
-    "T = F N, F = F_c: pressure over N": between(0.0, 1.0),
-    f"F = {BEYOND} F_c, T = {THREE} F_c N, at once: pressure over N": ALL,
-    f"F = {BEYOND} F_c, T = {THREE} F_c N, after N alone: pressure over N": ALL,
-    f"F = {BEYOND} F_c, T = {JUMP} F_c N, next step: displacement over the free one": exactly(1.0),
-}
-CASE = Case(
-    name="triangle",
-    title="Triangle, F beyond critical",
-    published=PUBLISHED,
-    source="formula",
-    argument="cells along a side",
-    sizes=(2, 4, 8),
-    solve=solve,
-    axes=("T / (F_c N)", f"pressure over N, F = {BELOW} F_c"),
-    curve=(np.array([0.0, BELOW, 1.0, JUMP]), np.array([1.0, 1.0, 0.0, 0.0])),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CURVE = (np.array([0.0, BELOW, 1.0, JUMP]), np.array([1.0, 1.0, 0.0, 0.0]))
+CASE = Case.read(__file__, solve, ALL, ALL, curve=CURVE)

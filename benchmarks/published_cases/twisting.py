@@ -1,7 +1,5 @@
 """Two equal bodies with round faces are pressed together and twisted: partial slip in a ring.
 
-    tools/fenicsx python3 benchmarks/published_cases/twisting.py 16
-
 J. L. Lubkin, The torsion of elastic spheres in contact, J. Appl. Mech. 18, 1951; H. Deresiewicz,
 Contact of elastic spheres under an oscillating torsional couple, J. Appl. Mech. 21, 1954. Equal
 bodies do not slip while they are pressed together, and a twist does not change Hertz's pressure.
@@ -18,7 +16,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly
+from case import Case, Result, next_step
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
@@ -41,13 +39,6 @@ GRADING = 4.2
 ANGLES, FAR = np.linspace(0.0, 1.0, 9), 10.0
 
 UPPER, LOWER, TOP, BOTTOM = 1, 2, 3, 4
-
-THERE, STICK, BACK, FULL = (
-    "moment for the angle, over theory's",
-    "radius of what sticks at half the angle, over theory's",
-    "moment when the angle is 0 again, over theory's",
-    "moment when all slips, over theory's",
-)
 
 
 def angle_of(c: float) -> float:
@@ -125,9 +116,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
             end.interpolate(
                 lambda x: np.stack([-angle * x[1], angle * x[0], np.full_like(x[0], -APPROACH)])
             )
-            solution = problem.solve(rtol=RTOL)
-            solution.raise_if_failed()
-            problem.accept()
+            solution = next_step(problem)
             (acting,) = solution.pair_resultants
             return abs(acting.force[2]), -acting.about(np.zeros(3)).moment[2], solution
 
@@ -149,28 +138,14 @@ def solve(comm: MPI.Comm, n: float) -> Result:
             squares.append(second / whole / radius**2)
         back, full = (turned_to(angle * slope)[1] / all_slips for angle in (0.0, FAR))
     last, half = ANGLES[-1], len(ANGLES) // 2
-    values = {
-        THERE: moments[-1] / moment(last),
-        STICK: math.sqrt(squares[half] / mean_square(ANGLES[half])),
-        BACK: back / (moment(last) - 2.0 * moment(0.5 * last)),
-        FULL: full / moment(FAR),
-    }
+    values = CASE.named(
+        moments[-1] / moment(last),
+        math.sqrt(squares[half] / mean_square(ANGLES[half])),
+        back / (moment(last) - 2.0 * moment(0.5 * last)),
+        full / moment(FAR),
+    )
     return Result(values, V, ANGLES, np.array(moments))
 
 
 X = np.linspace(0.0, ANGLES[-1], 201)
-CASE = Case(
-    name="twisting",
-    title="Twisted balls, 3D",
-    published={name: exactly(1.0) for name in (THERE, STICK, BACK, FULL)},
-    source="formula",
-    argument="cells along a body",
-    sizes=(20, 25, 31),
-    solve=solve,
-    order=1.5,
-    axes=("angle over F p0 / G", "moment over F P a"),
-    curve=(X, np.array([0.0, *map(moment, X[1:])])),
-)
-
-if __name__ == "__main__":
-    CASE.main()
+CASE = Case.read(__file__, solve, curve=(X, np.array([0.0, *map(moment, X[1:])])))
