@@ -7,10 +7,10 @@ from __future__ import annotations
 #: benchmarks/ablation.py change by two at most.
 PROGRESS = 0.9
 
-#: Number of iterations without progress after which a contact problem counts as stalled, and after
-#: which a search for a fixed point, or Newton's method with a model of A, ends. If it is doubled,
-#: solves without a fixed point take more products, and warnings come later. Of the solves in
-#: tests/validation and tests/problem that converge, none needs a value above 23.
+#: Number of iterations without progress after which a contact problem ends, as do a search for a
+#: fixed point and Newton's method with a model of A. If it is doubled, solves without a fixed point
+#: take more products. Of the solves in tests/validation and tests/problem that converge, none needs
+#: a value above 23.
 PATIENCE = 25
 
 #: Limit on the steps of an inner iteration. Most inner iterations end after a few steps. In

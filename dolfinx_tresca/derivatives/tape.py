@@ -21,7 +21,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
 from dolfinx_tresca.derivatives.controls import checked_controls
