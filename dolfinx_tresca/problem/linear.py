@@ -18,8 +18,8 @@ from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, log
 from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
-from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -168,14 +168,10 @@ class ContactProblem(ContactProcess):
         self.options = SolverOptions() if options is None else options
         self.units = units
         self.pairs = checked_pairs(pairs)
-        self._contact = ContactSystem(
-            LinearSystem(a, L, bcs, entity_maps, V, axisymmetric),
-            self.pairs,
-            stiffness,
-            expected_solves,
-            petsc_options,
-            petsc_options_prefix,
-        )
+        linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
+        solver = stiffness, petsc_options, petsc_options_prefix, expected_solves
+        factorisation = Factorisation(linear, self.pairs, *solver)
+        self._contact = ContactSystem(linear, self.pairs, factorisation)
         self._has_warned_of_changed_form = False
 
     @property
@@ -299,8 +295,7 @@ class ContactProblem(ContactProcess):
             c_fact=c_fact,
             geometry_accuracy=geometry_accuracy,
         )
-        agreed = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
-        observe = StallWatch(self.comm, agreed)
+        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         surfaces = self._contact.surfaces
         surfaces.begin_solve()
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve

@@ -17,7 +17,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.change_of_data import (
     DataOfSolution,
