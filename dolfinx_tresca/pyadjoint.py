@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -202,25 +202,10 @@ class _Content:
     end: StepState
 
 
-@dataclass
-class _Cotangent:
-    """The derivative of a functional with respect to the contact state of a solution.
-
-    Attributes:
-        goals: goals of the solution with their factors.
-        on_origin: (size,) derivative with respect to the slip origin of the next step; None: zeros.
-    """
-
-    goals: list[tuple[float, Goal]]
-    on_origin: Array | None
-
-    def __iadd__(self, other: _Cotangent) -> _Cotangent:
-        self.goals = self.goals + other.goals
-        if other.on_origin is not None:
-            self.on_origin = other.on_origin + (0.0 if self.on_origin is None else self.on_origin)
-        return self
-
-    _ad_iadd = __iadd__
+#: The derivative of a functional by the contact state of a solution, which pyadjoint adds up: goals
+#: of the solution with their factors; and, with the factor 1, arrays (size,) of derivatives by the
+#: slip origin of the next load step.
+_Cotangent: TypeAlias = "list[tuple[float, Goal | Array]]"
 
 
 class _Solved(pyadjoint.OverloadedType):  # type: ignore[misc]
@@ -251,7 +236,7 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
     def evaluate_adj_component(
         self, inputs: Any, adj_inputs: Any, block_variable: Any, idx: int, prepared: Any = None
     ) -> _Cotangent:
-        return _Cotangent([(float(adj_inputs[0]), self._goal)], None)
+        return [(float(adj_inputs[0]), self._goal)]
 
     def recompute_component(self, inputs: Any, block_variable: Any, idx: int, prepared: Any) -> Any:
         step = inputs[0].step
@@ -342,7 +327,8 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
             if _control(dependency.output) is not None
         }
         content: _Content = self.get_outputs()[1].saved_output
-        cotangent = _Cotangent([], None) if cotangent is None else cotangent
+        origins = [given for _, given in cotangent or [] if isinstance(given, np.ndarray)]
+        goals = [pair for pair in cotangent or [] if not isinstance(pair[1], np.ndarray)]
         system, data = self._problem._contact, self._problem.data
         with self._at_inputs():
             compliance = content.step.dual.compliance
@@ -351,16 +337,16 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
             data.linearise(content.step)
             derivatives, on_origin = gradient(
                 data,
-                cotangent.goals,
+                goals,
                 list(by_control.values()),
-                cotangent.on_origin,
+                np.sum(origins, axis=0) if origins else None,
                 None if on_u is None else on_u.array,
             )
         result: dict[int, Any] = {}
         for (idx, control), values in zip(by_control.items(), derivatives, strict=True):
             result[idx] = None if values is None else _dual_vector(control, values)
         if self._accepted is not None:
-            result[0] = _Cotangent([], on_origin)
+            result[0] = [(1.0, on_origin)]
         return result
 
     def evaluate_adj_component(

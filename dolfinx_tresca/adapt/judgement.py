@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,12 +13,13 @@ from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.tolerances import FORCING
+from dolfinx_tresca.adapt.levels import Level
 from dolfinx_tresca.adapt.refinement import owned_values
-from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.status import ContactStatus
 
@@ -27,35 +27,24 @@ from dolfinx_tresca.status import ContactStatus
 LEAST_ACCURACY = 1e-10
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """The error of the solution on a mesh.
-
-    Attributes:
-        solution: solution on the mesh, accurate enough for the goal.
-        error: relative error; infinite if unknown. It is the error of the goal, or the energy error
-            if there is no goal, or if the goal does not depend on the displacement. An example of
-            such a goal is the pressure on a patch that is open on this mesh, and may close with
-            smaller cells.
-        cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
-        products: number of applications of A in all solves on the mesh, adjoint ones included.
-        goal_error: error of the goal, if there is one.
-    """
-
-    solution: ContactSolution
-    error: float
-    cell_errors: fem.Function | None
-    products: int
-    goal_error: GoalError | None
-
-
-def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None) -> Judgement:
+def judged(
+    number: int,
+    tagged_mesh: TaggedMesh,
+    problem: ContactProblem,
+    solution: ContactSolution,
+    goal: Goal | None,
+) -> Level:
     """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
     Args:
+        number: number of the mesh.
+        tagged_mesh: the mesh.
         problem: the problem that was solved.
         solution: the last solution of the problem, solved to the default accuracy.
         goal: the number whose error counts; None: the energy error counts.
+
+    Returns:
+        the mesh with its solution, which is accurate enough for the goal; without seconds.
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:
@@ -76,8 +65,17 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
         error, cell_errors = goal_error.relative_error, goal_error.cell_errors
     if cell_errors is not None:
         cell_errors = refinement_indicators(problem, cell_errors)
-    error = math.inf if error is None else error
-    return Judgement(solution, error, cell_errors, products, goal_error)
+    return Level(
+        number=number,
+        tagged_mesh=tagged_mesh,
+        solution=solution,
+        free_dofs=problem.free_dofs,
+        error=math.inf if error is None else error,
+        cell_errors=cell_errors,
+        products=products,
+        seconds=0.0,
+        goal_error=goal_error,
+    )
 
 
 @collective(comm_of("problem", "cell_errors"))

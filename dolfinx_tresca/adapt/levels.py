@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dolfinx import fem
+
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
@@ -22,8 +24,11 @@ class Level:
         solution: the solution on the mesh.
         free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
         error: estimate of the mesh's error: in the energy norm, relative to the solution's norm,
-            or, with a goal, the relative error of the goal.
-        products: number of applications of A.
+            or, with a goal, the relative error of the goal; infinite if unknown. A goal that does
+            not depend on the displacement, such as the pressure on a patch that is open on this
+            mesh, tells nothing about the mesh: then it is the error in the energy norm.
+        cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
+        products: number of applications of A in all solves on the mesh, adjoint ones included.
         seconds: time for building, solving and refining on the slowest rank.
         goal_error: the goal and its error; None without a goal.
     """
@@ -33,6 +38,7 @@ class Level:
     solution: ContactSolution
     free_dofs: int
     error: float
+    cell_errors: fem.Function | None
     products: int
     seconds: float
     goal_error: GoalError | None = None

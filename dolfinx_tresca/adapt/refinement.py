@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from typing import Any
 
 from mpi4py import MPI
@@ -23,7 +22,6 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 from dolfinx_tresca.stiffness.levels import Bisection, remember
 
@@ -74,7 +72,9 @@ def refine(
             otherwise no node moves. {}: no node moves.
 
     Raises:
-        InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
+        InputError: an argument is wrong, the mesh has cells that cannot be bisected, or see
+            `GmshGeometry.projections`.
+        MeshError: see `GmshGeometry.projections`.
 
     Example:
         >>> from mpi4py import MPI
@@ -93,14 +93,19 @@ def refine(
         check_tagged_mesh(tagged_mesh)
         check_fraction(fraction)
         errors = owned_values(mesh, cell_errors)
-        given = checked_snap(tagged_mesh, snap)
+        surfaces = checked_snap(tagged_mesh, snap)
     largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     marked = largest_part(comm, np.square(errors / largest), float(fraction))
     cells = BisectedCells.from_marked(mesh, marked, fraction == 1.0 or dim == 2)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
-    with _surfaces(tagged_mesh, snap, given) as surfaces:
+    geometry, names = tagged_mesh.geometry, {tag: name for name, tag in tagged_mesh.tags.items()}
+    with ExitStack() as session:
+        if snap is None and geometry is not None and geometry.curved:
+            with errors_on_all_ranks(comm):
+                projections = session.enter_context(geometry.projections())
+            surfaces = {tag: (names[tag], projection) for tag, projection in projections.items()}
         points = snapped(cells, facets, facet_values, surfaces)
 
     numbers, index_map = cells.numbers, cells.mesh.geometry.index_map()
@@ -155,30 +160,6 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     below = np.append(NEARLY * low, near[:-1])
     gap = np.argmax(near / below)
     return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))
-
-
-@contextmanager
-def _surfaces(
-    tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
-) -> Iterator[dict[int, tuple[str, Projection]]]:
-    """Yield tag -> name and projection of the curved surfaces. Collective.
-
-    These are the `given` surfaces if `snap` is not None or the mesh has no geometry with curved
-    surfaces; otherwise they are the curved surfaces of Gmsh.
-
-    Raises:
-        InputError: see `GmshGeometry.projections`.
-        MeshError: see `GmshGeometry.projections`.
-    """
-    geometry = tagged_mesh.geometry
-    if snap is not None or geometry is None or not geometry.curved:
-        yield dict(given)
-        return
-    names = {tag: name for name, tag in tagged_mesh.tags.items()}
-    with ExitStack() as session:
-        with errors_on_all_ranks(tagged_mesh.mesh.comm):
-            projections = session.enter_context(geometry.projections())
-        yield {tag: (names[tag], projection) for tag, projection in projections.items()}
 
 
 def check_fraction(fraction: float) -> None:

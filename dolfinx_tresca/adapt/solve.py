@@ -194,21 +194,20 @@ def solve_adaptively(
                 mesh_part=ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART,
                 local_accuracy=max(ROUGH_LOCAL, problem.options.local_accuracy),
             )
-            judgement = judged(problem, solution, goal)
-            level = Level(
-                number=len(levels),
-                tagged_mesh=tagged_mesh,
-                solution=judgement.solution,
-                free_dofs=problem.free_dofs,
-                error=judgement.error,
-                products=judgement.products,
-                seconds=_seconds(comm, start),
-                goal_error=judgement.goal_error,
-            )
+            level = judged(len(levels), tagged_mesh, problem, solution, goal)
+            level = replace(level, seconds=_seconds(comm, start))
             log(comm, "%s", level)
-            status = _reason_to_end(level, accuracy, most_levels, observe(level))
-            if status is None:
-                finer = refine(tagged_mesh, judgement.cell_errors, fraction, snap)
+            stop, status = observe(level), None
+            if level.solution.status is not ContactStatus.CONVERGED:
+                status = AdaptiveStatus.FAILED
+            elif level.error <= accuracy:
+                status = AdaptiveStatus.REACHED
+            elif stop:
+                status = AdaptiveStatus.STOPPED
+            elif level.number + 1 >= most_levels:
+                status = AdaptiveStatus.MAX_LEVELS
+            else:
+                finer = refine(tagged_mesh, level.cell_errors, fraction, snap)
                 growth = _cell_count(finer) / _cell_count(tagged_mesh)
                 if growth * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
@@ -282,22 +281,6 @@ def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:
         return problem.solve()
     local = max(options.local_accuracy, min(LOCAL_PART * error, MOST_LOCAL))
     return problem.solve(local_accuracy=local)
-
-
-def _reason_to_end(
-    level: Level, accuracy: float, most_levels: float, stop: bool
-) -> AdaptiveStatus | None:
-    """Return the reason why refinement ends with a level; None if it continues.
-
-    `stop` is the answer of the user's observer. Not collective.
-    """
-    if level.solution.status is not ContactStatus.CONVERGED:
-        return AdaptiveStatus.FAILED
-    if level.error <= accuracy:
-        return AdaptiveStatus.REACHED
-    if stop:
-        return AdaptiveStatus.STOPPED
-    return AdaptiveStatus.MAX_LEVELS if level.number + 1 >= most_levels else None
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:

@@ -230,7 +230,7 @@ def test_repr_of_everything_public_is_short(comm):
         solution = problem.solve()
         of_rubber = nonlinear.solve()
         bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
-        level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, 100, 1 / 3)
+        level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, None, 100, 1 / 3)
         goal = MeanSlip((0.0, 0.0, 0.0), 10.0, (1.0, 0.0, 0.0))
         objects = [
             goal,
