@@ -7,9 +7,8 @@ contact, set up the solver that the contact solve uses, with the same options (M
 conjugate gradients to a relative residual of 1e-8), and solve once. The contact solve is everything
 from `ContactProblem(...)` to the fields. One process, which has loaded everything before, runs both
 in turns; medians are taken, and the time for the mesh is not counted. `spread` is (slowest -
-fastest) / median, for the linear or the contact solves, whichever is larger. `ratios` has the ratio
-of contact to linear time in each turn, and `ratio_of_fastest` the ratio of the fastest contact to
-the fastest linear solve, which is the better figure on a shared machine.
+fastest) / median, for the linear or the contact solves, whichever is larger; `ratio_of_fastest` is
+the better figure on a shared machine.
 
 Accuracy 1e-6 is the relative natural residual (`rtol`). Accuracy 1e-3 is the relative error of the
 displacement in the energy norm (`accuracy`), which the solver bounds: `energy_error_bound` is this
@@ -25,7 +24,6 @@ from __future__ import annotations
 import argparse
 import gc
 import itertools
-import os
 from collections.abc import Iterator
 from statistics import median
 from typing import Any
@@ -105,7 +103,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         case = {"scene": scene, "N": N, "ranks": ranks, "backend": backend}
         yield {**case, "part": PARTS[0], "asked": arguments.accuracies,
                "repeats": arguments.repeats}  # fmt: skip
-        for accuracy in [] if arguments.no_memory else arguments.accuracies:
+        for accuracy in arguments.accuracies:
             for part in PARTS[1:]:
                 yield {**case, "part": part, "accuracy": accuracy}
 
@@ -142,7 +140,6 @@ def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
         yield {
             **sizes,
             "accuracy": accuracy,
-            "tight_residual": tight.residuals[-1],
             "residual": solution.residuals[-1],
             "energy_error_bound": solution.energy_error_bound,
             "energy_error": energy_error(scene, solution.u, tight.u),
@@ -153,10 +150,8 @@ def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
             "contact_seconds": median(with_it),
             "ratio": median(with_it) / median(plain),
             "ratio_of_fastest": min(with_it) / min(plain),
-            "ratios": [one / other for one, other in zip(with_it, plain, strict=True)],
             "repeats": case["repeats"],
             "spread": max(spread(with_it), spread(plain)),
-            "load_average": os.getloadavg()[0],
         }
 
 
@@ -167,7 +162,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--backends", nargs="+", default=list(BACKENDS), choices=BACKENDS)
     parser.add_argument("--accuracies", type=float, nargs="+", default=list(ASKED), choices=ASKED)
     parser.add_argument("--repeats", type=int, default=3, help="turns of linear and contact")
-    parser.add_argument("--no-memory", action="store_true", help="only measure times")
     add_ranks(parser)
 
 

@@ -13,19 +13,12 @@ at stresses, not at residuals. `press_fit_steps`, a sequence of load steps with 
 in this way only, by the largest error of its steps. Each step starts from the last one; matrices
 are assembled once and, by this package, factored once.
 
-    cholesky, multigrid     this package, projected Newton with K factored or with multigrid
-    ssn, imssn, gimssn      algorithms of the paper, as implemented in this package; K factored
-    monolithic              semismooth Newton on (u, lambda), a sparse LU factorisation (MUMPS) each
-                            step; derivative of Hueeber, Stadler, Wohlmuth
-    monolithic_classical    the same with the derivative of Alart and Curnier
-    penalty, augmented      penalty method, and augmented Lagrangians by Uzawa's method, with MUMPS
-    getfem                  GetFEM (Debian: python3-getfem), its own assembly and Newton method
-    scikit_fem              scikit-fem's assembly, and the method of `monolithic` in scipy, whose
-                            sparse LU factorisation scikit-fem takes (SuperLU); PyPI
-    mpgp                    Dostal's modified proportioning with gradient projections; K factored
-    fista                   accelerated projected gradients with restarts; K factored
-    clarabel_*, scs_*       cone programs: primal, sparse in (u, bounds of slips), or dual, with
-                            the dense A (a product for each multiplier, many at once); PyPI
+The peers are this package, with K factored or with multigrid; the paper's algorithms as implemented
+here; semismooth Newton on (u, lambda) with a sparse LU factorisation (MUMPS) in each step, penalty
+method and Uzawa's method likewise; GetFEM (Debian: python3-getfem) and scikit-fem (PyPI) with their
+own assembly, the latter with SciPy's SuperLU; first-order methods with K factored; and the conic
+solvers Clarabel and SCS (PyPI): primal, sparse in (u, bounds of slips), or dual, with the dense A
+(a product for each multiplier, many at once). `peer_solvers/` has a file for each kind.
 
 A peer is stopped if a run takes more than --limit seconds, and is then skipped on larger meshes. A
 peer that is not installed is skipped, too. GetFEM is installed by
@@ -42,13 +35,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
 from harness.figure import new_figure, plain_ticks, save
 from harness.memory import peak_memory, reset_peak_memory
-from harness.timing import spread, timed
+from harness.timing import timed
 from peer_solvers import (
     cones,
     getfem_bricks,
@@ -204,7 +196,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
             peer in ON_BRICKS and scene not in two_bricks.ENDS
         )
         if not left_out:
-            yield {**case, "repeats": arguments.repeats}
+            yield case
 
 
 def prepare(case: Row, rows: list[Row]) -> Row:
@@ -226,12 +218,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     for tolerance in tolerances:
         if tolerance > case["loosest"] and len(tolerances) > 1:
             continue
-        seconds = []
-        for _ in range(case["repeats"]):
-            restart_clock()
-            reset_peak_memory()
-            needed, answer = timed(comm, lambda tolerance=tolerance: solve(scene, tolerance))
-            seconds.append(needed)
+        restart_clock()
+        reset_peak_memory()
+        seconds, answer = timed(comm, lambda tolerance=tolerance: solve(scene, tolerance))
         peak = peak_memory(comm)
         restart_clock()
         errors = judge(scene, answer, exact)
@@ -240,9 +229,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         else:
             reached = errors["residual"] <= ROUNDING * case["rtol"]
         yield {
-            "seconds": median(seconds),
-            "repeats": len(seconds),
-            "spread": spread(seconds),
+            "seconds": seconds,
             **answer.work,
             "tolerance": tolerance,
             **errors,
@@ -365,7 +352,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
     parser.add_argument("--rtol", type=float, default=1e-6, help="relative natural residual")
     parser.add_argument("--error", type=float, help="of the stresses, instead of --rtol")
-    parser.add_argument("--repeats", type=int, default=1, help="runs of which the median is taken")
 
 
 BENCHMARK = Benchmark(
@@ -375,7 +361,7 @@ BENCHMARK = Benchmark(
     cases=cases,
     prepare=prepare,
     measure=measure,
-    small={"N": 4, "rtol": 1e-2, "repeats": 1, "loosest": 1.0},
+    small={"N": 4, "rtol": 1e-2, "loosest": 1.0},
     options=options,
     draw=draw,
     shown=[

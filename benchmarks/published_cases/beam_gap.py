@@ -9,8 +9,7 @@ at the positions below, in fifths of the length, and with the bending stiffness 
 gives 27 of the 29 forces to the last digit; for the other two it gives 49.449 instead of 49.5. With
 a stiffness that differs by more than 3e-4, more forces differ. Here the beams are thin elastic
 strips with Poisson's ratio zero. At each gap one node of each beam may touch; at all other nodes a
-gap of 1 is added. A load is spread over two cells. The argument is the number of cells along a
-fifth of the length.
+gap of 1 is added. A load is spread over two cells.
 """
 
 from __future__ import annotations
