@@ -160,16 +160,6 @@ def first_to_last(text: Callable[[Row], str]) -> Callable[[list[Row]], str]:
     return lambda rows: f"{text(rows[0])} to {text(rows[-1])}"
 
 
-def each(meshes: str) -> list[Column]:
-    """Return the columns of a kind of meshes."""
-    where = {"meshes": meshes}
-    return [
-        Column(f"{meshes}: unknowns", "{unknowns:,}", where),
-        Column("error", lambda rows: percent(rows[0]), where),
-        Column("products", "{products}", where),
-    ]
-
-
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
     parser.add_argument("--scenes", nargs="+", default=list(STUDIES), choices=STUDIES)
@@ -223,12 +213,6 @@ BENCHMARK = Benchmark(
             ],
             chosen=on_one_rank,
             line=["scene", "degree", "meshes"],
-        ),
-        Table(
-            "adaptive_levels",
-            [SCENE, DEGREE, Column("level", "{level}"), *each("adaptive"), *each("uniform")],
-            chosen=on_one_rank,
-            line=["scene", "degree", "level"],
         ),
     ],
 )

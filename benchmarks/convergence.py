@@ -18,12 +18,8 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table, add_ranks
@@ -41,28 +37,17 @@ RATIO = (2, 3)
 SIZES = {2: (2, 4, 8, 16, 32), 3: (1, 2, 4)}
 
 
-def measure(comm: MPI.Comm, cell: str, degree: int, k: int) -> dict[str, Any]:
-    """Solve on one mesh and return a row of the table, without rates. Collective."""
-    scene = blocks_scene(comm, cell, degree, (RATIO[0] * k, RATIO[1] * k))
-    start = time.perf_counter()
-    with scene.problem() as problem:
-        solution = problem.solve(rtol=1e-8)
-        seconds = time.perf_counter() - start
-        solution.raise_if_failed()
-        n, m = problem.free_dofs, problem.contact_nodes
-    return {
-        "cell": cell,
-        "degree": degree,
-        "k": k,
-        "n": n,
-        "m": m,
-        "slip_nodes": solution.counts.slip,
-        "contact": solution.counts.contact,
-        "iterations": solution.iterations,
-        "products": solution.products,
-        "seconds": seconds,
-        **errors_of(scene, solution),
-    }
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row for each mesh of a family, without rates. Collective."""
+    cell, degree = case["cell"], case["degree"]
+    for k in case["sizes"]:
+        scene = blocks_scene(comm, cell, degree, (RATIO[0] * k, RATIO[1] * k))
+        with scene.problem() as problem:
+            solution = problem.solve(rtol=1e-8)
+            solution.raise_if_failed()
+            n, m = problem.free_dofs, problem.contact_nodes
+        work = {"iterations": solution.iterations, "products": solution.products}
+        yield {"k": k, "n": n, "m": m, **work, **errors_of(scene, solution)}
 
 
 def rates(rows: Sequence[Row], error: str) -> list[float]:
@@ -87,7 +72,7 @@ TITLES = {
 SLOPES = {"energy": (1.0, 1.5), "pressure": (1.0, 1.5), "slip": (1.0, 2.0)}
 
 
-def draw(path: Path, rows: list[dict[str, Any]]) -> None:
+def draw(path: Path, rows: list[Row]) -> None:
     """Save a picture of the errors against the cell size. On one rank only."""
     from matplotlib.lines import Line2D
 
@@ -119,14 +104,14 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
         panel.set_xlabel("cell size over width of the blocks")
         plain_ticks(panel.xaxis)
     panels[0][0].set_ylabel("relative error")
-    handles = [Line2D([], [], color=f"C{CELLS.index(cell)}", lw=2, label=NAMES[cell])
-               for cell in CELLS if any(row["cell"] == cell for row in rows)]  # fmt: skip
-    for degree, style in ((1, "o-"), (2, "s--")):
-        marker, line_style = style[0], style[1:]
-        handles.append(
-            Line2D([], [], color="black", marker=marker, ls=line_style, ms=4,
-                   label=f"degree {degree}")
-        )  # fmt: skip
+    handles = [
+        Line2D([], [], color=f"C{number}", lw=2, label=NAMES[cell])
+        for number, cell in enumerate(CELLS)
+        if any(row["cell"] == cell for row in rows)
+    ]
+    for degree, (marker, dashes) in enumerate((("o", "-"), ("s", "--")), 1):
+        label = f"degree {degree}"
+        handles.append(Line2D([], [], color="black", marker=marker, ls=dashes, ms=4, label=label))
     figure.legend(
         handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
     )
@@ -139,12 +124,6 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         sizes = arguments.sizes or SIZES[2 if cell in ("triangle", "quadrilateral") else 3]
         for degree in arguments.degrees:
             yield {"cell": cell, "degree": degree, "ranks": ranks, "sizes": sizes}
-
-
-def run(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield a row for each mesh of a family. Collective."""
-    for k in case["sizes"]:
-        yield measure(comm, case["cell"], case["degree"], k)
 
 
 def last_rate(error: str, degree: int) -> Column:
@@ -169,7 +148,7 @@ BENCHMARK = Benchmark(
     about=__doc__,
     key=("cell", "degree", "k", "ranks"),
     cases=cases,
-    measure=run,
+    measure=measure,
     options=options,
     draw=draw,
     shown=[

@@ -1,15 +1,14 @@
 """The cost of contact: a contact solve compared with a linear elastic solve on the same mesh.
 
-    tools/fenicsx python3 benchmarks/cost.py --sizes 16 26 --ranks 1 2 --json FILE --picture FILE
+    tools/fenicsx python3 benchmarks/cost.py --sizes 16 26 --ranks 1 2 --json FILE
 
 The linear solve has to be paid for without contact, too: assemble K and f of the two bricks without
 contact, set up the solver that the contact solve uses, with the same options (MUMPS, or GAMG with
 conjugate gradients to a relative residual of 1e-8), and solve once. The contact solve is everything
 from `ContactProblem(...)` to the fields. One process, which has loaded everything before, runs both
 in turns; medians are taken, and the time for the mesh is not counted. `spread` is (slowest -
-fastest) / median, for the linear or the contact solves, whichever is larger. `ratios` has the ratio
-of contact to linear time in each turn, and `ratio_of_fastest` the ratio of the fastest contact to
-the fastest linear solve, which is the better figure on a shared machine.
+fastest) / median, for the linear or the contact solves, whichever is larger; `ratio_of_fastest` is
+the better figure on a shared machine.
 
 Accuracy 1e-6 is the relative natural residual (`rtol`). Accuracy 1e-3 is the relative error of the
 displacement in the energy norm (`accuracy`), which the solver bounds: `energy_error_bound` is this
@@ -18,9 +17,6 @@ bound, and `energy_error` is the error itself, against a solution to a residual 
 Memory is the peak (VmHWM, summed over ranks) of two further processes: one only runs a linear
 solve, the other only a contact solve. The peak is reset after the mesh was made, but memory that is
 in use at that time, such as Python and the mesh, is included.
-
-At the end the time of the solver that `auto` has chosen is compared with the fastest solver for the
-same scene, size, number of ranks and accuracy.
 """
 
 from __future__ import annotations
@@ -28,32 +24,29 @@ from __future__ import annotations
 import argparse
 import gc
 import itertools
-import os
 from collections.abc import Iterator
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks, krylov_iterations
-from harness.figure import new_figure, save
 from harness.memory import peak_memory, reset_peak_memory
 from harness.timing import spread, timed
 
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactProblem, ContactSolution
+from dolfinx_tresca import ContactSolution
 from dolfinx_tresca.stiffness.choice import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 from scenes.two_bricks import two_bricks
 
 SCENES = ("free_end_1", "free_end_2")
-BACKENDS = ("cholesky", "multigrid", "auto")
+BACKENDS = ("cholesky", "multigrid")
 
 #: Requested accuracy of a row -> the argument of `solve`.
 ASKED: dict[float, Row] = {1e-3: {"accuracy": 1e-3}, 1e-6: {"rtol": 1e-6}}
-IN_WORDS = {1e-3: "energy error", 1e-6: "natural residual"}
+IN_WORDS = {1e-3: "error", 1e-6: "residual"}
 
 #: Relative natural residual of the solution that serves as the reference for errors.
 TIGHT = 1e-8
@@ -79,9 +72,7 @@ def linear(scene: Scene, backend: str) -> None:
 
 def contact(scene: Scene, backend: str, accuracy: float) -> ContactSolution:
     """Solve the contact problem from forms to fields. Collective."""
-    with ContactProblem(
-        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=backend
-    ) as problem:
+    with scene.problem(stiffness=backend) as problem:
         solution = problem.solve(**ASKED[accuracy])
     solution.raise_if_failed()
     return solution
@@ -111,20 +102,9 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         case = {"scene": scene, "N": N, "ranks": ranks, "backend": backend}
         yield {**case, "part": PARTS[0], "asked": arguments.accuracies,
                "repeats": arguments.repeats}  # fmt: skip
-        for accuracy in [] if arguments.no_memory else arguments.accuracies:
+        for accuracy in arguments.accuracies:
             for part in PARTS[1:]:
                 yield {**case, "part": part, "accuracy": accuracy}
-
-
-def prepare(case: Row, rows: list[Row]) -> Row:
-    """Give the linear problem the solver that "auto" chose; skip memory if seconds failed."""
-    if case["part"] == PARTS[0]:
-        return case
-    names = ("scene", "N", "ranks", "backend", "accuracy")
-    same = [row for row in rows if all(row.get(name) == case[name] for name in names)]
-    if not same or "chosen" not in same[0]:
-        return {**case, "status": "skipped: no seconds"}
-    return {**case, "chosen": same[0]["chosen"]}
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
@@ -136,7 +116,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     gc.collect()
     reset_peak_memory()
     if case["part"] == PARTS[1]:
-        linear(scene, case["chosen"])
+        linear(scene, case["backend"])
         yield {"linear_rss_mb": peak_memory(comm)}
     else:
         contact(scene, case["backend"], case["accuracy"])
@@ -145,16 +125,13 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
 def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
     """Yield a row for each accuracy: linear and contact solves in turns. Collective."""
-    with ContactProblem(
-        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=case["backend"]
-    ) as problem:
+    with scene.problem(stiffness=case["backend"]) as problem:
         tight = problem.solve(rtol=TIGHT)
-        chosen = next(name for name in ("cholesky", "multigrid") if name in tight.timings)
-        sizes = {"n": problem.free_dofs, "m": problem.contact_nodes, "chosen": chosen}
+        sizes = {"n": problem.free_dofs, "m": problem.contact_nodes}
     for accuracy in case["asked"]:
         plain, with_it = [], []
         for _ in range(case["repeats"]):
-            plain.append(timed(comm, lambda: linear(scene, chosen))[0])
+            plain.append(timed(comm, lambda: linear(scene, case["backend"]))[0])
             seconds, solution = timed(
                 comm, lambda accuracy=accuracy: contact(scene, case["backend"], accuracy)
             )
@@ -162,7 +139,6 @@ def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
         yield {
             **sizes,
             "accuracy": accuracy,
-            "tight_residual": tight.residuals[-1],
             "residual": solution.residuals[-1],
             "energy_error_bound": solution.energy_error_bound,
             "energy_error": energy_error(scene, solution.u, tight.u),
@@ -173,67 +149,9 @@ def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
             "contact_seconds": median(with_it),
             "ratio": median(with_it) / median(plain),
             "ratio_of_fastest": min(with_it) / min(plain),
-            "ratios": [one / other for one, other in zip(with_it, plain, strict=True)],
             "repeats": case["repeats"],
             "spread": max(spread(with_it), spread(plain)),
-            "load_average": os.getloadavg()[0],
         }
-
-
-def summary(rows: list[Row]) -> str:
-    """Return a comparison of the choice of `auto` with the fastest back end and linear solve."""
-    lines = []
-    for row in rows:
-        if row["backend"] != "auto" or "ratio" not in row:
-            continue
-        names = ("scene", "N", "ranks", "accuracy")
-        same = [
-            other
-            for other in rows
-            if "ratio" in other and all(other[name] == row[name] for name in names)
-        ]
-        best, least = (
-            min(other[seconds] for other in same)
-            for seconds in ("contact_seconds", "linear_seconds")
-        )
-        lines.append(
-            f"auto: {row['scene']} N={row['N']} ranks={row['ranks']} {row['accuracy']:.0e}: "
-            f"{row['chosen']}, {row['contact_seconds'] / best:.2f} times the fastest back end, "
-            f"{row['contact_seconds'] / least:.1f} times the fastest linear solve"
-        )
-    return "\n".join(lines)
-
-
-def draw(path: Path, rows: list[Row]) -> None:
-    """Save a picture of the ratio of contact to linear time against the unknowns n."""
-    rows = [row for row in rows if "ratio" in row]
-    accuracies = sorted({row["accuracy"] for row in rows}, reverse=True)
-    figure, panels = new_figure(4.0, 1, len(accuracies), sharey=True)
-    colours = {"cholesky": "C0", "multigrid": "C1", "auto": "C2"}
-    lines = dict(zip(SCENES, ("-", "--"), strict=True))
-    for panel, accuracy in zip(panels[0], accuracies, strict=True):
-        own = [row for row in rows if row["accuracy"] == accuracy]
-        families = dict.fromkeys((row["backend"], row["scene"], row["ranks"]) for row in own)
-        for backend, scene, ranks in families:
-            points = sorted(
-                (row["n"], row["ratio"])
-                for row in own
-                if (row["backend"], row["scene"], row["ranks"]) == (backend, scene, ranks)
-            )
-            panel.loglog(
-                *zip(*points, strict=True),
-                lines[scene],
-                marker="os^D"[(ranks - 1) % 4],
-                ms=4,
-                color=colours[backend],
-                label=f"{backend}, {scene}, {ranks} rank{'s' if ranks > 1 else ''}",
-            )
-        panel.set(title=f"{IN_WORDS[accuracy]} {accuracy:.0e}", xlabel="degrees of freedom")
-        panel.axhline(1.0, color="gray", lw=1)
-        panel.grid(True, which="both", lw=0.3)
-    panels[0][0].set_ylabel("contact solve / linear solve")
-    panels[0][-1].legend(fontsize=7)
-    save(figure, path)
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -243,7 +161,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--backends", nargs="+", default=list(BACKENDS), choices=BACKENDS)
     parser.add_argument("--accuracies", type=float, nargs="+", default=list(ASKED), choices=ASKED)
     parser.add_argument("--repeats", type=int, default=3, help="turns of linear and contact")
-    parser.add_argument("--no-memory", action="store_true", help="only measure times")
     add_ranks(parser)
 
 
@@ -251,8 +168,8 @@ def requested(rows: list[Row]) -> str:
     """Return the requested accuracy as a short text."""
     if rows[0].get("accuracy") is None:
         return ""  # it failed before
-    kind = IN_WORDS[rows[0]["accuracy"]].split()[-1]
-    return f"{kind} {rows[0]['accuracy']:.0e}".replace("e-0", "e-")
+    accuracy = rows[0]["accuracy"]
+    return f"{IN_WORDS[accuracy]} {accuracy:.0e}".replace("e-0", "e-")
 
 
 COLUMNS = [
@@ -276,14 +193,11 @@ BENCHMARK = Benchmark(
     about=__doc__,
     key=("scene", "N", "backend", "ranks", "accuracy"),
     cases=cases,
-    prepare=prepare,
     measure=measure,
     small={"N": 4, "repeats": 1},
     options=options,
-    summary=summary,
-    draw=draw,
-    shown=[*COLUMNS, Column("spread", "{spread:.2f}"), Column("chosen", "{chosen}", width=9)],
-    tables=[Table("cost", COLUMNS, chosen=lambda row: "ratio" in row and row["backend"] != "auto")],
+    shown=[*COLUMNS, Column("spread", "{spread:.2f}")],
+    tables=[Table("cost", COLUMNS, chosen=lambda row: "ratio" in row)],
 )
 
 if __name__ == "__main__":

@@ -17,14 +17,15 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
 
-from dolfinx_tresca import ContactError, Coulomb, Frictionless
+from dolfinx_tresca import Coulomb, Frictionless
 from scenes import large_sliding
 from scenes.large_sliding import Process
 
@@ -100,27 +101,27 @@ def ironing_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
     return [body], values
 
 
-def closed_path_case(
-    body: Process, corners: list[tuple[float, ...]], step: float
+def closed_path(
+    comm: Comm, size: float, *, make: Callable[..., Process], down: Sequence[float], cell: float
 ) -> tuple[list[Process], Values]:
-    """Move a body along a closed path, without friction. Collective."""
-    changes = large_sliding.there_and_back(body, corners, step)
-    values = [(f"change of the {name} at the end", "0", value) for name, value in changes.items()]
-    return [body], values
+    """Move a body along a rectangle between two depths, without friction. Collective.
 
-
-def closed_path_in_the_plane(comm: Comm, size: float) -> tuple[list[Process], Values]:
-    """Move the block of shallow ironing along a rectangle. Collective."""
-    body = large_sliding.ironing(comm, int(size), Frictionless())
-    corners: list[tuple[float, ...]] = [(0.0, -0.5), (5.0, -0.5), (5.0, -0.8), (0.0, -0.8)]
-    return closed_path_case(body, corners, 24.0 / size)
-
-
-def closed_path_in_space(comm: Comm, size: float) -> tuple[list[Process], Values]:
-    """Move the hemisphere along a rectangle. Collective."""
-    body = large_sliding.hemisphere(comm, size, Frictionless())
-    corners: list[tuple[float, ...]] = [(0, 0, -0.2), (1.6, 0, -0.2), (1.6, 0, -0.3), (0, 0, -0.3)]
-    return closed_path_case(body, corners, 2.0 / size)
+    Args:
+        comm: communicator of the mesh.
+        size: size of the mesh.
+        make: function that returns the process.
+        down: length of the rectangle and both depths.
+        cell: length of a load step times the size.
+    """
+    body = make(comm, int(size), Frictionless())
+    between = (0.0,) * (len(body.motion.value) - 2)
+    length, high, low = down
+    ends = ((0.0, high), (length, high), (length, low), (0.0, low))
+    corners = [(along, *between, -depth) for along, depth in ends]
+    changes = large_sliding.there_and_back(body, corners, cell / size)
+    return [body], [
+        (f"change of the {name} at the end", "0", value) for name, value in changes.items()
+    ]
 
 
 def half_ring_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
@@ -148,10 +149,16 @@ def hertz_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
 
 
 #: Title of a case -> function that solves the case, and sizes of its meshes.
-CASES: dict[str, tuple[Callable[[Comm, float], tuple[list[Process], Values]], tuple[int, ...]]] = {
+CASES: dict[str, tuple[Callable[..., tuple[list[Process], Values]], tuple[int, ...]]] = {
     "shallow ironing": (ironing_case, (60, 120)),
-    "closed path, plane": (closed_path_in_the_plane, (40, 60)),
-    "closed path, space": (closed_path_in_space, (6, 10)),
+    "closed path, plane": (
+        partial(closed_path, make=large_sliding.ironing, down=(5.0, 0.5, 0.8), cell=24.0),
+        (40, 60),
+    ),
+    "closed path, space": (
+        partial(closed_path, make=large_sliding.hemisphere, down=(1.6, 0.2, 0.3), cell=2.0),
+        (6, 10),
+    ),
     "Hertz, 50 radii away": (hertz_case, (10, 20)),
     "half ring on a block": (half_ring_case, (32, 64)),
 }
@@ -175,56 +182,38 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         yield from values_of(comm, case)
         return
     way = SCENES[case["scene"]](comm, case["size"])
-    body = way.body
-    dim = len(body.motion.value)
-    number = max(round(case["way"] * way.length / (case["cells"] * way.cell)), 1)
-    seconds: list[float] = []
-    timings: dict[str, float] = {}
-    elapsed, products, halvings, force, failure = 0.0, 0, 0, np.zeros(dim), ""
-
-    def move(along: float, down: float) -> Any:
-        to = np.zeros(dim)
-        to[0], to[-1] = along, -down
-        return body.move(*to)
-
+    body, step = way.body, case["cells"] * way.cell
+    between = [0.0] * (len(body.motion.value) - 2)
+    timings: Counter[str] = Counter()
+    products = halvings = 0
     with body.problem:
-        try:
-            for depth in way.depth * np.arange(1, way.pressing + 1) / way.pressing:
-                move(0.0, depth)
-            body.newton_steps.clear()
-            for place in case["cells"] * way.cell * np.arange(1, number + 1):
-                start, at = time.process_time(), time.perf_counter()
-                solution = move(place, way.depth)
-                seconds.append(time.process_time() - start)
-                elapsed += time.perf_counter() - at
-                halvings += len({step.fraction for step in solution.newton.steps}) - 1
-                products += solution.products
-                for name, value in solution.timings.items():
-                    timings[name] = timings.get(name, 0.0) + value
-                force = body.force(solution)
-        except ContactError as error:
-            failure = str(error).split(".")[0]
-        steps = body.newton_steps if seconds else []
-        found = {
+        for depth in way.depth * np.arange(1, way.pressing + 1) / way.pressing:
+            body.move(0.0, *between, -depth)
+        body.newton_steps.clear()
+        start, began = time.process_time(), time.perf_counter()
+        for number in range(1, max(round(case["way"] * way.length / step), 1) + 1):
+            solution = body.move(number * step, *between, -way.depth)
+            halvings += len({newton.fraction for newton in solution.newton.steps}) - 1
+            products += solution.products
+            timings.update(solution.timings)
+        seconds, elapsed = time.process_time() - start, time.perf_counter() - began
+        steps, force = body.newton_steps, body.force(solution)
+        yield {
             "unknowns": body.problem.free_dofs,
             "load_steps": len(steps),
             "halvings": halvings,
-            "status": failure or "CONVERGED",
+            "newton_steps": sum(steps),
+            "mean": sum(steps) / len(steps),
+            "most": max(steps),
+            "products": products / sum(steps),
+            "seconds": seconds,
+            "shares": {
+                phase: sum(timings[name] for name in names) / elapsed
+                for phase, names in PHASES.items()
+            },
+            "ratio": float(abs(force[0] / force[-1])),
+            "status": "CONVERGED",  # otherwise a move raises an error
         }
-        if steps:
-            found |= {
-                "newton_steps": sum(steps),
-                "mean": sum(steps) / len(steps),
-                "most": max(steps),
-                "products": products / sum(steps),
-                "seconds": sum(seconds),
-                "shares": {
-                    phase: sum(timings.get(name, 0.0) for name in names) / elapsed
-                    for phase, names in PHASES.items()
-                },
-                "ratio": float(abs(force[0] / force[-1])),
-            }
-        yield found
 
 
 def values_of(comm: Comm, case: Row) -> Iterator[Row]:

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from statistics import mean
 from typing import Any
 
 import numpy as np
 from harness import DASH, Benchmark, Column, Comm, Row, Table
+from harness.timing import timed
 
 from dolfinx import fem
 
@@ -48,13 +49,6 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
         yield {"N": N, "scene": scene, "backend": backend, "what": what}
 
 
-def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the processor seconds of some work, and its result."""
-    start = time.process_time()
-    result = work()
-    return time.process_time() - start, result
-
-
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield the row of a case. Collective."""
     scene = two_bricks(comm, case["N"], end=case["scene"])
@@ -67,28 +61,22 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     signs = np.random.default_rng(SEED).choice([-1.0, 1.0], LATER)
     factors = np.cumprod([1.0, *(1.0 + CHANGE * signs)])
     solves, gradients, solutions = [], [], []
+    is_process = "process" in case["what"]
     with scene.problem(stiffness=case["backend"], expected_solves=LATER) as problem:
-
-        def solve(factor: float) -> Any:
-            load.value[:] = factor * first
-            return problem.solve(rtol=RTOL)
-
-        def timed_solves() -> Iterator[None]:
+        with problem.record() if is_process else nullcontext() as tape:
             for factor in factors:
-                took, solution = seconds(lambda factor=factor: solve(factor))
+                load.value[:] = factor * first
+                took, solution = timed(comm, lambda: problem.solve(rtol=RTOL))
                 solves.append(took)
                 solutions.append(solution)
-                yield
-
-        if "process" in case["what"]:
-            with problem.record() as tape:
-                for _ in timed_solves():
+                if is_process:
                     problem.accept()
+                else:
+                    took, _ = timed(comm, lambda: problem.gradient(NormalForce(), [gap]))
+                    gradients.append(took)
+        if is_process:
             goal = {len(tape) - 1: NormalForce()}
-            gradients.append(seconds(lambda: tape.gradient(goal, [gap]))[0])
-        else:
-            for _ in timed_solves():
-                gradients.append(seconds(lambda: problem.gradient(NormalForce(), [gap]))[0])
+            gradients.append(timed(comm, lambda: tape.gradient(goal, [gap]))[0])
         products = [solution.products for solution in solutions]
         free = problem.free_dofs
     load.value[:] = first

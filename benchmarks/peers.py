@@ -13,19 +13,12 @@ at stresses, not at residuals. `press_fit_steps`, a sequence of load steps with 
 in this way only, by the largest error of its steps. Each step starts from the last one; matrices
 are assembled once and, by this package, factored once.
 
-    cholesky, multigrid     this package, projected Newton with K factored or with multigrid
-    ssn, imssn, gimssn      algorithms of the paper, as implemented in this package; K factored
-    monolithic              semismooth Newton on (u, lambda), a sparse LU factorisation (MUMPS) each
-                            step; derivative of Hueeber, Stadler, Wohlmuth
-    monolithic_classical    the same with the derivative of Alart and Curnier
-    penalty, augmented      penalty method, and augmented Lagrangians by Uzawa's method, with MUMPS
-    getfem                  GetFEM (Debian: python3-getfem), its own assembly and Newton method
-    scikit_fem              scikit-fem's assembly, and the method of `monolithic` in scipy, whose
-                            sparse LU factorisation scikit-fem takes (SuperLU); PyPI
-    mpgp                    Dostal's modified proportioning with gradient projections; K factored
-    fista                   accelerated projected gradients with restarts; K factored
-    clarabel_*, scs_*       cone programs: primal, sparse in (u, bounds of slips), or dual, with
-                            the dense A (a product for each multiplier, many at once); PyPI
+The peers are this package, with K factored or with multigrid; the paper's algorithms as implemented
+here; semismooth Newton on (u, lambda) with a sparse LU factorisation (MUMPS) in each step, penalty
+method and Uzawa's method likewise; GetFEM (Debian: python3-getfem) and scikit-fem (PyPI) with their
+own assembly, the latter with SciPy's SuperLU; first-order methods with K factored; and the conic
+solvers Clarabel and SCS (PyPI): primal, sparse in (u, bounds of slips), or dual, with the dense A
+(a product for each multiplier, many at once). `peer_solvers/` has a file for each kind.
 
 A peer is stopped if a run takes more than --limit seconds, and is then skipped on larger meshes. A
 peer that is not installed is skipped, too. GetFEM is installed by
@@ -42,13 +35,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
 from harness.figure import new_figure, plain_ticks, save
 from harness.memory import peak_memory, reset_peak_memory
-from harness.timing import spread, timed
+from harness.timing import timed
 from peer_solvers import (
     cones,
     getfem_bricks,
@@ -133,31 +125,56 @@ def ours(method: str, stiffness: str = "cholesky") -> Solve:
     return partial(package.solve, method=method, stiffness=stiffness)
 
 
-def peers(rtol: float) -> dict[str, tuple[Solve, tuple[float, ...]]]:
-    """Return name of the peer -> function that solves, and tolerances to try."""
+def peers(rtol: float) -> dict[str, tuple[str, Solve, tuple[float, ...]]]:
+    """Return name of the peer -> title, function that solves, and tolerances to try."""
     parts = tuple(part * rtol for part in PARTS)
     return {
-        "cholesky": (ours("projected_newton"), parts),
-        "multigrid": (ours("projected_newton", "multigrid"), parts),
-        "ssn": (ours("ssn"), parts),
-        "imssn": (ours("imssn"), parts),
-        "gimssn": (ours("gimssn"), parts),
-        "monolithic": (monolithic.solve, STEPS),
-        "monolithic_classical": (partial(monolithic.solve, classical=True), STEPS),
-        "penalty": (regularised.penalty, STEPS),
-        "augmented": (regularised.augmented, STEPS),
-        "getfem": (getfem_bricks.solve, FORCES),
-        "scikit_fem": (scikit_fem_bricks.solve, STEPS),
-        "mpgp": (gradients.mpgp, (rtol,)),
-        "fista": (gradients.fista, (rtol,)),
-        "clarabel_primal": (partial(cones.primal, solver="clarabel"), CLARABEL),
-        "clarabel_dual": (partial(cones.dual, solver="clarabel"), CLARABEL),
-        "scs_primal": (partial(cones.primal, solver="scs"), SCS),
-        "scs_dual": (partial(cones.dual, solver="scs"), SCS),
+        "cholesky": ("**ours, Cholesky**", ours("projected_newton"), parts),
+        "multigrid": ("**ours, multigrid**", ours("projected_newton", "multigrid"), parts),
+        "ssn": ("SSN of the paper", ours("ssn"), parts),
+        "imssn": ("IMSSN of the paper", ours("imssn"), parts),
+        "gimssn": ("GIMSSN of the paper", ours("gimssn"), parts),
+        "monolithic": (
+            "monolithic semismooth Newton, Hueeber, Stadler, Wohlmuth",
+            monolithic.solve,
+            STEPS,
+        ),
+        "monolithic_classical": (
+            "monolithic semismooth Newton, Alart and Curnier",
+            partial(monolithic.solve, classical=True),
+            STEPS,
+        ),
+        "penalty": ("penalty method, Newton", regularised.penalty, STEPS),
+        "augmented": ("augmented Lagrangians (Uzawa), Newton", regularised.augmented, STEPS),
+        "getfem": ("GetFEM, its own assembly and Newton method", getfem_bricks.solve, FORCES),
+        "scikit_fem": (
+            "scikit-fem's assembly, semismooth Newton in SciPy",
+            scikit_fem_bricks.solve,
+            STEPS,
+        ),
+        "mpgp": ("MPGP (Dostal)", gradients.mpgp, (rtol,)),
+        "fista": ("accelerated projected gradients (FISTA)", gradients.fista, (rtol,)),
+        "clarabel_primal": (
+            "Clarabel, primal cone program, sparse",
+            partial(cones.primal, solver="clarabel"),
+            CLARABEL,
+        ),
+        "clarabel_dual": (
+            "Clarabel, dual cone program, dense A",
+            partial(cones.dual, solver="clarabel"),
+            CLARABEL,
+        ),
+        "scs_primal": (
+            "SCS, primal cone program, sparse",
+            partial(cones.primal, solver="scs"),
+            SCS,
+        ),
+        "scs_dual": ("SCS, dual cone program, dense A", partial(cones.dual, solver="scs"), SCS),
     }
 
 
-PEERS = tuple(peers(1.0))
+#: Name of a peer -> its name in tables and the picture.
+PEERS = {name: title for name, (title, _, _) in peers(1.0).items()}
 
 #: Tolerances to try with `--error`; each peer has its own meaning of a tolerance.
 ERRORS = tuple(10.0**-k for k in range(1, 13))
@@ -179,7 +196,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
             peer in ON_BRICKS and scene not in two_bricks.ENDS
         )
         if not left_out:
-            yield {**case, "repeats": arguments.repeats}
+            yield case
 
 
 def prepare(case: Row, rows: list[Row]) -> Row:
@@ -192,7 +209,7 @@ def prepare(case: Row, rows: list[Row]) -> Row:
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Solve with ever smaller tolerances until the residual is small enough; yield each answer."""
-    solve, tolerances = peers(case["rtol"])[case["peer"]]
+    _, solve, tolerances = peers(case["rtol"])[case["peer"]]
     wanted = case.get("error")
     if wanted:
         tolerances = ERRORS
@@ -201,12 +218,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     for tolerance in tolerances:
         if tolerance > case["loosest"] and len(tolerances) > 1:
             continue
-        seconds = []
-        for _ in range(case["repeats"]):
-            restart_clock()
-            reset_peak_memory()
-            needed, answer = timed(comm, lambda tolerance=tolerance: solve(scene, tolerance))
-            seconds.append(needed)
+        restart_clock()
+        reset_peak_memory()
+        seconds, answer = timed(comm, lambda tolerance=tolerance: solve(scene, tolerance))
         peak = peak_memory(comm)
         restart_clock()
         errors = judge(scene, answer, exact)
@@ -215,9 +229,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         else:
             reached = errors["residual"] <= ROUNDING * case["rtol"]
         yield {
-            "seconds": median(seconds),
-            "repeats": len(seconds),
-            "spread": spread(seconds),
+            "seconds": seconds,
             **answer.work,
             "tolerance": tolerance,
             **errors,
@@ -229,29 +241,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             break
 
 
-#: Name of a peer -> its name in the picture.
-NAMES = {
-    "cholesky": "dolfinx_tresca, Cholesky",
-    "multigrid": "dolfinx_tresca, multigrid",
-    "ssn": "SSN of the paper",
-    "imssn": "IMSSN of the paper",
-    "gimssn": "GIMSSN of the paper",
-    "monolithic": "monolithic Newton (Hüeber, Stadler, Wohlmuth)",
-    "monolithic_classical": "monolithic Newton (Alart, Curnier)",
-    "penalty": "penalty method",
-    "augmented": "augmented Lagrangians (Uzawa)",
-    "getfem": "GetFEM",
-    "scikit_fem": "scikit-fem, SciPy",
-    "mpgp": "MPGP (Dostál)",
-    "fista": "accelerated projected gradients",
-    "clarabel_primal": "Clarabel, primal cone program",
-    "clarabel_dual": "Clarabel, dual cone program",
-    "scs_primal": "SCS, primal cone program",
-    "scs_dual": "SCS, dual cone program",
-}
 TITLES = {
-    "free_end_1": "load on the upper brick: some nodes stick",
-    "free_end_2": "load on the lower brick: all nodes slip",
+    "free_end_1": "free_end_1: some nodes stick",
+    "free_end_2": "free_end_2: all nodes slip",
 }
 
 
@@ -306,10 +298,10 @@ def draw(path: Path, rows: list[Row]) -> None:
         panel.grid(axis="x", lw=0.4, color="0.85")
         panel.spines[["top", "right"]].set_visible(False)
     first = panels[0][0]
-    first.set_yticks(range(len(peers)), [NAMES[peer] for peer in peers])
+    first.set_yticks(range(len(peers)), [PEERS[peer].strip("*") for peer in peers])
     first.invert_yaxis()
     for label, peer in zip(first.get_yticklabels(), peers, strict=True):
-        label.set_fontweight("bold" if peer in PEERS[:2] else "normal")
+        label.set_fontweight("bold" if PEERS[peer].startswith("**") else "normal")
     handles = [
         Line2D([], [], ls="", marker="o", color=look, ms=6, label=f"{n:,} unknowns")
         for n, look in looks.items()
@@ -321,28 +313,6 @@ def draw(path: Path, rows: list[Row]) -> None:
         handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
     )
     save(figure, path)
-
-
-#: Name of a peer -> its name in the table, in ASCII and often with more words than in the picture.
-LONG_NAMES = {
-    "cholesky": "**ours, Cholesky**",
-    "multigrid": "**ours, multigrid**",
-    "ssn": "SSN of the paper",
-    "imssn": "IMSSN of the paper",
-    "gimssn": "GIMSSN of the paper",
-    "monolithic": "monolithic semismooth Newton, Hueeber, Stadler, Wohlmuth",
-    "monolithic_classical": "monolithic semismooth Newton, Alart and Curnier",
-    "penalty": "penalty method, Newton",
-    "augmented": "augmented Lagrangians (Uzawa), Newton",
-    "getfem": "GetFEM, its own assembly and Newton method",
-    "scikit_fem": "scikit-fem's assembly, semismooth Newton in SciPy",
-    "mpgp": "MPGP (Dostal)",
-    "fista": "accelerated projected gradients (FISTA)",
-    "clarabel_primal": "Clarabel, primal cone program, sparse",
-    "clarabel_dual": "Clarabel, dual cone program, dense A",
-    "scs_primal": "SCS, primal cone program, sparse",
-    "scs_dual": "SCS, dual cone program, dense A",
-}
 
 
 #: Scenes and sizes in the table.
@@ -382,7 +352,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
     parser.add_argument("--rtol", type=float, default=1e-6, help="relative natural residual")
     parser.add_argument("--error", type=float, help="of the stresses, instead of --rtol")
-    parser.add_argument("--repeats", type=int, default=1, help="runs of which the median is taken")
 
 
 BENCHMARK = Benchmark(
@@ -392,7 +361,7 @@ BENCHMARK = Benchmark(
     cases=cases,
     prepare=prepare,
     measure=measure,
-    small={"N": 4, "rtol": 1e-2, "repeats": 1, "loosest": 1.0},
+    small={"N": 4, "rtol": 1e-2, "loosest": 1.0},
     options=options,
     draw=draw,
     shown=[
@@ -414,7 +383,7 @@ BENCHMARK = Benchmark(
         Table(
             "peers",
             [
-                Column("solver", lambda rows: LONG_NAMES[rows[0]["peer"]]),
+                Column("solver", lambda rows: PEERS[rows[0]["peer"]]),
                 *(seconds_of(*shown) for shown in SHOWN),
             ],
             chosen=lambda row: "error" not in row and (row["scene"], row["N"]) in SHOWN,
@@ -424,7 +393,7 @@ BENCHMARK = Benchmark(
             "peers_error",
             [
                 Column("scene", "{scene}"),
-                Column("solver", lambda rows: LONG_NAMES[rows[0]["peer"]]),
+                Column("solver", lambda rows: PEERS[rows[0]["peer"]]),
                 Column("n", "{n}"),
                 Column("processor seconds", seconds),
                 Column("factorisations", "{factorisations}", missing=DASH),
@@ -438,7 +407,7 @@ BENCHMARK = Benchmark(
         Table(
             "peers_steps",
             [
-                Column("solver", lambda rows: LONG_NAMES[rows[0]["peer"]]),
+                Column("solver", lambda rows: PEERS[rows[0]["peer"]]),
                 Column("n", "{n}"),
                 Column("processor seconds", seconds),
                 Column("over ours", "{over_ours:.1f}", missing=DASH),

@@ -2,18 +2,40 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 from mpi4py import MPI
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from harness.factorisations import Factorisations
+from petsc4py import PETSc
 
 import dolfinx_tresca.dual.products.compliance
 from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca
 from scenes.patches import patch
 from scenes.two_bricks import bricks_problem, two_bricks
+
+
+class Factorisations:
+    """Counts factorisations in a `with` block.
+
+    The block is a new stage of PETSc's log, since PETSc does not count further in a stage in which
+    an error has occurred.
+    """
+
+    def __enter__(self) -> Factorisations:
+        PETSc.Log.begin()  # no effect if PETSc counts already
+        self._stage = PETSc.Log.Stage("factorisations")
+        self._events = [PETSc.Log.Event(name) for name in ("MatCholFctrNum", "MatLUFactorNum")]
+        self._stage.push()
+        self._before = self._all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stage.pop()
+
+    @property
+    def count(self) -> int:
+        """Number of factorisations since the block began."""
+        return self._all() - self._before
+
+    def _all(self) -> int:
+        return sum(int(event.getPerfInfo()["count"]) for event in self._events)
 
 
 def multipliers(comm, problem) -> int:

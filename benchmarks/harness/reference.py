@@ -31,11 +31,6 @@ Array = np.ndarray
 RULE = (2, basix.QuadratureType.default)
 
 
-def energy_norm(scene: Scene, u: Any) -> float:
-    """Return |u|_K of a displacement on the mesh of a scene."""
-    return float(fem.assemble_scalar(fem.form(ufl.action(ufl.action(scene.a, u), u)))) ** 0.5
-
-
 @dataclass(frozen=True)
 class Samples:
     """Points and weights of a quadrature rule on all or some cells of a mesh."""

@@ -58,7 +58,10 @@ def primal(scene: Any, tolerance: float, solver: str) -> Answer:
     tangential[order] = z[m:]
     return Answer(
         np.concatenate([z[:m], -tangential[nodes:]]),
-        {"iterations": iterations, **_factorisations(solver, iterations)},
+        {
+            "iterations": iterations,
+            "factorisations": iterations if solver == "clarabel" else 1,
+        },
         status,
     )
 
@@ -115,10 +118,6 @@ def _cone_order(node: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     owner = np.concatenate([np.arange(nodes), node])
     order = np.argsort(owner, kind="stable")
     return order, np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=nodes))])
-
-
-def _factorisations(solver: str, iterations: int) -> dict[str, int]:
-    return {"factorisations": iterations if solver == "clarabel" else 1}
 
 
 def _minimise(

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from peer_solvers.discrete import Answer, residual_norm
 from scenes.assembled import dual_program
 
@@ -38,72 +36,44 @@ def fista(scene: Any, rtol: float) -> Answer:
 
 
 def mpgp(scene: Any, rtol: float) -> Answer:
-    """Solve by modified proportioning with gradient projections (`proportioning`) for A."""
-    with dual_program(scene) as dual:
-        rho, residual = residual_norm(dual)
-        x, _, iterations = proportioning(
-            dual.operator.apply,
-            np.zeros_like(dual.b),
-            -dual.b,
-            dual.admissible,
-            1.9 * rho,
-            lambda x, r: residual(x, r) <= rtol,
-        )
-        _displacement(dual, x)
-        return Answer(x, _work(dual, iterations))
-
-
-def proportioning(
-    hessian: Callable[[np.ndarray], np.ndarray],
-    x: np.ndarray,
-    r: np.ndarray,
-    bounds: FeasibleSet,
-    alpha: float,
-    done: Callable[[np.ndarray, np.ndarray], bool],
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Minimise a quadratic function over Lambda by MPGP: conjugate gradients on faces.
+    """Solve by MPGP: modified proportioning with gradient projections.
 
     Dostal, Kozubek: "An optimal algorithm and superrelaxation for minimization of a quadratic
     function subject to separable convex constraints with applications" (2012); proportioning
     constant 1. Conjugate gradients hold all multipliers that are on a bound or on their circle;
     gradient projections move and free these multipliers.
-
-    Args:
-        hessian: function that multiplies a vector by the Hessian H.
-        x: (size,) first point, in Lambda.
-        r: (size,) gradient at x.
-        bounds: Lambda.
-        alpha: step length, recommended 1.9 / |H|.
-        done: function that says whether a point with its gradient is accurate enough.
-
-    Returns:
-        the last point, its gradient, and the number of iterations.
     """
-    free = _inside(bounds, x)
-    p = np.where(free, r, 0.0)
-    iterations = 0
-    while not done(x, r):
-        iterations += 1
-        reduced = (x - bounds.project(x - alpha * r)) / alpha
-        inner, boundary = np.where(free, reduced, 0.0), np.where(free, 0.0, reduced)
-        end = None
-        if boundary @ boundary > inner @ r:  # not proportional
-            end = bounds.project(x - alpha * r)
-        else:
-            image = hessian(p)
-            step = (r @ p) / (p @ image)
-            longest = _longest_step(bounds, x, p)
-            x, r = x - min(step, longest) * p, r - min(step, longest) * image
-            if step > longest:  # to the boundary, and along it
-                end = bounds.project(x - alpha * np.where(free, r, 0.0))
+    with dual_program(scene) as dual:
+        bounds = dual.admissible
+        rho, residual = residual_norm(dual)
+        alpha = 1.9 * rho
+        x, r = np.zeros_like(dual.b), -dual.b
+        free = _inside(bounds, x)
+        p = np.where(free, r, 0.0)
+        iterations = 0
+        while residual(x, r) > rtol:
+            iterations += 1
+            reduced = (x - bounds.project(x - alpha * r)) / alpha
+            inner, boundary = np.where(free, reduced, 0.0), np.where(free, 0.0, reduced)
+            end = None
+            if boundary @ boundary > inner @ r:  # not proportional
+                end = bounds.project(x - alpha * r)
             else:
-                gradient = np.where(free, r, 0.0)
-                p = gradient - (gradient @ image) / (p @ image) * p
-        if end is not None:
-            x, r = end, r + hessian(end - x)
-            free = _inside(bounds, x)
-            p = np.where(free, r, 0.0)
-    return x, r, iterations
+                image = dual.operator.apply(p)
+                step = (r @ p) / (p @ image)
+                longest = _longest_step(bounds, x, p)
+                x, r = x - min(step, longest) * p, r - min(step, longest) * image
+                if step > longest:  # to the boundary, and along it
+                    end = bounds.project(x - alpha * np.where(free, r, 0.0))
+                else:
+                    gradient = np.where(free, r, 0.0)
+                    p = gradient - (gradient @ image) / (p @ image) * p
+            if end is not None:
+                x, r = end, r + dual.operator.apply(end - x)
+                free = _inside(bounds, x)
+                p = np.where(free, r, 0.0)
+        _displacement(dual, x)
+        return Answer(x, _work(dual, iterations))
 
 
 def _inside(bounds: Any, x: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca import ContactProblem
 from peer_solvers.discrete import MANY, Answer, apply_load_steps
 
 #: Relative natural residual of the solution that counts as the exact discrete solution.
@@ -15,9 +14,7 @@ REFERENCE = 1e-9
 
 def solve(scene: Any, rtol: float, method: str, stiffness: str) -> Answer:
     """Solve by a method of the package, from forms to fields, each load step from the last."""
-    with ContactProblem(
-        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=stiffness
-    ) as problem:
+    with scene.problem(stiffness=stiffness) as problem:
         steps = []
         for step in apply_load_steps(scene):
             if step > 0:

@@ -5,7 +5,7 @@ Tatara 1991. The ball is pressed by 0.144 mm, and by 1/256 of this distance, whi
 1/16 as wide: the theory holds for small contacts. The theory neglects tangential displacements,
 which change the gap on the inclined parts of the contact, relatively by about pressure / modulus;
 with Poisson's ratio 0.48 tangential displacements are very small. Hertz's values are values for the
-computed force. The argument is the cell size at the larger contact [mm].
+computed force.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ equal cylinders are pressed together; then a shift and a tension sigma in the lo
 together. The stick zone is as wide as without the tension (Cattaneo and Mindlin), but moves by
 sigma a / (4 mu p0), as long as it stays inside the contact. The middle and the width of the stick
 zone are computed from mu p minus the traction, which in theory is half an ellipse over the stick
-zone. The argument is the number of cells along a body.
+zone.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ computed with its release 5.4.2, with cells of degree 2 and its mesh `disc_P2_h0
 cells have the size 0.5. From the next coarser mesh to this mesh the displacements of the nodes and
 the pressure at the lowest point change by at most 4e-5 of themselves. Strains are linear, although
 the disc is flattened by more than a third of its height. In the vertical direction only contact
-holds the disc. The argument is the cell size.
+holds the disc.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@ flat side is loaded by a pressure of 0.2. The values are displacements of nodes 
 from `hertz_simple_test_results.json`; the coordinates of the nodes are in `hertz_simple_test.mdpa`.
 Cells are of degree 1, eleven along the half width of the contact. The flat side is held sideways:
 the parameters of the test do not say so, but with this condition the displacements downwards agree
-to 0.1 %, and without it the displacements across would be 1.5 times as large. The argument is the
-cell size at the contact.
+to 0.1 %, and without it the displacements across would be 1.5 times as large.
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ degree 2, eight along the half width of the contact, and `half_symm_q4`, of degr
 `frictionless_kin_check2`, `frictionless_kin_check_cont_press_0035`, and `glued_pen_check2`, where
 nodes that touch are glued to the plane in each of ten load steps. Here they stick by Coulomb's law
 with a coefficient that no traction exceeds. The pressure in the middle is the peak of half an
-ellipse that is fitted to MOOSE's values at vertices or at midpoints of cells. The argument is the
-cell size at the contact.
+ellipse that is fitted to MOOSE's values at vertices or at midpoints of cells.
 """
 
 from __future__ import annotations

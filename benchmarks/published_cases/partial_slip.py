@@ -1,8 +1,7 @@
 """Partial slip: two equal cylinders are pressed together and drawn aside (Cattaneo, Mindlin).
 
 K. L. Johnson, Contact Mechanics, section 7.2; the scene of `tests/validation/test_cattaneo.py`,
-which has a cycle, and 3D. The values of theory are values for the computed forces. The argument is
-the number of cells along a body.
+which has a cycle, and 3D. The values of theory are values for the computed forces.
 """
 
 from __future__ import annotations

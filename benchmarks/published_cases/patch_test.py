@@ -2,7 +2,7 @@
 
 R. L. Taylor and P. Papadopoulos, On a patch test for contact problems in two dimensions, 1991. The
 test has all kinds of cells, degrees 1 and 2, meshes that match ("node to node"), and meshes that do
-not match ("mortar"). The argument is the number of cells along the contact.
+not match ("mortar").
 """
 
 from __future__ import annotations

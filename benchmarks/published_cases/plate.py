@@ -5,7 +5,7 @@ published displacements come from the Code_Aster manual V6.04.128. They are mean
 programs, to three digits, whose uncertainty the manual calls important; and values of Code_Aster's
 test ssnv128a, with penalties in contact and friction and 32 cells along a side. The nodal force is
 Code_Aster's, too; here it is the integral of the pressure times the hat function of that node in
-Code_Aster's mesh. The argument is the number of cells along a side of the plate.
+Code_Aster's mesh.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
 K. L. Johnson, Contact Mechanics, section 2.8: the stresses below the punch oscillate at its edges,
 and the pressure in the middle is 2 (1 - nu) / sqrt(3 - 4 nu) times the pressure without friction, P
 / (pi a). Nodes are bonded, since with a coefficient of friction of 5 slip at the edges changes the
-pressure in the middle by 0.2 %. The argument is the cell size at the edge of the punch, divided by
-the half width of the punch.
+pressure in the middle by 0.2 %.
 """
 
 from __future__ import annotations

@@ -5,11 +5,11 @@ contact problems in elasticity, J. Appl. Mech. 50, 1983; N. Kikuchi and J. T. Od
 in Elasticity, 1988: an elastic block with a pressure on its top and a pressure on one side is held
 only by a rigid plane with friction. Their dimensions, loads and figures were not at hand. The data
 here are our own, in plane strain, chosen so that a part of the contact opens, a part slips and a
-part sticks. Our values are compared with values of GetFEM 5.4.4
-(`benchmarks/peer_solvers/getfem_block.py`), with 128 cells along the block, conditions of the
-multipliers that are integrals instead of nodal, and GetFEM's own assembly and Newton method.
-GetFEM's values with 64 cells differ by at most 7e-4 of themselves, the lift by 3e-3. The argument
-is the number of cells along the block; cells become smaller towards the corners on the plane.
+part sticks. Our values are compared with values of GetFEM 5.4.4 (its script: "Measured once" in
+`benchmarks/README.md`), with 128 cells along the block, conditions of the multipliers that are
+integrals instead of nodal, and GetFEM's own assembly and Newton method. GetFEM's values with 64
+cells differ by at most 7e-4 of themselves, the lift by 3e-3. The argument is the number of cells
+along the block; cells become smaller towards the corners on the plane.
 """
 
 from __future__ import annotations
@@ -40,43 +40,6 @@ def graded(x: np.ndarray) -> np.ndarray:
     return np.stack([across, HEIGHT * x[:, 1] ** 2], axis=1)
 
 
-def quantities(
-    places: np.ndarray,
-    u: np.ndarray,
-    x: np.ndarray,
-    p: np.ndarray,
-    q: np.ndarray,
-    on_left: tuple[float, float],
-) -> dict[str, float]:
-    """Return the values of the quantities for a solution.
-
-    Args:
-        places: (n, 2) positions of the nodes.
-        u: (n, 2) displacements of the nodes.
-        x: (m,) distances of the contact nodes from the left end, ascending.
-        p: (m,) pressures.
-        q: (m,) shear stresses.
-        on_left: parts of the normal force and of the friction force on the left half.
-    """
-
-    def at(*place: float) -> np.ndarray:
-        """Return the displacement of the node at a position."""
-        return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
-
-    below = np.flatnonzero(places[:, 1] < 1e-9)
-    below = below[np.argsort(places[below, 0])]
-    found = (
-        at(0.0, HEIGHT)[0],
-        -at(WIDTH, HEIGHT)[1],
-        *at(0.0, 0.0),
-        np.interp(0.25 * WIDTH, places[below, 0], u[below, 0]),
-        np.interp(0.5 * WIDTH, x, p),
-        np.interp(0.5 * WIDTH, x, q),
-        *on_left,
-    )
-    return CASE.named(*found)
-
-
 def solve(comm: MPI.Comm, n: float) -> Result:
     """Solve with n cells along the block and n / 2 cells over its height. Collective."""
     body = Body((int(n), int(n) // 2), [(0.0, 1.0), (0.0, 1.0)], move=graded)
@@ -95,10 +58,24 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     places, u = displacements(comm, solution)
     q = np.abs(q)
     left = weights * np.where(np.isclose(x, 0.5 * WIDTH), 0.5, x < 0.5 * WIDTH)
-    on_left = left @ p / (weights @ p), left @ q / (weights @ q)
-    found = quantities(places, u, x, p, q, on_left)
+
+    def node_displacement(*place: float) -> np.ndarray:
+        return np.asarray(u[np.argmin(np.linalg.norm(places - place, axis=1))])
+
+    below = np.flatnonzero(places[:, 1] < 1e-9)
+    below = below[np.argsort(places[below, 0])]
+    values = CASE.named(
+        node_displacement(0.0, HEIGHT)[0],
+        -node_displacement(WIDTH, HEIGHT)[1],
+        *node_displacement(0.0, 0.0),
+        np.interp(0.25 * WIDTH, places[below, 0], u[below, 0]),
+        np.interp(0.5 * WIDTH, x, p),
+        np.interp(0.5 * WIDTH, x, q),
+        left @ p / (weights @ p),
+        left @ q / (weights @ q),
+    )
     shown = x < SHOWN
-    return Result(found, V, x[shown], q[shown])
+    return Result(values, V, x[shown], q[shown])
 
 
 CASE = Case.read(__file__, solve)

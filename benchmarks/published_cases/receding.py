@@ -3,8 +3,7 @@
 L. M. Keer, J. Dundurs and K. C. Tsai, Problems involving a receding contact between a layer and a
 half space, J. Appl. Mech. 39, 1972. Under any load the layer lifts off, except on a strip whose
 width does not depend on the load. The width and the pressure of theory solve the integral equation
-for a load on a narrow strip, with the Fourier transforms of both bodies (`theory`). The argument is
-the cell size at the contact, divided by the thickness of the layer.
+for a load on a narrow strip, with the Fourier transforms of both bodies (`theory`).
 """
 
 from __future__ import annotations

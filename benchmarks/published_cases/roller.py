@@ -8,8 +8,6 @@ relatively by about pressure / modulus. Two bodies of 105 GPa have together the 
 the steel and the aluminium body, but equal displacements along the contact. The displacement of the
 middle of the block is compared with Code_Aster's test `ssnp154a` (manual V6.03.154, with large
 strains) and with a reference value, which the manual attributes to Abaqus and Marc.
-
-The argument is the cell size at the larger contact [mm].
 """
 
 from __future__ import annotations

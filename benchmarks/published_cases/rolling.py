@@ -7,8 +7,6 @@ creepage of xi leaves a stick zone of the half width c = a - xi R / mu, and the 
 mu P (1 - (c/a)^2). The half width a of the contact is Hertz's value for the computed force P.
 Without creepage the whole contact sticks. Without friction the force is a smooth function of the
 position: it is compared with a fitted parabola. Sliding is finite.
-
-The argument is the cell size along the way, in half widths of the contact.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
 D. A. Spence, An eigenvalue problem for elastic contact with finite friction, Proc. Camb. Phil. Soc.
 73, 1973: the part of the contact that sticks does not depend on the load. The values of theory are
 solutions of the integral equations of the half-plane (K. L. Johnson, Contact Mechanics, section
-2.4) with constant tractions on strips that become smaller towards the edge (`theory`). The argument
-is the cell size at the edge of the punch, divided by the half width of the punch.
+2.4) with constant tractions on strips that become smaller towards the edge (`theory`).
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ revolution, without friction and with F = 0.1. Published values are those of Cod
 `ssna122a` (cells of degree 1) and `ssna122b` (degree 2), in the manual V6.01.122 (SSNA122): the
 displacement of the middle of the foundation, and the axial stress there. Our displacement is the
 value at the node where the axis meets the surface; our pressure is the value, in the middle, of an
-even function that is fitted to the inner half of the flat face. The argument is the cell size [mm]
-at the end of the flat face.
+even function that is fitted to the inner half of the flat face.
 """
 
 from __future__ import annotations

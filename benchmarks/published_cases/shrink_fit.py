@@ -1,7 +1,6 @@
 """A ring shrunk on a hollow shaft, with meshes that do not match: Lamé's solution.
 
-S. Timoshenko and J. N. Goodier, Theory of Elasticity, section 28, in plane strain. The argument is
-the number of cells round a quarter of the ring.
+S. Timoshenko and J. N. Goodier, Theory of Elasticity, section 28, in plane strain.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ the middle, a part of the punch lifts off. The contact then begins at a corner, 
 4 P / (pi E* beta), four times the distance of the force from the corner. A shear force Q, applied
 after P, leaves a stick zone at the corner. Its width is the width of the contact under the force P
 - Q / F: (1 - Q / (F P)) l. The half-plane is incompressible, so shear and pressure do not depend on
-each other. The argument is the cell size at the edges of the punch, divided by the half width a.
+each other.
 """
 
 from __future__ import annotations

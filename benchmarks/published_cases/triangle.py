@@ -15,7 +15,7 @@ of shear stress to pressure is F_c. The prescribed loads and displacements belon
 stress with the pressure N and the shear stress T on the plane. So the displacements of the sticking
 and of the slipping triangle are linear functions, which every mesh represents exactly. If T / N is
 between F_c and F, the triangle may stick, slip or be open; below F_c there is one solution for each
-load. The argument is the number of cells along a side.
+load.
 """
 
 from __future__ import annotations
@@ -131,9 +131,6 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         force, width = comm.allreduce(sums)
         return float(force / width) / PRESSED, nodal(solution.u).copy()
 
-    def size(first: np.ndarray, second: np.ndarray) -> float:
-        return float(comm.allreduce(float((first * second).sum())))
-
     with problem_of(one, BELOW) as problem:
         slips, _ = after(problem, SLIPS)
     with problem_of(one, BELOW) as problem:
@@ -148,14 +145,10 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         _, u = after(problem, JUMP)
     with problem_of(one, BEYOND, gap=1.0) as problem:
         _, free = after(problem, JUMP)
-    found = (
-        (SLIPS - BELOW * slips) / (1.0 - slips),
-        ray,
-        cold,
-        three,
-        size(u, free) / size(free, free),
-    )
-    return Result(CASE.named(*found), one.V, PULLS, path)
+    along_free, whole = comm.allreduce(np.array([(u * free).sum(), (free * free).sum()]))
+    critical = (SLIPS - BELOW * slips) / (1.0 - slips)
+    values = CASE.named(critical, ray, cold, three, along_free / whole)
+    return Result(values, one.V, PULLS, path)
 
 
 ALL = by_group({"sticks": 1.0, "slips": slipping(THREE, BEYOND), "open": 0.0})

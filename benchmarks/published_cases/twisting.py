@@ -4,8 +4,7 @@ J. L. Lubkin, The torsion of elastic spheres in contact, J. Appl. Mech. 18, 1951
 Contact of elastic spheres under an oscillating torsional couple, J. Appl. Mech. 21, 1954. Equal
 bodies do not slip while they are pressed together, and a twist does not change Hertz's pressure.
 Slip begins at the edge of the contact; within the radius c both faces turn as rigid discs. The
-theory is for half-spaces, with the computed force. The argument is the number of cells along a
-body.
+theory is for half-spaces, with the computed force.
 """
 
 from __future__ import annotations
