@@ -12,9 +12,9 @@ same solver. Times are processor seconds of the first rank, which depend less on
 machine than wall-clock times. Figures are medians; one process runs the solvers in turns.
 
 With `--cells adaptive` a mesh of tetrahedra, with 4 cells along each brick, is refined where
-displacements are singular: N times for degree 1, and N / 2 times for degree 2. The levels of
-multigrid are then the meshes from which the mesh was refined. "GAMG of all of K" has no such
-levels, like multigrid on unrefined meshes of degree 1. The command for these rows is:
+displacements are singular: N times for degree 1, and N / 2 times for degree 2. (In the stored rows
+the meshes from which a mesh was refined are levels of multigrid; now it is GAMG for degree 1.) The
+command for these rows is:
 
     tools/fenicsx python3 benchmarks/degree_2.py --cells adaptive --sizes 8 12 --solvers multigrid \
         "GAMG of all of K" Cholesky --contact --json benchmarks/data/degree_2.json

@@ -95,9 +95,6 @@ class BisectedCells:
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
-        ends: (nodes, 2) the two ends of the edge of which the node is the middle; for a corner,
-            twice the corner itself. Corners have the numbers that they got when the mesh was
-            created.
         shared: numbering of the nodes over all ranks.
     """
 
@@ -105,7 +102,6 @@ class BisectedCells:
     opposite: npt.NDArray[np.bool_]
     nodes: npt.NDArray[np.intp]
     points: Array
-    ends: npt.NDArray[np.int64]
     shared: SharedNodes
 
     @classmethod
@@ -163,7 +159,6 @@ class BisectedCells:
             opposite=twice == 0,
             nodes=nodes.reshape(-1, dim + 1),
             points=0.5 * (x[begins] + x[ends]),
-            ends=np.column_stack([keys // total, keys % total]),
             shared=SharedNodes(comm, keys, total**2),
         )
 

@@ -25,7 +25,6 @@ from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
-from dolfinx_tresca.stiffness.levels import Bisection, remember
 
 #: Step to which logarithms of errors are rounded when they go to other ranks.
 LOGARITHM_STEP = 1e-6
@@ -194,8 +193,6 @@ def _cut(
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
-    ends = cells.shared.kept(cells.ends.astype(np.float64)).astype(np.int64)
-    remember(fine, Bisection(mesh, sum(comm.allgather(len(ends))[: comm.rank]), ends))
     numbers_of = cells.shared.numbers
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:

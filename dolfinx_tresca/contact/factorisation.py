@@ -22,7 +22,6 @@ from dolfinx_tresca.stiffness.choice import (
     choose,
     solver_for,
 )
-from dolfinx_tresca.stiffness.levels import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -118,11 +117,9 @@ class Factorisation:
             method,
             dim * self.bodies.mean_nodes,
             dim,
-            V.element.basix_element.degree,
             expected_solves,
             self._linear.comm,
             saddle=self._linear.component is not None,
-            refined=is_nested(V),
         )
 
     def check_suits(self, options: SolverOptions) -> None:
