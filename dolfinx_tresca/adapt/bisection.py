@@ -39,16 +39,12 @@ class BisectedCells:
         opposite: (n, d + 1, d + 1) whether a corner of the cell (second index) lies on the facet of
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) nodes of `mesh` at the corners of each cell.
-        ends: (nodes, 2) for each node of `mesh` that this rank owns the two ends of the edge of
-            which it is the middle; for a corner of the old mesh, twice this corner. Corners have
-            the numbers that they got when the old mesh was created.
     """
 
     mesh: Any
     parent: npt.NDArray[np.int32]
     opposite: npt.NDArray[np.bool_]
     nodes: Indices
-    ends: npt.NDArray[np.int64]
 
     @classmethod
     def from_marked(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
@@ -87,11 +83,7 @@ class BisectedCells:
         begin, end = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         begin, end = (np.take_along_axis(corners, which, axis=1) for which in (begin, end))
         fine.geometry.x[nodes] = 0.5 * (mesh.geometry.x[begin] + mesh.geometry.x[end])
-        in_file = np.asarray(mesh.geometry.input_global_indices)
-        ends = np.zeros((len(fine.geometry.x), 2), dtype=np.int64)
-        ends[nodes] = np.sort(in_file[np.stack([begin, end], axis=2)], axis=2)
-        owned = fine.geometry.index_map().size_local
-        return cls(fine, parent, twice == 0, nodes.astype(np.intp), ends[:owned])
+        return cls(fine, parent, twice == 0, nodes.astype(np.intp))
 
     @property
     def numbers(self) -> npt.NDArray[np.int64]:

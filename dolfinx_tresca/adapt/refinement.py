@@ -23,7 +23,6 @@ from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
-from dolfinx_tresca.stiffness.levels import Bisection, remember
 
 #: Relative difference of squared errors that counts as rounding.
 TIE = 1e-9
@@ -116,7 +115,6 @@ def refine(
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
-    remember(fine, Bisection(mesh, index_map.local_range[0], cells.ends))
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:
         cell_nodes, cell_values = cells.inherited_cells(cell_tags)

@@ -139,8 +139,8 @@ class ContactSurfaces(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._drop_operators()
-        self.compliance.destroy()
-        self.jump.destroy()
+        for owner in (self.nodal_values, self.compliance, self.jump):
+            owner.destroy()
 
     @property
     def operators(self) -> tuple[ContactOperators, ...]:

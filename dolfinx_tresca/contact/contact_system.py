@@ -143,6 +143,7 @@ class ContactSystem(PetscOwner):
         self._destroyed = True
         self.surfaces.destroy()
         self.linear.destroy()
+        free_unused(self.comm)
 
     def forget(self) -> None:
         """Drop multipliers and products: the next solve starts from zero. Not collective."""

@@ -23,7 +23,6 @@ from dolfinx_tresca.stiffness.choice import (
     choose,
     solver_for,
 )
-from dolfinx_tresca.stiffness.levels import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -115,11 +114,9 @@ class Factorisation:
             self.stiffness,
             dim * self.bodies.mean_nodes,
             dim,
-            V.element.basix_element.degree,
             int(self.expected_solves),
             self.linear.comm,
             saddle=is_saddle,
-            refined=is_nested(V),
         )
 
     def check_suits(self, options: SolverOptions) -> None:

@@ -78,6 +78,7 @@ class JumpOperator(PetscOwner):
         discs: like `unbounded`, except at nodes with friction along only one of two tangents: the
             frictionless row has a disc of its own. These discs come after the discs of all nodes.
         reductions: sums over the ranks.
+        work: a vector of unknowns, whose values the next call of any method may change.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class JumpOperator(PetscOwner):
         self.matrix = self._of_V if component is None else component.columns(self._of_V)
         if frames is not None:
             self.matrix = frames.columns(self._of_V)
-        self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
+        self._force, self.work = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.gap = self._gaps()
         self.unbounded = self._without_bounds()
@@ -117,7 +118,7 @@ class JumpOperator(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owned in (self._multipliers, self._jump, self._force, self._u, self.matrix):
+        for owned in (self._multipliers, self._jump, self._force, self.work, self.matrix):
             owned.destroy()
         if self._of_V is not self.matrix:
             self._of_V.destroy()
@@ -317,8 +318,8 @@ class JumpOperator(PetscOwner):
 
     def of_values(self, u: Array) -> Array:
         """Return B u for the values of u on this rank. Collective."""
-        self._u.array = u
-        return self.of_unknowns(self._u)
+        self.work.array = u
+        return self.of_unknowns(self.work)
 
     def of_columns(self, columns: csr_array) -> csr_array:
         """Return B U (size, k) for a sparse matrix U (unknowns of this rank, k). Collective."""

@@ -132,6 +132,10 @@ class NodalValues:
         #: the space keeps the id valid.
         self._interpolations: dict[int, tuple[Any, PETSc.Mat]] = {}
 
+    def destroy(self) -> None:
+        """Drop the interpolation matrices. Not collective."""
+        self._interpolations.clear()
+
     def scalars_at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar at nodes of this rank. Collective.
 

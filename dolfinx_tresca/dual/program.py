@@ -256,7 +256,7 @@ class DualProgram:
             error: error of u in the energy norm.
         """
         system = self.jump.system
-        force = u.duplicate()
+        force = system.K.createVecLeft()
         system.K.mult(u, force)
         inside = np.where(system.prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, system.signs * force.array))

@@ -152,7 +152,7 @@ class ElasticResponse(ABC):
         self._jump = compliance.jump
         self._system = self._jump.system
         self.offset = self._jump.gap + slip_origin - self._jump.of_frames
-        self._u = self._jump.matrix.createVecRight()
+        self._u = self._jump.work
         self._load_terms: tuple[float, Array] | None = None
 
     @classmethod

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from petsc4py import PETSc
 
+import numpy as np
+
+import dolfinx.fem.petsc
+from dolfinx import fem
+
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.levels import add_levels, has_levels, set_rigid_body_modes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 from dolfinx_tresca.stiffness.system import LinearSystem
-
-PACKAGE = "pc_factor_mat_solver_type"
-ON_ONE_RANK = "cholmod"
 
 #: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
 #: the default of 20, as for a column of 300 bodies.
@@ -26,8 +26,8 @@ SPARE_WORKSPACE = 200
 DEFAULTS = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
-    PACKAGE: "mumps",
-    # for small matrices CHOLMOD's default is LDL', which accepts negative pivots
+    "pc_factor_mat_solver_type": "mumps",
+    # where options choose CHOLMOD: its default for small matrices, LDL', accepts negative pivots
     "mat_cholmod_factor": "SUPERNODAL",
     "mat_cholmod_print": 0,  # PETSc reports errors
     # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among the
@@ -48,12 +48,6 @@ SADDLE = {
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
     """Return a solver with the Cholesky factors of K. Collective.
 
-    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If CHOLMOD
-    fails, MUMPS factors K, or gives the reason of the failure. CHOLMOD fails if PETSc is built
-    without it, if the factors have more entries than its 32-bit integers count, or if K is not
-    positive definite; in the last case it reports the first bad pivot only. The user's options may
-    choose another package.
-
     Args:
         K: the matrix.
         petsc_options: PETSc options in addition to the defaults.
@@ -62,12 +56,6 @@ def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None)
     Raises:
         StiffnessError: K is not positive definite, or the factorisation failed.
     """
-    given = {*petsc_options, *(PETSc.Options(prefix).getAll() if prefix else ())}
-    chosen = any(name == PACKAGE or name.startswith("mat_mumps_") for name in given)
-    if K.comm.size == 1 and not chosen:
-        with suppress(StiffnessError):
-            faster = DEFAULTS | {PACKAGE: ON_ONE_RANK}
-            return StiffnessSolver("cholesky", K, faster, petsc_options, prefix)
     return StiffnessSolver("cholesky", K, DEFAULTS, petsc_options, prefix, check=_positive_pivots)
 
 
@@ -205,12 +193,10 @@ def multigrid(
 ) -> StiffnessSolver:
     """Return a solver for K by conjugate gradients with multigrid. Collective.
 
-    The level below a space of degree 2 is the space of degree 1 on the same mesh; the levels below
-    a space on a mesh from `adapt.refine` are spaces on the coarser meshes. Errors are smoothed on
-    each of these spaces, and GAMG is applied to the matrix P'KP of the coarsest space, with the
-    interpolation P to V, or to K if there are no levels below. If the options name a `pc_type`,
-    GAMG or another, this preconditioner is applied to K; if they name a smoother, `CHEBYSHEV`
-    completes its options.
+    For degree 2, errors are smoothed on V and on the space of degree 1 on the same mesh, and GAMG
+    is applied to the matrix P'KP of the latter, with the interpolation P; for degree 1, GAMG is
+    applied to K. If the options name a `pc_type`, GAMG or another, this preconditioner is applied
+    to K; if they name a smoother, `CHEBYSHEV` completes its options.
 
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
@@ -219,7 +205,7 @@ def multigrid(
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
             apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
-            from the coarsest space downwards.
+            below degree 1.
         prefix: prefix of the options in PETSc's database.
 
     Raises:
@@ -233,8 +219,8 @@ def multigrid(
 
     smoother = GAUSS_SEIDEL if K.comm.size == 1 and not any(map(named, SMOOTHERS)) else CHEBYSHEV
     gamg = GAMG | smoother
-    if not has_levels(V) or named("pc_type"):
-        set_rigid_body_modes(K, V)
+    if V.element.basix_element.degree == 1 or named("pc_type"):
+        _set_rigid_body_modes(K, V)
         return StiffnessSolver("multigrid", K, KRYLOV | gamg, petsc_options, prefix)
     levels = {"pc_type": "mg", **COARSEST, **smoother}
     levels.update({f"mg_coarse_{name}": value for name, value in gamg.items()})
@@ -243,10 +229,61 @@ def multigrid(
         for name, value in petsc_options.items()
         if name.startswith(("pc_gamg_", "mg_levels_"))
     }
-    prepare = partial(add_levels, K=K, V=V, prescribed=prescribed)
+    prepare = partial(_add_degree_1, K=K, V=V, prescribed=prescribed)
     return StiffnessSolver(
         "multigrid", K, KRYLOV | levels, below | dict(petsc_options), prefix, prepare
     )
+
+
+def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
+    """Set up a preconditioner as multigrid with a level of degree 1 below degree 2. Collective.
+
+    The matrix of the level is P'KP, with the interpolation P between the spaces. It needs no
+    further compiled form, and includes additions to K, such as the springs of floating bodies.
+
+    Args:
+        pc: preconditioner of a KSP whose matrix is K.
+        K: the matrix, with identity rows and columns for prescribed values.
+        V: the space of degree 2.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
+    """
+    coarse = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
+    P = dolfinx.fem.petsc.interpolation_matrix(coarse, V)
+    P.assemble()
+    free = K.createVecLeft()
+    free.array = ~prescribed
+    ones = P.copy()
+    ones.chop(0.99)  # common nodes have a 1, and other nodes smaller entries
+    coarse_free = ones.createVecRight()
+    ones.multTranspose(free, coarse_free)
+    coarse_free.array = coarse_free.array.round()
+    # if either scaling is left out, corrections change prescribed values, and far more iterations
+    # are needed
+    P.diagonalScale(free, coarse_free)
+    # a copy drops data for further products, which are larger than the matrix
+    matrix = K.ptap(P).copy()
+    held = matrix.getOwnershipRange()[0] + np.flatnonzero(coarse_free.array == 0.0)
+    matrix.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
+    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    _set_rigid_body_modes(matrix, coarse)
+    pc.setType(PETSc.PC.Type.MG)
+    pc.setMGLevels(2)
+    pc.setMGInterpolation(1, P)
+    pc.getMGSmoother(0).setOperators(matrix)
+
+
+def _set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
+    """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
+
+    Each mode moves all bodies together as one rigid body, so it is a rigid motion of each body,
+    too: one set of modes serves any number of bodies.
+    """
+    nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
+    points = PETSc.Vec().createMPI(
+        (dim * nodes.size_local, dim * nodes.size_global), bsize=dim, comm=K.comm
+    )
+    points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
+    K.setNearNullSpace(PETSc.NullSpace().createRigidBody(points))
 
 
 #: Name of a solver for K.
@@ -260,6 +297,7 @@ class CholeskyLimits(NamedTuple):
     """Largest numbers of degrees of freedom of a body for which K is factored by default.
 
     The cost of factors grows with the square of the size of each body, not of all bodies together.
+    It hardly depends on the degree of the displacements.
 
     Attributes:
         once: limit for one contact solve; above it multigrid is faster.
@@ -272,20 +310,12 @@ class CholeskyLimits(NamedTuple):
     most: int
 
 
-#: Limits by the dimension of space and the degree of displacements. For degree 2, K has more
-#: entries than for degree 1, but its factors have hardly more entries, and multigrid is set up
-#: faster, since the next level has degree 1.
+#: Limits by the dimension of space. With twice the limits for one solve in 3D, solves in between
+#: take up to twice the time.
 CHOLESKY_LIMITS = {
-    (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
-    (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
-    (3, 1): CholeskyLimits(50_000, 25_000, 300_000),
-    (3, 2): CholeskyLimits(40_000, 25_000, 300_000),
+    2: CholeskyLimits(800_000, 400_000, 3_000_000),
+    3: CholeskyLimits(50_000, 25_000, 300_000),
 }
-
-#: Limits for meshes that were refined where the error is large. Most of their cells are along edges
-#: and surfaces: few unknowns separate such cells, so factors are sparse, while multigrid needs more
-#: iterations at singular edges.
-REFINED_LIMITS = CHOLESKY_LIMITS | {(3, 2): CholeskyLimits(200_000, 25_000, 300_000)}
 
 
 def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
@@ -321,12 +351,10 @@ def choose(
     method: StiffnessMethod,
     size: float,
     dim: int,
-    degree: int,
     expected_solves: int,
     comm: Any,
     *,
     saddle: bool = False,
-    refined: bool = False,
 ) -> tuple[ChosenMethod, str]:
     """Return the name of the solver for K, and the reason for the choice. Not collective.
 
@@ -337,11 +365,9 @@ def choose(
         size: number of degrees of freedom of a body, averaged over the degrees of freedom instead
             of over the bodies, so that large bodies decide.
         dim: dimension of space.
-        degree: degree of the displacements.
         expected_solves: expected number of contact solves with the same K.
         comm: communicator of the log.
         saddle: whether K belongs to a mixed space.
-        refined: whether the mesh was refined from coarser meshes, which multigrid can use.
     """
     if method != "auto":
         return method, "requested"
@@ -349,12 +375,12 @@ def choose(
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
-    once, further, most = (REFINED_LIMITS if refined else CHOLESKY_LIMITS)[dim, degree]
+    once, further, most = CHOLESKY_LIMITS[dim]
     limit = min(once + (expected_solves - 1) * further, most)
     chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
-        f"(limit for {expected_solves} solve(s), degree {degree}, {dim}D{', refined' * refined})"
+        f"(limit for {expected_solves} solve(s) in {dim}D)"
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason

@@ -50,6 +50,10 @@ class Component:
         rows = csr_array(entries, shape=(owned, whole.size_global))
         self._parts = sparse_matrix(rows, (whole.size_local, whole.size_global), space.mesh.comm)
 
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._parts.destroy()
+
     def extract(self, w: fem.Function) -> fem.Function:
         """Return this component of a Function w on the mixed space. Not collective.
 

@@ -139,6 +139,8 @@ class LinearSystem(PetscOwner):
         """Free the PETSc matrices. Collective."""
         self.K.destroy()
         self._columns = None
+        if self.component is not None:
+            self.component.destroy()
 
     @property
     def form_of_displacement(self) -> bool:
@@ -270,8 +272,8 @@ class LinearSystem(PetscOwner):
         Returns:
             a new vector, owned by the caller.
         """
-        inside, result = u.copy(), u.duplicate()
-        inside.array[self.prescribed] = 0.0
+        inside, result = self.K.createVecs()
+        inside.array = np.where(self.prescribed, 0.0, u.array)
         self.K.mult(inside, result)
         result.axpy(1.0, self.forces_of(u.array[self.prescribed]))
         result.aypx(-1.0, forces)
@@ -329,17 +331,14 @@ class LinearSystem(PetscOwner):
         Args:
             u: displacement, with prescribed values.
         """
-        inside = u.copy()
-        inside.array[self.prescribed] = 0.0
-        Ku = u.duplicate()
+        inside, Ku = self.K.createVecs()
+        inside.array = np.where(self.prescribed, 0.0, u.array)
         self.K.mult(inside, Ku)
-        forces = self.forces_of(u.array[self.prescribed])
-        mirrored = u.copy()  # only displacements have nonzero prescribed values
-        mirrored.array = self.signs * u.array
-        energy = inside.dot(forces) + mirrored.dot(forces)
-        inside.array = self.signs * inside.array
-        energy += inside.dot(Ku)
-        return 0.5 * float(energy)
+        forces = self.forces_of(u.array[self.prescribed]).array
+        # only displacements have nonzero prescribed values
+        work = (inside.array + self.signs * u.array) @ forces
+        work += (self.signs * inside.array) @ Ku.array
+        return 0.5 * float(self.comm.allreduce(work))
 
     def assemble_forces(self) -> fem.Function:
         """Return the forces of L alone, without the effect of prescribed values. Collective."""

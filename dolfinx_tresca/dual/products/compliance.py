@@ -81,6 +81,7 @@ class ContactCompliance(PetscOwner):
         self.operator.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
+        vars(self).pop("certificate", None)
         if "near_field" in vars(self):
             self.near_field.destroy()
         self.operator.destroy()
