@@ -30,7 +30,7 @@ from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord, Ne
 from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem
 from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
+from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Preload, Tresca
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import (
     ContactForce,
@@ -85,6 +85,7 @@ __all__ = [
     "NormalForce",
     "OutsideTheoryError",
     "PairingError",
+    "Preload",
     "PressureNorm",
     "ProcessTape",
     "ProgressBar",

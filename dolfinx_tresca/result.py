@@ -27,7 +27,7 @@ from dolfinx_tresca.output.summary import contact_rows, error_rows
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
-from dolfinx_tresca.solution.resultants import Resultant
+from dolfinx_tresca.solution.resultants import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -126,6 +126,7 @@ class ContactSolution(Evaluation, Tabulated):
             `read_gmsh`), with the number of the body if several bodies share this tag. Bodies
             without such a tag have their number as name.
         timings: seconds of each phase, the largest over the ranks.
+        bolts: name of each pair with a `Preload` -> force in the bolt, and its change [force].
 
     Example:
         With the cube of `ContactProblem`:
@@ -151,6 +152,7 @@ class ContactSolution(Evaluation, Tabulated):
     q: tuple[float, ...]
     timings: dict[str, float]
     sliding: str
+    bolts: dict[str, BoltForce]
 
     @property
     def surface(self) -> SurfaceFields:
@@ -333,7 +335,7 @@ class ContactSolution(Evaluation, Tabulated):
             ("residual", f"{self.residuals[-1]:.1e} relative"),
             *error_rows(self),
             ("requested", self.options.target),
-            *contact_rows(self, self.units),
+            *contact_rows(self, self.units, self.bolts),
             ("seconds", f"{total:.2f}: {', '.join(phases)}"),
         ]
 

@@ -7,6 +7,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, TypeAlias, cast
 
+from dolfinx import fem
+
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction_curve import FrictionCurve, curve_of
@@ -331,6 +333,51 @@ class Bonded:
 
     def __str__(self) -> str:
         return "bonded"
+
+
+@dataclass(frozen=True)
+class Preload(Bonded):
+    """The two faces at which a bolt was cut, pulled together by the force in the bolt.
+
+    In the first load step, the faces overlap so far that the force in the bolt is the given one.
+    When this step is accepted, the overlap stays: the bolt is locked, and its force follows from
+    the loads (`ContactSolution.bolts`). Along the cut, and against tilting, the faces are bonded.
+
+    Attributes:
+        force: force in the bolt [force], positive in tension; in 2D per unit of thickness. A
+            `fem.Constant` may be changed before a solve.
+
+    Example:
+        >>> from dolfinx_tresca import Preload
+        >>> str(Preload(20e3))
+        'preload 20000'
+    """
+
+    force: float | fem.Constant
+
+    def __post_init__(self) -> None:
+        """Check the force.
+
+        Raises:
+            InputError: the force is not a finite number.
+        """
+        if not math.isfinite(self.value):
+            raise InputError(f"the force of a preload must be finite, found {shown(self.force)}.")
+
+    @property
+    def value(self) -> float:
+        """The present force [force].
+
+        Raises:
+            InputError: the force is not a number.
+        """
+        number = real(getattr(self.force, "value", self.force))
+        if number is None:
+            raise InputError(f"the force of a preload must be a number, found {shown(self.force)}.")
+        return number
+
+    def __str__(self) -> str:
+        return f"preload {self.value:g}"
 
 
 #: The law of a contact pair.

@@ -40,6 +40,18 @@ class RigidMotion:
         R = Rotation.from_rotvec(rotation_vector).as_matrix()
         return cls(R, point - R @ point + translation)
 
+    def after(self, earlier: RigidMotion) -> RigidMotion:
+        """Return an earlier motion, followed by this one."""
+        return RigidMotion(
+            self.rotation @ earlier.rotation,
+            self.rotation @ earlier.translation + self.translation,
+        )
+
+    @property
+    def inverse(self) -> RigidMotion:
+        """The motion that takes points back."""
+        return RigidMotion(self.rotation.T, -self.rotation.T @ self.translation)
+
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction of the way to another motion.
 
