@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import pickle
 import traceback
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -21,6 +22,9 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.lines import fill
 
 _logger = logging.getLogger("dolfinx_tresca")
+
+#: The last warnings of this process, for reports; more of them would hide the result.
+RECENT_WARNINGS: deque[str] = deque(maxlen=20)
 
 #: Warnings (message, subject) logged so far in a block of `each_warning_once`; None outside of such
 #: a block.
@@ -56,6 +60,8 @@ def log(
             once for each subject.
     """
     logged = _logged_warnings.get()
+    if comm.rank == 0 and level >= logging.WARNING:
+        RECENT_WARNINGS.append(message % args)
     if comm.rank > 0 or not _logger.isEnabledFor(level):
         return
     if logged is not None and (message, about) in logged:

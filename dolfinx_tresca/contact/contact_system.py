@@ -394,6 +394,7 @@ class ContactSystem(PetscOwner):
             q=dual_solution.q,
             timings=largest_over_ranks(self.comm, timings),
             sliding=sliding,
+            problem_rows=self.rows(units),
             bolts=surfaces.bolt_forces(evaluation.pair_resultants),
             **vars(evaluation),
         )

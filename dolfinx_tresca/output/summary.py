@@ -215,7 +215,7 @@ def contact_rows(
         rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
         rows += abridged(between, "pairs of bodies")
     bolt_rows = [
-        ("  bolt", f"{name}: {number(bolt.force, 'force')}, change {number(bolt.change, 'force')}")
+        ("bolt", f"{name}: {number(bolt.force, 'force')}, change {number(bolt.change, 'force')}")
         for name, bolt in bolts.items()
     ]
     rows += abridged(bolt_rows, "bolts")

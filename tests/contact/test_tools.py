@@ -57,12 +57,13 @@ def largest(comm, values):
 
 
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
-def test_a_punch_pressed_by_a_force_is_a_punch_moved_to_this_force(comm, stiffness):
+def test_a_punch_pressed_by_a_force_is_a_punch_moved_to_this_force(comm, stiffness, caplog):
     moved, held = plane(), plane()
     moved.move_to((0, 0, -1e-3))
     scene = under(comm, moved)
     expected = scene.problem().solve(rtol=RTOL)
     force = expected.pair_resultants[0].force
+    assert not caplog.records
     held.held_by(force=force, free=("z",))
     solution = scene.but(primary=held).problem(stiffness=stiffness).solve(rtol=RTOL)
     solution.raise_if_failed()
