@@ -29,7 +29,14 @@ from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord, Ne
 from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem
 from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import Bonded, Coulomb, FrictionCurve, Frictionless, Tresca
+from dolfinx_tresca.scene.friction import (
+    Bonded,
+    Coulomb,
+    FrictionCurve,
+    Frictionless,
+    Preload,
+    Tresca,
+)
 from dolfinx_tresca.scene.goal import (
     ContactForce,
     MeanPressure,
@@ -82,6 +89,7 @@ __all__ = [
     "NormalForce",
     "OutsideTheoryError",
     "PairingError",
+    "Preload",
     "PressureNorm",
     "ProcessTape",
     "ProgressBar",

@@ -17,7 +17,6 @@ import numpy as np
 
 import dolfinx
 
-import dolfinx_tresca
 from dolfinx_tresca.output.table import Row, as_text
 from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
 
@@ -34,8 +33,9 @@ PACKAGES = (
 def environment() -> str:
     """Return a table of the versions of all software and of missing packages. Not collective."""
     versions = [(name, _version(name)) for name in PACKAGES]
+    package = sys.modules["dolfinx_tresca"]
     rows: list[Row] = [
-        ("package", f"dolfinx_tresca {dolfinx_tresca.__version__}, {_folder(dolfinx_tresca)}"),
+        ("package", f"dolfinx_tresca {package.__version__}, {_folder(package)}"),
         ("Python", f"{sys.version.split()[0]}, {sys.executable}"),
         ("machine", f"{platform.platform()}, {os.cpu_count()} processors"),
         ("DOLFINx", f"{dolfinx.__version__}, {_folder(dolfinx)}"),

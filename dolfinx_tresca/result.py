@@ -13,6 +13,8 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import integer
+from dolfinx_tresca._base.atomic_write import atomic_write
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import (
     ContactError,
     ConvergenceError,
@@ -23,11 +25,12 @@ from dolfinx_tresca.errors import (
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import io, plot
 from dolfinx_tresca.output.grid import Field
+from dolfinx_tresca.output.report import page
 from dolfinx_tresca.output.summary import contact_rows, error_rows
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
-from dolfinx_tresca.solution.forces import Resultant
+from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -126,6 +129,8 @@ class ContactSolution(Evaluation, Tabulated):
             `read_gmsh`), with the number of the body if several bodies share this tag. Bodies
             without such a tag have their number as name.
         timings: seconds of each phase, the largest over the ranks.
+        problem_rows: names and values in the table of the problem.
+        bolts: name of each pair with a `Preload` -> force in the bolt, and its change [force].
 
     Example:
         With the cube of `ContactProblem`:
@@ -151,6 +156,8 @@ class ContactSolution(Evaluation, Tabulated):
     q: tuple[float, ...]
     timings: dict[str, float]
     sliding: str
+    bolts: dict[str, BoltForce]
+    problem_rows: list[Row]
 
     @property
     def surface(self) -> SurfaceFields:
@@ -316,6 +323,34 @@ class ContactSolution(Evaluation, Tabulated):
         """Save a picture, or return it; see `dolfinx_tresca.output.plot.plot`. Collective."""
         return plot.plot(path, self.u, self.surfaces, scale=scale, units=self.units)
 
+    def report(self, path: str | Path, *, steps: Sequence[ContactSolution] = ()) -> None:
+        """Write a report: one HTML page, which needs neither a server nor a network. Collective.
+
+        It has the table and the picture of the solution, the forces between bodies as a graph, the
+        load steps, the table of the problem, the last warnings, the versions of all software, and
+        the script. The first rank needs pyvista and matplotlib, as for `plot`.
+
+        Args:
+            path: the `.html` file; the first rank's path counts.
+            steps: the solutions of earlier load steps, for a table.
+
+        Raises:
+            InputError: the path does not end in .html, `steps` are no solutions, or the file cannot
+                be written.
+            ContactError: there is no pyvista or matplotlib.
+        """
+        comm = self.u.function_space.mesh.comm
+        with errors_on_all_ranks(comm):
+            if comm.rank == 0 and Path(path).suffix != ".html":
+                raise InputError(f"a report is an .html file, found '{path}'.")
+            if not all(isinstance(step, ContactSolution) for step in steps):
+                raise InputError(f"steps must be a list of ContactSolution, found {shown(steps)}.")
+        picture = self.plot()
+        with errors_on_all_ranks(comm):
+            if comm.rank == 0:
+                with atomic_write(Path(path)) as new:
+                    new.write_text(page(self, steps, picture), encoding="utf-8")
+
     def _rows(self) -> list[Row]:
         converged = self.status is ContactStatus.CONVERGED
         work = f"{self.iterations}, {self.products} products with A"
@@ -333,7 +368,7 @@ class ContactSolution(Evaluation, Tabulated):
             ("residual", f"{self.residuals[-1]:.1e} relative"),
             *error_rows(self),
             ("requested", self.options.target),
-            *contact_rows(self, self.units),
+            *contact_rows(self, self.units, self.bolts),
             ("seconds", f"{total:.2f}: {', '.join(phases)}"),
         ]
 

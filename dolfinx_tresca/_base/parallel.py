@@ -7,6 +7,7 @@ import pickle
 import textwrap
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -48,6 +49,9 @@ def fill(text: str, start: str = "", further: str = "  ") -> str:
 
 _logger = logging.getLogger("dolfinx_tresca")
 
+#: The last warnings of this process, for reports; more of them would hide the result.
+RECENT_WARNINGS: deque[str] = deque(maxlen=20)
+
 #: Warnings (message, subject) logged so far in a block of `each_warning_once`; None outside of such
 #: a block.
 _logged_warnings: ContextVar[set[tuple[str, str]] | None] = ContextVar(
@@ -82,6 +86,8 @@ def log(
             once for each subject.
     """
     logged = _logged_warnings.get()
+    if comm.rank == 0 and level >= logging.WARNING:
+        RECENT_WARNINGS.append(message % args)
     if comm.rank > 0 or not _logger.isEnabledFor(level):
         return
     if logged is not None and (message, about) in logged:

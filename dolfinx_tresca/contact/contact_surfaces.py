@@ -24,15 +24,18 @@ from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError, StiffnessError
+from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
-from dolfinx_tresca.scene.friction import Bonded
+from dolfinx_tresca.scene.friction import Bonded, Preload
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -185,12 +188,46 @@ class ContactSurfaces(PetscOwner):
         Raises:
             InputError: a gap is on another mesh.
         """
-        return [
+        gaps = [
             np.zeros(len(on.nodes))
             if pair.gap is None
             else self.nodal_values.scalars_at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
             for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
         ]
+        for number, pair in enumerate(self.pairs):
+            if isinstance(pair.friction, Preload):
+                axis = self.obstacles.axis(number, self.jump.pairs[number])
+                gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
+        return gaps
+
+    def bolt_forces(self, resultants: Sequence[Resultant]) -> dict[str, BoltForce]:
+        """Return the force in each bolt, by the name of its pair. Collective.
+
+        Args:
+            resultants: for each pair the resultant of contact on its secondary side.
+        """
+        result = {}
+        for number, (pair, resultant) in enumerate(zip(self.pairs, resultants, strict=True)):
+            if isinstance(pair.friction, Preload):
+                axis = self.obstacles.axis(number, self.jump.pairs[number])
+                force = float(resultant.force @ axis[: len(resultant.force)])
+                result[str(pair)] = BoltForce(force, force - pair.friction.value)
+        return result
+
+    def tools(self, bodies: Bodies) -> Tools | None:
+        """Return the obstacles and bolts with given forces; None if there are none. Collective.
+
+        Args:
+            bodies: the bodies of the mesh.
+
+        Raises:
+            InputError: see `Obstacles.free_motions`.
+        """
+        jump = self.jump
+        motions = self.obstacles.free_motions(jump, self._state.history.begun)
+        if not motions:
+            return None
+        return Tools.from_rows(motions, bodies, jump.by_pair, jump.stress_scale)
 
     def update_gaps(self) -> None:
         """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
@@ -249,6 +286,7 @@ class ContactSurfaces(PetscOwner):
     def accept(self, unconverged: bool) -> None:
         """Make the last solution a load step; see `StepState.after_solution`. Not collective."""
         self._state = self.state.after_solution(unconverged)
+        self.obstacles.advance(self._state.accepted.motions)
 
     @property
     def state(self) -> StepState:

@@ -29,12 +29,14 @@ from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.friction_checks import check_curves, check_curves_of_floating_bodies
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.errors import ContactError, MechanismError
+from dolfinx_tresca.errors import ContactError, InputError, MechanismError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.friction import Preload
+from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.scene_checks import (
@@ -166,6 +168,23 @@ class ContactSystem(PetscOwner):
         with errors_on_all_ranks(self.comm):
             return result + [pressed_values(*curve) for curve in curves]
 
+    def check_no_tools(self, purpose: str) -> None:
+        """Check that neither obstacles nor bolts have given forces. Not collective.
+
+        Args:
+            purpose: name of the result that does not know such motions, for the error.
+
+        Raises:
+            InputError: an obstacle is held by forces, or a pair has a preload.
+        """
+        for pair in self.pairs:
+            given = isinstance(pair.primary, RigidObstacle) and pair.primary.given_forces
+            if given or isinstance(pair.friction, Preload):
+                raise InputError(
+                    f"contact pair {pair}: {purpose} is not known with obstacles held by forces, "
+                    "and with preloads."
+                )
+
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
 
@@ -247,9 +266,11 @@ class ContactSystem(PetscOwner):
         if status in CHECKED and not solution.sliding:
             surfaces, u, v = self.surfaces, solution.u, solution.deformation
             paired, tractions = surfaces.state.geometry, solution.multipliers
+            step = surfaces.state.solution
+            places = surfaces.obstacles.motions if step is None else step.motions
             departures = [
                 *(motions_of_bodies(v, self._stiffness.bodies) if linear else ()),
-                *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions),
+                *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions, places),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:
@@ -315,8 +336,13 @@ class ContactSystem(PetscOwner):
             history = surfaces.history_of_solve()
             state = surfaces.state
             moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
+            tools = surfaces.tools(bodies)
+            if tools is not None and options.method != "projected_newton":
+                raise InputError("forces on obstacles and bolts need method='projected_newton'.")
             try:
-                dual = DualProgram.from_bounds(surfaces.compliance, surfaces.guess, bounds, history)
+                dual = DualProgram.from_bounds(
+                    surfaces.compliance, surfaces.guess, bounds, history, tools
+                )
             except MechanismError as error:
                 error.motion = _with_unit_maximum(error.motion, self.linear.V)
                 raise
@@ -336,6 +362,12 @@ class ContactSystem(PetscOwner):
         sliding = ""
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
+        motions = surfaces.obstacles.motions
+        if tools is not None:
+            motions = tools.places(dual.tool_motions(dual_solution.c), motions)
+            for surface, motion in zip(evaluation.surfaces, motions, strict=True):
+                if surface.obstacle is not None:
+                    surface.obstacle.motion = RigidMotion.from_matrix(motion)
         solution = StepSolution(
             status,
             dual,
@@ -346,6 +378,7 @@ class ContactSystem(PetscOwner):
             inputs,
             options,
             moved,
+            motions,
         )
         surfaces.state = replace(state, multipliers=dual_solution.multipliers, solution=solution)
         log(
@@ -365,6 +398,8 @@ class ContactSystem(PetscOwner):
             q=dual_solution.q,
             timings=largest_over_ranks(self.comm, timings),
             sliding=sliding,
+            problem_rows=self.rows(units),
+            bolts=surfaces.bolt_forces(evaluation.pair_resultants),
             **vars(evaluation),
         )
 
@@ -418,6 +453,6 @@ def _with_unit_maximum(values: Array, V: Any) -> fem.Function:
     motion = fem.Function(V, name="motion")
     lengths = np.linalg.norm(values.reshape(-1, V.dofmap.bs), axis=1)
     greatest = reduce_array(V.mesh.comm, lengths.max(initial=0.0), MPI.MAX)
-    motion.x.array[: len(values)] = values / greatest
+    motion.x.array[: len(values)] = values / (greatest or 1.0)  # zero where tools move
     motion.x.scatter_forward()
     return motion

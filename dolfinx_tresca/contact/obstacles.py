@@ -16,13 +16,23 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
-from dolfinx_tresca.scene.friction import Frictionless
-from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.floating.tools import FreeMotion
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.friction import Frictionless, Preload
+from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+
+#: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
+#: this number (a tenth of a degree is 1.5e-6).
+FLAT = 1e-6
 
 
 class Obstacles:
-    """The rigid obstacles of a problem, and their distances when the surfaces were paired."""
+    """The rigid obstacles of a problem, and their distances when the surfaces were paired.
+
+    The two sides of a cut bolt have a motion, too: the secondary side, relative to the primary one.
+    """
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
         """Find the obstacles of the pairs. Not collective.
@@ -36,16 +46,20 @@ class Obstacles:
             pair.primary if isinstance(pair.primary, RigidObstacle) else None for pair in pairs
         ]
         self._at_pairing: list[Array] = []
+        self._of_bodies = np.tile(RigidMotion.none().matrix, (len(pairs), 1, 1))
 
     @property
     def motions(self) -> Array:
-        """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle; identity if it has none."""
-        none = RigidMotion.none()
-        motions = (none if obstacle is None else obstacle.motion for obstacle in self._obstacles)
-        return np.array([motion.matrix for motion in motions])
+        """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt; else identity."""
+        motions = self._of_bodies.copy()
+        for number, obstacle in enumerate(self._obstacles):
+            if obstacle is not None:
+                motions[number] = obstacle.motion.matrix
+        return motions
 
     @motions.setter
     def motions(self, motions: Array) -> None:
+        self._of_bodies = motions.copy()
         for obstacle, matrix in zip(self._obstacles, motions, strict=True):
             if obstacle is not None:
                 obstacle.motion = RigidMotion.from_matrix(matrix)
@@ -66,6 +80,91 @@ class Obstacles:
                 ends = RigidMotion.from_matrix(start), RigidMotion.from_matrix(end)
                 place[:] = ends[0].towards(ends[1], fraction, obstacle.centre).matrix
         return result
+
+    def axis(self, number: int, operators: PairOperators) -> Array:
+        """Return the mean normal (3,) of the secondary side of a bolt's cut. Collective.
+
+        Raises:
+            InputError: the cut is not flat.
+        """
+        comm, axis = self._V.mesh.comm, np.zeros(3)
+        dim = operators.normals.shape[1]
+        mean = reduce_array(comm, operators.weights @ operators.normals)
+        axis[:dim] = mean / (np.linalg.norm(mean) or 1.0)
+        tilt = 1.0 - (operators.normals @ axis[:dim]).min(initial=1.0)
+        if comm.allreduce(tilt, op=MPI.MAX) > FLAT:
+            raise InputError(
+                f"contact pair {self._pairs[number]} with a preload must be a flat cut across one "
+                "bolt: cut the bolt by a plane, and give each bolt a pair of its own."
+            )
+        return axis
+
+    def free_motions(self, jump: JumpOperator, begun: bool) -> list[FreeMotion]:
+        """Return the motions of obstacles held by forces, and of bolts that are pulled. Collective.
+
+        Args:
+            jump: B.
+            begun: whether a load step was accepted, which has locked the bolts.
+
+        Raises:
+            InputError: an obstacle cannot have a motion here, the problem is not linear, or an
+                obstacle that is held by forces belongs to a pair with finite sliding.
+        """
+        result: list[FreeMotion] = []
+        for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
+            if isinstance(pair.friction, Preload) and not begun:
+                direction = np.append(self.axis(number, jump.pairs[number]), np.zeros(3))
+                force, point = pair.friction.value, np.zeros(3)
+                result.append(
+                    FreeMotion(f"bolt {pair}", "overlap", [number], direction, point, force)
+                )
+            elif obstacle is not None and obstacle.given_forces is not None:
+                if pair.sliding == "finite":
+                    raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
+                numbers = [k for k, primary in enumerate(self._obstacles) if primary is obstacle]
+                if number == numbers[0]:
+                    result += self._motions_of(obstacle, obstacle.given_forces, numbers, jump)
+        if result and jump.system.is_tangent:
+            raise InputError("obstacles held by forces, and preloads, need a ContactProblem.")
+        return result
+
+    def _motions_of(
+        self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
+    ) -> list[FreeMotion]:
+        """Return the free motions of an obstacle that belongs to some pairs. Collective.
+
+        Raises:
+            InputError: the obstacle cannot have a motion here.
+        """
+        names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
+        free = names if given.free is None else given.free
+        if not set(free) <= set(names):
+            raise InputError(
+                f"{obstacle} may be free along {', '.join(names)} here, found {shown(free)}."
+            )
+        point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
+        places = np.vstack([jump.pairs[number].places for number in numbers])
+        arms = np.abs(places - point[: places.shape[1]]).max(initial=0.0)
+        size = float(reduce_array(self._V.mesh.comm, arms, MPI.MAX)) or 1.0
+        load, result = np.append(given.force(), given.moment()), []
+        for name in free:
+            turns = name.startswith("r")
+            direction = np.eye(6)[FREEDOMS[3].index(name)] / (size if turns else 1.0)
+            label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
+            force = float(load @ direction)
+            result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
+        return result
+
+    def advance(self, motions: Array) -> None:
+        """Leave obstacles that forces hold, and bolts, where they are in a step. Not collective.
+
+        Args:
+            motions: (pairs, 3, 4) motions in the solution of the step.
+        """
+        self._of_bodies = motions.copy()
+        for obstacle, matrix in zip(self._obstacles, motions, strict=True):
+            if obstacle is not None and obstacle.given_forces is not None:
+                obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def note_pairing(self, jump: JumpOperator) -> None:
         """Record distances and normals at the nodes of a newly computed B. Collective.

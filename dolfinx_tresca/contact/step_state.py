@@ -65,6 +65,7 @@ class StepSolution:
         inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
         options: options of the contact algorithm.
         moved: (pairs,) whether the pair's obstacle moves in this load step.
+        motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
     """
 
     status: ContactStatus
@@ -76,6 +77,7 @@ class StepSolution:
     inputs: list[Array]
     options: SolverOptions
     moved: Mask
+    motions: Array
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,10 @@ class StepState:
         solution = self.acceptable(unconverged)
         w = solution.fields.w
         after = self.after_step(solution.history, self.jump.system.displacement(w.copy(), w.name))
-        return replace(after, accepted=replace(after.accepted, configuration=self.configuration))
+        accepted = replace(
+            after.accepted, configuration=self.configuration, motions=solution.motions
+        )
+        return replace(after, accepted=accepted)
 
     def acceptable(self, unconverged: bool) -> StepSolution:
         """Return the last solution if it can be accepted. Not collective.

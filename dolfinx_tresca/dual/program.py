@@ -22,7 +22,9 @@ from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.dual.response import ElasticResponse, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.floating.equilibrium import Equilibrium
+from dolfinx_tresca.floating.equilibrium import Equilibrium, FloatingBodies
+from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import KnownProducts
@@ -43,8 +45,8 @@ class DualProgram:
         compliance: A, and all data that depend on K only.
         response: the displacements caused by multipliers and the present load.
         admissible: all multipliers that the present laws of friction allow.
-        equilibrium: equilibrium of floating and softly held bodies; None if there are none.
-        constraints: linear equations of the multipliers: the equilibrium of floating bodies.
+        equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
+        constraints: linear equations of the multipliers: this equilibrium.
         history: slip and dissipation of the accepted load steps.
     """
 
@@ -62,6 +64,7 @@ class DualProgram:
         guess: InitialGuess,
         slip_bounds: Sequence[NodalBounds],
         history: SlipHistory | None = None,
+        tools: Tools | None = None,
     ) -> DualProgram:
         """Return the program for the system's present load, before any solve with K. Collective.
 
@@ -72,18 +75,25 @@ class DualProgram:
             guess: displacements of earlier solves.
             slip_bounds: slip bounds at the nodes of each pair.
             history: slip of the accepted load steps; None if there is none.
+            tools: obstacles and bolts with given forces; None if there are none.
 
         Raises:
-            MechanismError: contact cannot hold a floating body.
+            MechanismError: contact cannot hold a floating body or a tool.
         """
         jump = compliance.jump
         history = SlipHistory.none(jump) if history is None else history
         admissible = jump.bounded(slip_bounds)
         equilibrium = None
         constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
-        if compliance.floating is not None:
-            load = jump.system.f.x.petsc_vec.array
-            equilibrium = compliance.floating.under(load, admissible, jump.reductions)
+        floating, load = compliance.floating, jump.system.f.x.petsc_vec.array
+        if tools is not None:
+            if floating is None:
+                modes = RigidBodyModes.none(jump.system.V, tools.bodies)
+                U, jumps = csr_array((len(load), 0)), csr_array((len(jump.gap), 0))
+                floating = FloatingBodies(modes, U, csr_array((0, 0)), jumps, jump.row_nodes)
+            floating = floating.with_tools(tools)
+        if floating is not None:
+            equilibrium = floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
         response = ElasticResponse.from_compliance(compliance, guess, history.origin)
         return cls(compliance, response, admissible, equilibrium, constraints, history)
@@ -219,6 +229,17 @@ class DualProgram:
             return r, 0.0
         return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
 
+    def tool_motions(self, c: Array) -> Array:
+        """Return the motions of all tools at multipliers c of the constraints."""
+        if self.equilibrium is None:
+            return np.empty(0)
+        return np.asarray((self.equilibrium.factors * c)[len(self.equilibrium.bodies.modes) :])
+
+    def jump_of_tools(self, c: Array) -> Array:
+        """Return G c (size,) for the motions of tools alone."""
+        k = len(c) - len(self.tool_motions(c))
+        return np.asarray(self.constraints.columns[:, k:] @ c[k:])
+
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
@@ -243,16 +264,18 @@ class DualProgram:
         """Return |u|_K = sqrt(a(u, u)). Collective."""
         return float(np.sqrt(max(2.0 * self.jump.system.strain_energy(u.x.petsc_vec), 0.0)))
 
-    def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
+    def energies(self, x: Array, u: PETSc.Vec, c: Array, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
         J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and
         D(x) = 1/2 u'K u - f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u
-        is subtracted from D. All sums are over the degrees of freedom that are not prescribed.
+        is subtracted from D. All sums are over the degrees of freedom that are not prescribed. The
+        work of the forces on tools is part of f'u, and their motions are part of B u.
 
         Args:
             x: multipliers in Lambda.
             u: approximation of K^-1 (f - B'x).
+            c: multipliers of the constraints.
             error: error of u in the energy norm.
         """
         system = self.jump.system
@@ -261,7 +284,9 @@ class DualProgram:
         inside = np.where(system.prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, system.signs * force.array))
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
-        r = self.response.gradient_of(u)
+        r = self.response.gradient_of(u) - self.jump_of_tools(c)
+        k = len(c) - len(self.tool_motions(c))
+        work += float(self.constraints.values[k:] @ c[k:])
         friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array, eye_array, kron
+from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
@@ -15,6 +15,7 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, dense, scaled_
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.solvers.balance import balance
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
@@ -101,7 +102,7 @@ class Equilibrium:
         """Return a text with the sliding body, and the ratio of load and friction. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
-            f"Nothing holds {self.bodies.modes.describe(self.factors * deficit.motion)}. The loads "
+            f"Nothing holds {self.bodies.describe(self.factors * deficit.motion)}. The loads "
             f"along this motion are {times:.4g} times the friction that the pressures under these "
             "loads allow: the body slides without end. Prescribe its displacement instead of the "
             "load, reduce the load, or press harder"
@@ -112,7 +113,8 @@ class Equilibrium:
 class FloatingBodies:
     """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps.
 
-    `Equilibrium` combines the displacements U such that the fixing springs have no effect.
+    `Equilibrium` combines the displacements U such that the fixing springs have no effect. The
+    motions of tools follow the modes of bodies, with U = 0.
 
     Attributes:
         modes: the rigid body modes R.
@@ -121,6 +123,7 @@ class FloatingBodies:
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse.
         row_nodes: (size,) the node of each multiplier.
+        tools: the tools; None if there are none.
     """
 
     modes: RigidBodyModes
@@ -128,6 +131,22 @@ class FloatingBodies:
     stiffness: csr_array
     jumps: csr_array
     row_nodes: Indices
+    tools: Tools | None = None
+
+    def with_tools(self, tools: Tools) -> FloatingBodies:
+        """Return the bodies and tools. Not collective."""
+        U, stiffness, k = self.displacements.copy(), self.stiffness.copy(), len(tools.motions)
+        U.resize(U.shape[0], U.shape[1] + k)
+        stiffness.resize(U.shape[1], U.shape[1])
+        jumps = hstack([self.jumps, tools.jumps], format="csr")
+        return replace(self, displacements=U, stiffness=stiffness, jumps=jumps, tools=tools)
+
+    def describe(self, components: Array) -> str:
+        """Return in words the tools, or else the body, that move in motions. Collective."""
+        k = len(self.modes)
+        if self.tools is None or not self.modes.comm.bcast(bool(components[k:].any())):
+            return self.modes.describe(components[:k])
+        return str(self.modes.comm.bcast(self.tools.names(components[k:])))
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
         """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
@@ -160,7 +179,10 @@ class FloatingBodies:
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        bodies = self.modes.body
+        bodies, tools = self.modes.body, self.tools
+        if tools is not None:
+            owners = [self.modes.bodies.number + motion.pairs[0] for motion in tools.motions]
+            bodies = np.append(bodies, owners)
         carrying = scaled_rows(self.jumps, feasible_set.carrying.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
         length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
@@ -179,9 +201,11 @@ class FloatingBodies:
             moved[floats] = by_size[:, None] * motions
             motion = reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()])
             raise MechanismError(
-                f"nothing holds {self.modes.describe(moved)}{f'; nor {more} more' * (more > 0)}, "
+                f"nothing holds {self.describe(moved)}{f'; nor {more} more' * (more > 0)}, "
                 "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
-                "add a soft spring to a, or give the contact friction.",
+                "add a soft spring to a, or give the contact friction."
+                + " Leave this motion of a tool out of free=."
+                * (tools is not None),
                 self.displacements @ motion,
             )
         # modes without jumps are scaled by the stiffness of the springs that hold them, which
@@ -189,6 +213,10 @@ class FloatingBodies:
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
         resultants, sizes = self.resultants(load)
+        if tools is not None:
+            given = np.array([motion.force for motion in tools.motions])
+            resultants[-len(given) :] = given
+            sizes[-len(given) :] = np.abs(given)
         values, own_sizes = factors * resultants, np.where(length > 0.0, factors * sizes, 0.0)
         of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
         coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
@@ -206,7 +234,7 @@ class FloatingBodies:
             if balanced.unbounded or (np.abs(balanced.excess) > most).any():
                 motion = factors * balanced.shift
                 raise MechanismError(
-                    f"no contact forces balance the loads on {self.modes.describe(motion)}. The "
+                    f"no contact forces balance the loads on {self.describe(motion)}. The "
                     "loads pull it off what it touches, tip it over, or overcome friction there: "
                     "look at their directions and at the friction, or hold the body by Dirichlet "
                     "conditions or springs.",

@@ -60,6 +60,13 @@ class RigidBodyModes:
     body: Indices
     mode_components: csr_array
 
+    @classmethod
+    def none(cls, V: Any, bodies: Bodies) -> RigidBodyModes:
+        """Return no modes: K holds the bodies. Not collective."""
+        components, none = bodies.rigid_modes(V.mesh.geometry.dim).T[:, :0], np.empty(0)
+        body, floats = none.astype(np.intp), none.astype(np.bool_)
+        return cls(V.mesh.comm, bodies, csr_array((0, 0)), none, floats, body, components)
+
     def __len__(self) -> int:
         return len(self.floats)
 

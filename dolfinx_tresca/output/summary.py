@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.forces import Resultant
+from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Quantity, Units, with_unit
 
@@ -154,7 +154,9 @@ def error_rows(results: Evaluation) -> list[Row]:
     return rows
 
 
-def contact_rows(results: Evaluation, units: Units | None) -> list[Row]:
+def contact_rows(
+    results: Evaluation, units: Units | None, bolts: Mapping[str, BoltForce]
+) -> list[Row]:
     """Return the rows of the contact, with the digits that the error of nodal values justifies."""
     counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
     dim = 3 if results.axisymmetric else dim  # forces on whole rings
@@ -210,6 +212,11 @@ def contact_rows(results: Evaluation, units: Units | None) -> list[Row]:
         ]
         rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
         rows += abridged(between, "pairs of bodies")
+    bolt_rows = [
+        ("bolt", f"{name}: {number(bolt.force, 'force')}, change {number(bolt.change, 'force')}")
+        for name, bolt in bolts.items()
+    ]
+    rows += abridged(bolt_rows, "bolts")
     primal, dual = results.primal_energy, results.dual_energy
     # both energies get enough digits to be distinguished
     apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
 from dolfinx_tresca.pairing.search.balls import Balls, blocks
@@ -421,9 +421,9 @@ def obstacle_integrals(
             inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
         depth = inside.max(axis=1, initial=0.0)
         seen = np.maximum(-on_surface[near].min(axis=1, initial=np.inf), 0.0)
-        depths = [depth.max(initial=0.0), (depth - seen).max(initial=0.0)]
-        deepest, unseen = reduce_array(comm, depths, MPI.MAX)
-        if unseen > UNSEEN_PART * deepest:
+        depths = [array.max(initial=0.0) for array in (depth, depth - seen, np.abs(points))]
+        deepest, unseen, extent = reduce_array(comm, depths, MPI.MAX)
+        if unseen > max(UNSEEN_PART * deepest, ROUNDING * extent):
             log(
                 comm,
                 "contact pair %s: the obstacle enters facets by up to %.3g, %.3g of it between "

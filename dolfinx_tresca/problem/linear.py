@@ -423,6 +423,7 @@ class ContactProblem(ContactProcess):
         """
         contact = self._contact
         contact.check_not_destroyed()
+        contact.check_no_tools(purpose)
         if contact.linear.component is not None:
             raise InputError(
                 f"{purpose} needs the form a of the displacement alone, and not that of a mixed "

@@ -340,6 +340,7 @@ class ContactProcess(PetscOwner, Tabulated):
             InputError: the goal is wrong.
         """
         self._contact.check_not_destroyed()
+        self._contact.check_no_tools("the value of a goal")
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._contact.solved
         if solved is None:

@@ -481,5 +481,50 @@ class Bonded:
         return "bonded"
 
 
+@dataclass(frozen=True)
+class Preload(Bonded):
+    """The two faces at which a bolt was cut, pulled together by the force in the bolt.
+
+    In the first load step, the faces overlap so far that the force in the bolt is the given one.
+    When this step is accepted, the overlap stays: the bolt is locked, and its force follows from
+    the loads (`ContactSolution.bolts`). Along the cut, and against tilting, the faces are bonded.
+
+    Attributes:
+        force: force in the bolt [force], positive in tension; in 2D per unit of thickness. A
+            `fem.Constant` may be changed before a solve.
+
+    Example:
+        >>> from dolfinx_tresca import Preload
+        >>> str(Preload(20e3))
+        'preload 20000'
+    """
+
+    force: float | fem.Constant
+
+    def __post_init__(self) -> None:
+        """Check the force.
+
+        Raises:
+            InputError: the force is not a finite number.
+        """
+        if not math.isfinite(self.value):
+            raise InputError(f"the force of a preload must be finite, found {shown(self.force)}.")
+
+    @property
+    def value(self) -> float:
+        """The present force [force].
+
+        Raises:
+            InputError: the force is not a number.
+        """
+        number = real(getattr(self.force, "value", self.force))
+        if number is None:
+            raise InputError(f"the force of a preload must be a number, found {shown(self.force)}.")
+        return number
+
+    def __str__(self) -> str:
+        return f"preload {self.value:g}"
+
+
 #: The law of a contact pair.
 Friction: TypeAlias = "DryFriction | Frictionless | Bonded"

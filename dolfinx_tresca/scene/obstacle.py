@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,18 @@ class RigidMotion:
         """
         R = Rotation.from_rotvec(rotation_vector).as_matrix()
         return cls(R, point - R @ point + translation)
+
+    def after(self, earlier: RigidMotion) -> RigidMotion:
+        """Return an earlier motion, followed by this one."""
+        return RigidMotion(
+            self.rotation @ earlier.rotation,
+            self.rotation @ earlier.translation + self.translation,
+        )
+
+    @property
+    def inverse(self) -> RigidMotion:
+        """The motion that takes points back."""
+        return RigidMotion(self.rotation.T, -self.rotation.T @ self.translation)
 
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction of the way to another motion.
@@ -92,15 +104,37 @@ class RigidMotion:
 SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
 
 
+#: Names of the motions that an obstacle may be free to make, by the dimension of space: along the
+#: axes, and about them.
+FREEDOMS = {2: ("x", "y", "rz"), 3: ("x", "y", "z", "rx", "ry", "rz")}
+
+
+class GivenForces(NamedTuple):
+    """Forces that hold an obstacle, see `RigidObstacle.held_by`.
+
+    Attributes:
+        force: function that returns the present force (3,) on the obstacle.
+        moment: function that returns the present moment (3,) about `about` [force length].
+        free: names of the motions that are free, of `FREEDOMS`; None: all.
+        about: (3,) point at which the force acts, at the obstacle's original place [length].
+    """
+
+    force: Callable[[], Array]
+    moment: Callable[[], Array]
+    free: tuple[str, ...] | None
+    about: Array
+
+
 class RigidObstacle:
     """A rigid obstacle of any shape, given by its signed distance.
 
     `RigidPlane`, `RigidSphere` and `RigidCylinder` are common shapes. In 2D the third coordinate of
     points is 0, and the third component of normals must be 0.
 
-    An obstacle is moved by `move_to`. Attributes of its shape cannot be changed, but Constants on
-    which its signed distance depends can be changed. Such a Constant is a parameter of the scene,
-    such as a position that is optimised: its change is not a motion, and does not count as slip.
+    An obstacle is moved by `move_to`, or by forces (`held_by`). Attributes of its shape cannot be
+    changed, but Constants on which its signed distance depends can be changed. Such a Constant is a
+    parameter of the scene, such as a position that is optimised: its change is not a motion, and
+    does not count as slip.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -117,7 +151,7 @@ class RigidObstacle:
     """
 
     # no other attributes can be set
-    __slots__ = ("_centre", "_constants", "_motion", "_name", "_signed_distance")
+    __slots__ = ("_centre", "_constants", "_given", "_motion", "_name", "_signed_distance")
 
     def __init__(
         self,
@@ -151,6 +185,7 @@ class RigidObstacle:
         self._name = str(name)
         self._centre: Array = np.zeros(3)
         self._motion = RigidMotion.none()
+        self._given: GivenForces | None = None
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self}>"
@@ -161,7 +196,14 @@ class RigidObstacle:
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
         values = [np.ravel(constant.value) for constant in self._constants]
-        return {"name": self._name, "motion": self._motion.matrix, "constants": values}
+        given = self._given
+        held = None if given is None else [given.force(), given.moment(), given.free, given.about]
+        return {
+            "name": self._name,
+            "motion": self._motion.matrix,
+            "constants": values,
+            "given forces": held,
+        }
 
     @property
     def constants(self) -> tuple[fem.Constant, ...]:
@@ -218,14 +260,61 @@ class RigidObstacle:
             >>> ball = RigidSphere(center=(0, 0, 1), radius=1)
             >>> ball.move_to(translation=(pi / 2, 0, 0), rotation=(0, pi / 2, 0))
         """
-        angle = real(rotation)
-        vector = (
-            _coordinates("rotation", rotation) if angle is None else np.array([0.0, 0.0, angle])
-        )
-        if (angle is None and np.shape(rotation) != (3,)) or not np.isfinite(vector).all():
-            raise InputError(f"rotation must be a number or 3 numbers, found {shown(rotation)}.")
+        vector = _axial_vector("rotation", rotation)
         centre = self._centre if about is None else _coordinates("about", about)
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
+
+    @property
+    def given_forces(self) -> GivenForces | None:
+        """The forces that hold the obstacle; None if it is where `move_to` has put it."""
+        return self._given
+
+    def held_by(
+        self,
+        force: npt.ArrayLike | fem.Constant = (0.0, 0.0, 0.0),
+        moment: npt.ArrayLike | fem.Constant = 0.0,
+        *,
+        free: Sequence[str] | None = None,
+        about: npt.ArrayLike | None = None,
+    ) -> None:
+        """Let forces hold the obstacle: its motion is then an unknown of each solve.
+
+        Not collective. Contact forces and the given forces are in equilibrium along all free
+        motions; the others stay as `move_to` prescribes them. A solve finds small motions from the
+        obstacle's present place, and `accept()` leaves the obstacle where it is then, so that it
+        may go far in many load steps. `ContactSolution.motions` says where it is.
+
+        Args:
+            force: vector of 2 or 3 components [force]; in 2D per unit of thickness.
+            moment: moment about the point `about`: about the z axis, or a vector of 3 components
+                [force length].
+            free: names of the free motions: "x", "y", "z" along the axes, "rx", "ry", "rz" about
+                them; None: all ("x", "y", "rz" in 2D, "y" with axisymmetry); (): none, the obstacle
+                is not held by forces any more.
+            about: the point at which the force acts, and about which the obstacle turns, at the
+                original place [length]; by default as in `move_to`.
+
+        Raises:
+            InputError: an argument is not a vector of finite numbers, or a name is unknown.
+
+        Example:
+            A punch that a force presses down, and that may tilt.
+
+            >>> from dolfinx_tresca import RigidPlane
+            >>> punch = RigidPlane(point=(0, 0, 1), normal=(0, 0, -1))
+            >>> punch.held_by(force=(0, 0, -500.0), free=("z", "rx", "ry"))
+        """
+        names = None if free is None else tuple(free)
+        if isinstance(free, str) or not set(names or ()) <= set(FREEDOMS[3]):
+            names_of_all = ", ".join(FREEDOMS[3])
+            raise InputError(f"free must be a list of {names_of_all}, found {shown(free)}.")
+        given = GivenForces(
+            _present(_coordinates, "force", force),
+            _present(_axial_vector, "moment", moment),
+            names,
+            self._centre if about is None else _coordinates("about", about),
+        )
+        self._given = None if names == () else given
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
         """Return unchecked distances and normals at points (3, n), for the present place."""
@@ -478,6 +567,20 @@ def _coordinates(name: str, value: npt.ArrayLike) -> Array:
     if vector.shape not in ((2,), (3,)) or not np.isfinite(vector).all():
         raise InputError(f"{name} must be 2 or 3 finite numbers, found {shown(value)}.")
     return np.append(vector, np.zeros(3 - len(vector)))
+
+
+def _axial_vector(name: str, value: npt.ArrayLike) -> Array:
+    """Return a vector (3,) from its 3 components, or from the third one alone.
+
+    Raises:
+        InputError: the value is neither a finite number nor a vector of 3 finite numbers.
+    """
+    number = real(value)
+    if number is None and np.shape(value) == (3,):
+        return _coordinates(name, value)
+    if number is None or not math.isfinite(number):
+        raise InputError(f"{name} must be a number or 3 numbers, found {shown(value)}.")
+    return np.array([0.0, 0.0, number])
 
 
 def _direction(name: str, value: npt.ArrayLike) -> Array:

@@ -13,7 +13,7 @@ from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
+from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -52,7 +52,7 @@ class ContactPair:
             other, and so may parts of one body. Of two bodies that meet, the body with finer facets
             is secondary; if their facets are alike, the body with the smaller least x, then y, then
             z is secondary.
-        friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
+        friction: `Tresca`, `Coulomb`, `Frictionless`, `Bonded` or `Preload`.
         pairing: "auto" and "mortar" average the jump over the facets by dual basis functions; where
             the meshes of both sides match, this is the jump between a node and the node opposite
             to it. "nodes" does the same, but demands that the undeformed meshes match within 1e-8
@@ -163,6 +163,8 @@ class ContactPair:
                 f"sliding must be one of {', '.join(get_args(Sliding))}, found "
                 f"{shown(self.sliding)}."
             )
+        if isinstance(self.friction, Preload) and isinstance(self.primary, RigidObstacle):
+            raise InputError(f"a preload needs two deformable sides, found {self.primary}.")
         if self.gap is not None:
             check_scalar_field(self.gap, "the gap")
             if isinstance(self.friction, Bonded):

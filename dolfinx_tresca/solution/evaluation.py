@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -129,8 +129,12 @@ def evaluate(
     w = in_frames if B.frames is None else B.frames.displacement(in_frames)
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
-    jump = B.of_unknowns(solved)
-    increment = jump - response.offset
+    jump, closings, by_tools = B.of_unknowns(solved), B.closings(u), dual.jump_of_tools(c)
+    for closing, operators, (n, _) in zip(closings, B.pairs, B.slices, strict=True):
+        closing[operators.normal_node] += (by_tools * B.length_scale)[n]
+    increment = jump + by_tools - response.offset
+    origin = dual.history.origin.copy()  # the next step starts from where tools are now
+    origin[B.unbounded.tangential] -= by_tools[B.unbounded.tangential]
     target = dual.decoupled_minimiser(solution.multipliers, r)
     cones = dual.admissible.at_point(solution.multipliers, r)
     moved = cones.section(target)
@@ -179,7 +183,7 @@ def evaluate(
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
     shares: list[tuple[Array, Array, Indices]] = []
-    state, before, step, closing = map(np.concatenate, (states, befores, steps, B.closings(u)))
+    state, before, step, closing = map(np.concatenate, (states, befores, steps, closings))
     for acts, surface in zip(B.by_pair, surfaces, strict=True):
         operators, nodes = acts.operators, acts.nodes
         since = operators.tangential_vectors(increment[acts.tangential])
@@ -198,10 +202,10 @@ def evaluate(
         shares.append(shares_of_bodies(u.function_space, bodies.label, operators, on_nodes))
         force[0] += operators.weights[operators.normal_node] @ tractions[0]
         force[1:] += (operators.weights[operators.tangent_node] * tractions[1]) @ operators.tangents
-    history = dual.history.after(B, slip, steps, dissipation)
+    history = replace(dual.history, origin=origin).after(B, slip, steps, dissipation)
     peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
-    primal, dual_energy = dual.energies(solution.multipliers, solved, error)
+    primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
         primal, dual_energy = primal - work, dual_energy - work

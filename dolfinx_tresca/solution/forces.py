@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -55,6 +55,18 @@ class Resultant:
                 f"found {shown(point)}."
             )
         return Resultant(self.force, self.moment + moments(self.point - centre, self.force), centre)
+
+
+class BoltForce(NamedTuple):
+    """The force in a bolt that was cut, positive in tension.
+
+    Attributes:
+        force: the force [force].
+        change: the force less the preload: zero while the bolt is pulled, and then due to loads.
+    """
+
+    force: float
+    change: float
 
 
 def moments(arm: Array, force: Array) -> Array:

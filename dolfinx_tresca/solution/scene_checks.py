@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
@@ -24,7 +25,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import flattened, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets, Pieces
 from dolfinx_tresca.scene.friction import DryFriction
-from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
+from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
@@ -82,6 +83,7 @@ ADVICE_TO_BODIES = (
     "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations, "
     'or ContactPair(..., sliding="finite"), with which linear bodies have frames that turn'
 )
+ADVICE_TO_TOOLS = "Take smaller load steps, with accept() after each"
 ADVICE_TO_PAIRS = (
     "Prescribe the displacement in place of a force that friction cannot carry, or take "
     'ContactPair(..., sliding="finite")'
@@ -177,11 +179,12 @@ def motions_of_pairs(
     u: fem.Function,
     paired: fem.Function,
     tractions: Array,
+    places: Array,
 ) -> Iterator[Departure]:
     """Return the departures of pairs with small sliding. Collective.
 
     Pairs with finite sliding, bonded pairs, and pairs with a plane, which has the same normal
-    everywhere, are left out.
+    everywhere, are left out, except for the rotation of obstacles that forces hold.
 
     Args:
         jump: the operator B.
@@ -189,14 +192,25 @@ def motions_of_pairs(
         u: displacement of the solution [length].
         paired: displacement at which the surfaces were paired [length].
         tractions: (size,) tractions of the solution [stress].
+        places: (pairs, 3, 4) motions of obstacles in the solution.
     """
     V, moved = u.function_space, u.copy()
     moved.x.array[:] -= paired.x.array
     vectors = jump.vectors(moved)
     shape = straightened(V, paired.x.array.reshape(-1, V.dofmap.index_map_bs))
-    for pair, operators, jumps, (normal_rows, _) in zip(
-        pairs, jump.pairs, vectors, jump.slices, strict=True
+    for pair, operators, jumps, (normal_rows, _), place in zip(
+        pairs, jump.pairs, vectors, jump.slices, places, strict=True
     ):
+        if isinstance(pair.primary, RigidObstacle):
+            step = RigidMotion.from_matrix(place).after(pair.primary.motion.inverse)
+            angle = float(Rotation.from_matrix(step.rotation).magnitude())
+            if angle > ROTATION.noticed:
+                text = f"{pair.primary} turns by {angle:.3g} rad in a load step, of which linear "
+                text += f"theory allows {ROTATION.largest}"
+                yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
+            points = np.zeros((3, len(jumps)))
+            points[: jumps.shape[1]] = operators.places.T
+            jumps -= (step.applied_to(points) - points)[: jumps.shape[1]].T
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.primary, RigidPlane):
             continue
         force = np.zeros(len(operators.nodes))

@@ -180,7 +180,7 @@ def test_the_energies_bracket_and_meet(comm, end):
             x = lam.project(1e-2 * local_random(comm, len(dual.b), seed))
             u = fem.Function(scene.V)
             dual.response.displacement(x, u.x.petsc_vec)
-            _, below = dual.energies(x, u.x.petsc_vec)
+            _, below = dual.energies(x, u.x.petsc_vec, np.zeros(0))
             assert below <= solution.dual_energy + 1e3 * rtol * abs(solution.dual_energy)
             # D(x) = -q(x) - 1/2 f'K^-1 f: differences are those of q
             r = dual.operator.apply(x) - dual.b

@@ -1,0 +1,114 @@
+"""A report of a solution: one HTML page with table, picture and forces that needs no network."""
+
+from __future__ import annotations
+
+import base64
+import io
+import sys
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.parallel import RECENT_WARNINGS
+from dolfinx_tresca.environment import environment
+from dolfinx_tresca.output.summary import significant
+from dolfinx_tresca.output.table import as_html
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.units import Units, with_unit
+
+HEAD = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Contact</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"><style>
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: auto; padding: 1rem; }
+th, td { text-align: left; vertical-align: top; padding: 0.1rem 1rem 0.1rem 0; }
+div { overflow-x: auto; } img, svg { width: 100%; min-width: 36rem; } svg { max-width: 46rem; }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 0.8rem; }
+text { font-size: 12px; text-anchor: middle; paint-order: stroke; stroke: white; stroke-width: 4; }
+</style></head>"""
+
+#: The graph shows forces of at least this fraction of the largest one, between at most this number
+#: of bodies: the names of more bodies would cover each other.
+SHOWN_FORCE, MOST_BODIES = 1e-3, 24
+
+
+def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
+    """Return the page as text. Not collective.
+
+    Args:
+        solution: the `ContactSolution`.
+        steps: the solutions of earlier load steps.
+        picture: `PIL.Image.Image` of the solution.
+    """
+    image, script = io.BytesIO(), getattr(sys.modules["__main__"], "__file__", None)
+    picture.save(image, format="PNG")
+    encoded = base64.b64encode(image.getvalue()).decode()
+    sections = {
+        "Result": as_html(solution._rows()),
+        "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
+        "Forces between bodies": force_graph(solution, solution.units),
+        "Load steps": _table_of_steps([*steps, solution]) if steps else "",
+        "Problem": as_html(solution.problem_rows),
+    }
+    texts = {
+        "Warnings": "\n\n".join(RECENT_WARNINGS),
+        "Versions": environment(),
+        "Script": Path(script).read_text(encoding="utf-8") if script else "",
+    }
+    sections |= {title: f"<pre>{escape(text)}</pre>" for title, text in texts.items() if text}
+    body = [f"<h2>{title}</h2>\n<div>{html}</div>" for title, html in sections.items() if html]
+    title = f"<body><h1>Contact: {solution.status.value}</h1>"
+    return "\n".join([HEAD, title, *body, "</body></html>\n"])
+
+
+def _table_of_steps(solutions: Sequence[Any]) -> str:
+    """Return a table with a row for each load step."""
+    bolts = list(solutions[-1].bolts)
+    rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts]]
+    for number, step in enumerate(solutions, start=1):
+        values = [step.normal_force, step.peak_pressure, step.total_dissipation]
+        values += [step.bolts[name].force for name in bolts]
+        rows.append([str(number), step.status.name, *(f"{value:.5g}" for value in values)])
+    lines = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+
+
+def force_graph(results: Evaluation, units: Units | None) -> str:
+    """Return an SVG with bodies as dots, and the forces between them as lines; "" without forces.
+
+    Args:
+        results: the solution.
+        units: names of units.
+    """
+    names = [*results.body_names, "rigid obstacles"]
+    forces = {bodies: resultant.force for bodies, resultant in results.between_bodies.items()}
+    by_obstacles = [np.array(resultant.force) for resultant in results.body_resultants]
+    for (i, j), force in forces.items():
+        by_obstacles[i] -= force
+        by_obstacles[j] += force
+    forces |= {(body, len(names) - 1): force for body, force in enumerate(by_obstacles)}
+    sizes = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
+    largest = max(sizes.values())
+    sizes = {bodies: size for bodies, size in sizes.items() if size > SHOWN_FORCE * largest}
+    shown = sorted({body for bodies in sizes for body in bodies})
+    if not 0 < len(shown) <= MOST_BODIES:
+        return ""
+    angles = 2.0 * np.pi * np.arange(len(shown)) / len(shown)
+    x = dict(zip(shown, 330.0 - 210.0 * np.cos(angles), strict=True))  # in pixels
+    y = dict(zip(shown, 190.0 - 150.0 * np.sin(angles), strict=True))
+    dim = 3 if results.axisymmetric else results.u.function_space.mesh.geometry.dim
+    lines, texts = [], []
+    for (i, j), size in sizes.items():
+        lines.append(
+            f'<line x1="{x[i]:.0f}" y1="{y[i]:.0f}" x2="{x[j]:.0f}" y2="{y[j]:.0f}" '
+            f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * size / largest:.1f}"/>'
+        )
+        label = with_unit(significant(size, results.local_error), units, "force", dim)
+        texts.append((0.7 * x[i] + 0.3 * x[j], 0.7 * y[i] + 0.3 * y[j], label))
+    for body in shown:
+        lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')
+        texts.append((x[body], y[body] + 24.0, names[body]))
+    labels = [f'<text x="{a:.0f}" y="{b:.0f}">{escape(text)}</text>' for a, b, text in texts]
+    return f'<svg viewBox="0 0 660 400" role="img">{"".join(lines + labels)}</svg>'
