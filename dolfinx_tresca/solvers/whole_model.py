@@ -106,14 +106,14 @@ class WholeModel:
         return float(self._reductions.from_first_rank(values)[0])
 
     def softened(self, softness: float) -> WholeModel:
-        """Return the model A + s diag(A) of contact on a soft layer at each node. Collective.
+        """Return the model M + s diag(A) of contact on a soft layer at each node. Collective.
 
         Args:
             softness: s, the compliance of the layer relative to that of the node.
         """
-        layer = diags_array(self._gathered(softness * self.diagonal), format="csr")
         model = copy(self)
-        model._shifted = self._matrix + layer
+        layer = self._gathered(softness * self.diagonal)
+        model._shifted = self._shifted + diags_array(layer, format="csr")
         return model
 
     def largest_ritz_value(self) -> float:
