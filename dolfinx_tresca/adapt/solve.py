@@ -108,8 +108,8 @@ def solve_adaptively(
             If the patch of a `MeanPressure` or `MeanSlip` has no contact node, cells at the patch
             are refined before the first solve.
         fraction: part of the sum of squared errors that the cells to be cut have together; see
-            `refine`. (On two bricks and a cantilever 0.5 and 0.8 took 0.8 to 1.2 times as long;
-            with 0.5 there are more meshes, and fewer unknowns on the last one.)
+            `refine`. (On two bricks 0.5 and 0.85 took up to 1.2 times as long; with 0.5 there are
+            more meshes, and fewer unknowns on the last one.)
         snap: projections to curved surfaces; see `refine`.
         max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
         max_levels: limit for the number of meshes.

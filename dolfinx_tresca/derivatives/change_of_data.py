@@ -84,23 +84,16 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
     for control, given in zip(controls, directions, strict=True):
         direction = given
         if isinstance(control, fem.Function):
-            if (
-                not isinstance(direction, fem.Function)
-                or direction.function_space != control.function_space
-            ):
-                raise InputError(
-                    f"the direction of the Function {control.name} must be a Function on its space,"
-                    f" found {shown(direction)}."
-                )
-            values = direction.x.array
+            fits = isinstance(given, fem.Function)
+            fits = fits and given.function_space == control.function_space
+            kind = f"the Function {control.name} must be a Function on its space"
         else:
-            direction = values = np.asarray(given, dtype=np.float64)
-            if values.shape != control.ufl_shape:
-                raise InputError(
-                    f"the direction of a Constant must have its shape {control.ufl_shape}, found "
-                    f"{shown(given)}."
-                )
-        if not np.isfinite(values).all():
+            direction = np.asarray(given, dtype=np.float64)
+            fits = direction.shape == control.ufl_shape
+            kind = f"a Constant must have its shape {control.ufl_shape}"
+        if not fits:
+            raise InputError(f"the direction of {kind}, found {shown(given)}.")
+        if not np.isfinite(_flat(direction)).all():
             raise InputError(f"the direction of {shown(control)} is NaN or infinite.")
         result.append(direction)
     return result

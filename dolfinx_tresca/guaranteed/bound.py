@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import geometry_degree
+from dolfinx_tresca._base.exchange import summed_at_nodes
 from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.dual.program import DualProgram
@@ -28,7 +29,7 @@ from dolfinx_tresca.guaranteed.cells import (
 )
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
-from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread, summed
+from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread
 from dolfinx_tresca.guaranteed.stars import CellData, Stars
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -212,7 +213,7 @@ def _in_equilibrium(
         weights = np.einsum("kab,abc->kc", on_facet, mean_products(cells.d, 3))
         forces += cells.areas[:, j, None, None] * (weights @ given.traction[:, j])
     right, change, result = zero_like(u, "force"), zero_like(u, "change"), u.copy()
-    right.x.array[:] = summed(owned.V, owned.nodes, forces).ravel()
+    right.x.array[:] = summed_at_nodes(owned.V.dofmap.index_map, owned.nodes, forces).ravel()
     residual = linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
     dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
     residual.destroy()

@@ -17,13 +17,18 @@ from dolfinx_tresca._base.arrays import (
     LocalNumbers,
     Mask,
 )
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, gather_rows
+from dolfinx_tresca._base.parallel import (
+    errors_on_all_ranks,
+    exchange,
+    gather_rows,
+    summed_at_nodes,
+)
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.cells import mean_products
-from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread, summed
+from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
@@ -232,7 +237,9 @@ class ContactSurface:
         own = partner[on.nodes]  # of one type on all ranks
         taken, _ = exchange(comm, own, owners(own))
         _, _, side = self._tagged("primary")
-        uses = summed(V, side, np.ones((*side.shape, 1)))[: len(partner), 0]
+        uses = summed_at_nodes(V.dofmap.index_map, side, np.ones((*side.shape, 1)))[
+            : len(partner), 0
+        ]
         uses[taken - index_map.local_range[0]] = 0.0
         (numbers,) = np.nonzero(uses)
         rim_points = V.tabulate_dof_coordinates()[numbers, :d]
@@ -321,7 +328,7 @@ class ContactSurface:
         count = V.dofmap.index_map.size_local
         softness = self._owned.cells.heights[self.cell, self.facet] / stiffness[self.cell]
         softness = np.repeat(softness[:, None, None], d, axis=1)
-        closed = summed(V, self._corners, softness)[:, 0] * self._pressure
+        closed = summed_at_nodes(V.dofmap.index_map, self._corners, softness)[:, 0] * self._pressure
         opening = self._gaps - (self._jumps(v) * self._normals).sum(axis=1)
         pressed = (self._pressure > 0.0) & (opening < closed)
         normals = self._normals[own]
@@ -344,7 +351,7 @@ class ContactSurface:
             moves = self._allowed(self._middles, 0.5 * excess, normals)
             # a node takes the mean of the moves for all its facets
             moves = np.concatenate([moves, np.ones((*self._middles.shape, 1))], axis=2)
-            sums = summed(V, self._middles, moves)
+            sums = summed_at_nodes(V.dofmap.index_map, self._middles, moves)
             values -= sums[:, :d] / np.maximum(sums[:, d:], 1.0)
 
     def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
@@ -394,7 +401,7 @@ def _with_means(V: Any, nodes: Indices, values: Array, present: LocalNumbers) ->
     table = spread(V, given)
     sums = table[nodes].sum(axis=1, keepdims=True)
     means = sums / np.maximum(sums[:, :, -1:], 1.0)
-    around = summed(V, nodes, np.repeat(means, nodes.shape[1], axis=1))
+    around = summed_at_nodes(V.dofmap.index_map, nodes, np.repeat(means, nodes.shape[1], axis=1))
     around[:, :-1] /= np.maximum(around[:, -1:], 1.0)
     result = np.where(table[:, -1:] > 0.0, table, around)
     return result[:, :-1], result[:, -1] > 0.0

@@ -89,16 +89,6 @@ def spread(V: Any, owned: Array) -> Array:
     return np.array(vector.array).reshape(-1, owned.shape[1])
 
 
-def summed(V: Any, nodes: Indices, values: Array) -> Array:
-    """Return sums (nodes, k) of values (..., k) at nodes (...) of any rank. Collective."""
-    vector = dolfinx.la.vector(V.dofmap.index_map, values.shape[-1])
-    vector.array[:] = 0.0
-    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
-    vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    vector.scatter_forward()
-    return np.array(vector.array).reshape(-1, values.shape[-1])
-
-
 class Copies:
     """Sends rows of arrays to other ranks, in a fixed order, and adds up what comes back."""
 

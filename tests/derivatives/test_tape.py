@@ -19,6 +19,7 @@ from dolfinx_tresca import (
     ContactProblem,
     ContactState,
     Coulomb,
+    FrictionCurve,
     InputError,
     NormalForce,
     RigidSphere,
@@ -173,6 +174,31 @@ def test_functions_whose_constants_change(comm):
     by_number, by_curve = np.array(derivatives).reshape(2, 2)
     assert np.abs(by_number).max() > 0.0
     assert np.abs(by_curve - by_number).max() <= ACCURACY * np.abs(by_number).max()
+
+
+def test_constants_that_only_the_derivatives_of_a_curve_read(comm):
+    """They have the value of each step again when its derivatives are computed."""
+    model = Rubbing(comm, "triangle", upper=(8, 2))
+    mesh = model.end.function_space.mesh
+    c, copy = fem.Constant(mesh, 0.3), fem.Constant(mesh, 0.3)
+    a, L, [pair], bcs = model.arguments
+    slopes = []
+    for read in (c, copy):
+
+        def derivatives(p, v, read=read):
+            return -0.2 * read.value / (1.0 + 0.2 * p) ** 2, 0.0 * v
+
+        curve = FrictionCurve(lambda p, v: c.value / (1.0 + 0.2 * p) + 0.0 * v, derivatives)
+        pair = dataclasses.replace(pair, friction=Coulomb(curve))
+        with ContactProblem(a, L, [pair], bcs, stiffness="cholesky") as problem:
+            with problem.record() as tape:
+                for value in (0.3, 0.2):
+                    c.value = copy.value = value
+                    problem.solve(rtol=RTOL)
+                    problem.accept()
+            slopes.append(tape.gradient_by_step({0: model.goals[1]}, [c])[0][0])
+    assert slopes[0] != 0.0
+    assert abs(slopes[1] - slopes[0]) <= ACCURACY * abs(slopes[0])
 
 
 def test_what_cannot_be_recorded(comm):
