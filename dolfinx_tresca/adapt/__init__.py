@@ -6,5 +6,8 @@ solved, the error is judged, and the cells that have half of the squared error t
 *judgement* is the error of each cell, of the energy or of a goal. A *cut* bisects cells by
 `dolfinx.mesh.refine` and carries tags, exact geometry and expected errors to the new mesh.
 
+Symbols: eta, the estimated error of a cell, is `cell_errors`; theta of Doerfler's marking is
+`fraction`.
+
 Read first: `solve.solve_adaptively`, `judgement.judged`, `refinement.cut`.
 """
