@@ -1,4 +1,4 @@
-"""What all rooms need: arrays, MPI, PETSc, versions of DOLFINx. It knows nothing of contact.
+"""Tools of all rooms: arrays, MPI, PETSc, versions of DOLFINx; nothing of contact.
 
 - `arrays`: types of arrays and matrices, rounding, plain numbers from arguments.
 - `tolerances`: how accurately inner problems are solved, and when an iteration is given up.

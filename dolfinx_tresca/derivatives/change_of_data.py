@@ -34,7 +34,6 @@ from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.forces import Forms
 
@@ -116,8 +115,7 @@ class DataOfSolution:
         surfaces = self.system.surfaces
         for control in controls:
             for pair in self.system.pairs:
-                law = pair.friction
-                if isinstance(law, DryFriction) and control in inputs_of(law.terms.direction):
+                if control in inputs_of(pair.friction.terms.direction):
                     raise InputError(
                         f"contact pair {pair}: the derivative with respect to {shown(control)} is "
                         "not known, since it is part of the direction of orthotropic friction."
@@ -344,11 +342,10 @@ def inputs_of_problem(
             inputs += [*form.coefficients(), *form.constants()]
     for pair in pairs:
         inputs += inputs_of(pair.gap)
-        if isinstance(pair.friction, DryFriction):
-            terms = pair.friction.terms
-            curve = getattr(terms.curve, "function", None)
-            for term in (*(getattr(terms, name) for name in TERMS), curve):
-                inputs += inputs_of(term)
+        terms = pair.friction.terms
+        curve = getattr(terms.curve, "function", None)
+        for term in (*(getattr(terms, name) for name in TERMS), curve):
+            inputs += inputs_of(term)
     inputs += [bc.g for bc in bcs]
     return list(dict.fromkeys(inputs))
 

@@ -23,7 +23,6 @@ from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds, NodalEllipses
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
 
@@ -95,7 +94,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
         by_gap = offsets(rows, operators.normal_node, 1.0 / jump.length_scale[normal])
         name = f"the gap of contact pair {pair}"
         result.append(NodalField(pair.gap, nodes, name, own, np.zeros(n), by_gap))
-        terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
+        terms = pair.friction.terms
         for term, words in TERMS.items():
             scalar, by_bound, name = getattr(terms, term), by_term[term][own], f"{words} of {pair}"
             if term == "coefficient" and terms.curve is not None:

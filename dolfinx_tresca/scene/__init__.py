@@ -1,4 +1,4 @@
-"""What users give: meshes with tags, pairs of surfaces, laws of friction, obstacles, goals.
+"""Objects that users give: meshes with tags, pairs of surfaces, laws, obstacles, goals.
 
 Objects of this room are checked when they are made, and keep references to the Constants and
 Functions in them, which users change in place before a solve. Nothing here is computed on nodes.
