@@ -6,5 +6,8 @@ solved, the error is judged, and the cells that have most of the squared error t
 cell, of the energy or of a goal. `refine` bisects cells by `dolfinx.mesh.refine`, carries tags and
 exact geometry to the new mesh, and distributes it over the ranks.
 
+Symbols: eta, the estimated error of a cell, is `cell_errors`; theta of Doerfler's marking is
+`fraction`.
+
 Read first: `solve.solve_adaptively`, `judgement.judged`, `refinement.refine`.
 """

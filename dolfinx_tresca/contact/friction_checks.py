@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.scene_checks import hint_at_weakening
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, FrictionCones
@@ -16,8 +15,6 @@ from dolfinx_tresca.solvers.problem import DualSolution
 
 def depends_on_pressure(pair: ContactPair) -> bool:
     """Return whether the slip bound of a pair depends on the pressure."""
-    if not isinstance(pair.friction, DryFriction):
-        return False
     coefficient = pair.friction.terms.coefficient
     return not (isinstance(coefficient, int | float) and coefficient == 0.0)
 
@@ -62,8 +59,7 @@ def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:
         InputError: a coefficient depends on the slip.
     """
     for pair in pairs:
-        law = pair.friction
-        curve = law.terms.curve if isinstance(law, DryFriction) else None
+        curve = pair.friction.terms.curve
         if curve is not None and curve.depends_on_slip:
             raise InputError(
                 f"contact pair {pair}: the coefficient of friction depends on the slip, and "

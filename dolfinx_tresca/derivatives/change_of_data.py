@@ -34,7 +34,6 @@ from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.forces import Forms
 
@@ -173,9 +172,7 @@ class DataOfSolution:
         surfaces = self.system.surfaces
         for control in controls:
             for pair in self.system.pairs:
-                terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else None
-                if terms is None or terms.direction is None:
-                    continue
+                terms = pair.friction.terms
                 bounds = [getattr(terms, name) for name in TERMS]
                 axes = [bound for bound in bounds if isinstance(bound, tuple)]
                 if control in inputs_of((terms.direction, *axes)):
@@ -406,11 +403,10 @@ def inputs_of_problem(
             inputs += [*form.coefficients(), *form.constants()]
     for pair in pairs:
         inputs += inputs_of(pair.gap)
-        if isinstance(pair.friction, DryFriction):
-            terms = pair.friction.terms
-            functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
-            for term in (*(getattr(terms, name) for name in TERMS), *functions):
-                inputs += inputs_of(term)
+        terms = pair.friction.terms
+        functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
+        for term in (*(getattr(terms, name) for name in TERMS), *functions):
+            inputs += inputs_of(term)
     inputs += [bc.g for bc in bcs]
     return list(dict.fromkeys(inputs))
 

@@ -22,7 +22,6 @@ from dolfinx_tresca.dual.moved import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
 
@@ -89,7 +88,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
         by_gap = csr_array((inverse, (rows, operators.normal_node)), shape=(discs.size, n))
         name = f"the gap of contact pair {pair}"
         result.append(NodalField(pair.gap, nodes, name, own, np.zeros(n), by_gap))
-        terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
+        terms = pair.friction.terms
         for term, words in TERMS.items():
             scalar, by_bound, name = getattr(terms, term), by_term[term][own], f"{words} of {pair}"
             if term == "coefficient" and terms.curve is not None:

@@ -18,8 +18,6 @@ from dolfinx_tresca.scene.friction import (
     COEFFICIENT_ROUNDING,
     DIRECTION_NAMES,
     Bound,
-    BoundTerms,
-    DryFriction,
     Friction,
 )
 from dolfinx_tresca.scene.user_fields import ScalarField, invalid
@@ -174,7 +172,7 @@ BOUND_ROUNDING = 1e-12
 
 #: Names of the terms of a bound in error messages; laws have their own name for the constant term.
 TERMS = {
-    "constant": DryFriction.constant_name,
+    "constant": Friction.constant_name,
     "coefficient": "the coefficient of friction",
     "limit": "the limit of the slip bound",
 }
@@ -185,9 +183,7 @@ DIRECTION = "the direction of the slip bound"
 
 def _name(friction: Friction, term: str) -> str:
     """Return the name of a term of a law's bound, for error messages."""
-    if term == "constant" and isinstance(friction, DryFriction):
-        return friction.constant_name
-    return TERMS[term]
+    return friction.constant_name if term == "constant" else TERMS[term]
 
 
 def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
@@ -238,8 +234,6 @@ class SlipBounds:
             InputError: the bound or the direction is on another mesh; a function returns neither a
                 number (or a vector) nor one value for each point; or a direction is given in 2D.
         """
-        if not isinstance(friction, DryFriction):
-            return
         for name in TERMS:
             for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
                 self.values.scalars_at(field, nodes, words)
@@ -267,8 +261,6 @@ class SlipBounds:
         Raises:
             InputError: a bound is negative by more than rounding.
         """
-        if not isinstance(friction, DryFriction):
-            return
         for name in ("constant", "limit"):
             for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
                 if real(field) is not None:
@@ -290,7 +282,7 @@ class SlipBounds:
                 infinite; only one of the two values of a bound is infinite; or `check` raises this
                 error.
         """
-        terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
+        terms = friction.terms
         bounds: dict[str, Array] = {}
         shape: Array = np.ones((len(nodes), 2))
         for name in TERMS:

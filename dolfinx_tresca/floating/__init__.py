@@ -1,1 +1,20 @@
-"""Bodies held by contact or soft springs: rigid body modes, and equilibrium of the loads."""
+"""Bodies held by contact or soft springs: rigid body modes, and equilibrium of the loads.
+
+K is singular, or nearly so, for a body that no support holds. Springs fix such bodies while K is
+factored, and their effect is removed again: forces on the bodies must balance, which is an equation
+of the multipliers with multipliers c of its own, the rigid displacements.
+
+- `Bodies`: the bodies of a mesh, with names and rigid body modes.
+- `RigidBodyModes`: the modes that supports and K resist weakly or not at all.
+- `FixingSprings`: springs that are in the factored K_p alone, and the response to them.
+- `FloatingBodies`, `Equilibrium`: the equations G'lambda + S c = e, and the motions they leave.
+
+| symbol | name in the code | meaning |
+|---|---|---|
+| R | `RigidBodyModes.basis` | rigid body modes |
+| K_p | `FixingSprings.added_to(K)` | K with springs |
+| U, c | `FloatingBodies.displacements`, `c` | responses to the springs, their coefficients |
+| G, S, e | `EqualityConstraints`, in `solvers` | equilibrium, softness, resultants of loads |
+
+Read first: `rigid_modes.weakly_resisted_modes`, `fixing.FixingSprings`, `equilibrium.Equilibrium`.
+"""

@@ -14,9 +14,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import geometry_degree
-from dolfinx_tresca._base.exchange import summed_at_nodes
 from dolfinx_tresca._base.functions import zero_like
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.guaranteed.cells import (

@@ -212,17 +212,27 @@ class BoundTerms:
     curve: FrictionCurve | None = None
 
 
-class DryFriction(ABC):
-    """Base class of friction laws: the tangential traction stays within a circle or an ellipse.
-
-    A node slips only if its traction is on the boundary. To add a law, derive a class that defines
-    `terms`.
+class Friction:
+    """Base class of all laws of a contact pair.
 
     Attributes:
         constant_name: name of `terms.constant`, for error messages.
     """
 
     constant_name: ClassVar[str] = "the slip bound"
+
+    @property
+    def terms(self) -> BoundTerms:
+        """The slip bound as a function of the pressure: zero."""
+        return BoundTerms()
+
+
+class DryFriction(Friction, ABC):
+    """Base class of friction laws: the tangential traction stays within a circle or an ellipse.
+
+    A node slips only if its traction is on the boundary. To add a law, derive a class that defines
+    `terms`.
+    """
 
     @property
     @abstractmethod
@@ -463,7 +473,7 @@ def _bound_text(bound: Bound | FrictionCurve, direction: VectorField | None) -> 
 
 
 @dataclass(frozen=True)
-class Frictionless:
+class Frictionless(Friction):
     """Contact without friction: the only multiplier is the contact pressure."""
 
     def __str__(self) -> str:
@@ -471,7 +481,7 @@ class Frictionless:
 
 
 @dataclass(frozen=True)
-class Bonded:
+class Bonded(Friction):
     """Tied surfaces: the jump of the displacement is zero in all directions.
 
     An initial gap stays as it is. The pressure may be negative, which is tension.
@@ -524,7 +534,3 @@ class Preload(Bonded):
 
     def __str__(self) -> str:
         return f"preload {self.value:g}"
-
-
-#: The law of a contact pair.
-Friction: TypeAlias = "DryFriction | Frictionless | Bonded"

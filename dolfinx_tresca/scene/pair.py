@@ -13,7 +13,7 @@ from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless, Preload
+from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -139,7 +139,7 @@ class ContactPair:
                     'Names of a Gmsh file have their tags in read_gmsh(...).tags["name"].'
                 )
             object.__setattr__(self, name, number)
-        if not isinstance(self.friction, DryFriction | Frictionless | Bonded):
+        if not isinstance(self.friction, Friction):
             raise InputError(
                 "friction must be a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or "
                 f"Bonded(), found {shown(self.friction)}."

@@ -1,1 +1,17 @@
-"""The results of a solve: displacement, fields on the surfaces, energies, forces, counts."""
+"""The results of a solve: displacement, fields on the surfaces, energies, forces, counts, warnings.
+
+- `evaluate` makes an `Evaluation` of multipliers: one pass over the nodes of all pairs, then one
+  over the surfaces. `ContactSolution` (`result.py`) adds how the solve went.
+- `Surface`: the mesh of a secondary side; `SurfaceFields`: the Functions on it.
+- `Resultant`: force and moment, of contact on a pair or body, or of a support (`reaction_at`).
+- `scene_checks`: hints at likely mistakes, and the *departures* of a solution from linear theory.
+- `transfer`: tractions and slips of a solution at the nodes of another mesh.
+
+| symbol | name in the code | meaning |
+|---|---|---|
+| lambda_nu, lambda_tau | `pressure`, `traction` | positive in compression; along the slip |
+| d - N u, T u - s | `gap`, `slip_increment` | open gap; slip of the step |
+| J(u), D(lambda) | `primal_energy`, `dual_energy` | their difference bounds the error |
+
+Read first: `evaluation.evaluate`, `fields.Surface.fields`, `forces.resultants_on`.
+"""

@@ -24,7 +24,6 @@ from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import flattened, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets, Pieces
-from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
@@ -429,7 +428,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
 
 def _coefficient(pair: ContactPair) -> float:
     """Return the largest coefficient of friction that is a number; zero if there is none."""
-    if not isinstance(pair.friction, DryFriction) or pair.friction.terms.curve is not None:
+    if pair.friction.terms.curve is not None:
         return 0.0
     coefficient = pair.friction.terms.coefficient
     both = coefficient if isinstance(coefficient, tuple) else (coefficient,)

@@ -1,1 +1,29 @@
-"""Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4)."""
+"""Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4). Numpy only.
+
+The problem is given by protocols (`problem.py`): A and the response to multipliers are operators of
+which every product is counted. Arrays have the rows of one rank; `Reductions` adds them up.
+
+- `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
+  solves the problem with M, and the step to its solution takes one product, which improves M.
+- `Iterate`: the present multipliers and their gradient; `InexactIterate` computes gradients only as
+  accurately as a step needs.
+- `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
+  slip; `Face`: which multipliers are pressed, stick, slip at a point.
+- `ProductStore`, `BlockBFGSModel`, `WholeModel`: known products, and the models made of them.
+- `SemismoothNewton`: Newton's method for the problem with a model.
+- `EqualityConstraints`, `balance`: equilibrium of floating bodies, and a start that satisfies it.
+- `NaturalResidual`, `History`: the measure and the criteria of convergence.
+- `paper.py`: the four algorithms of the paper.
+
+| symbol | name in the code | meaning |
+|---|---|---|
+| lambda, x | `x` | multipliers |
+| r | `r`, `gradient` | A x - b, with the constraints' terms G c |
+| c | `c` | multipliers of the constraints |
+| G, S, e | `EqualityConstraints.columns`, `.softness`, `.values` | G'x + S c = e |
+| M | `model` | model of A |
+| P, rho | `FeasibleSet.project`, `NaturalResidual.rho` | projection onto Lambda, step length |
+
+Read first: `iteration.solve` and `ModelNewton.run`, `semismooth_newton.SemismoothNewton.solve`,
+`feasible_set.FeasibleSet`.
+"""

@@ -1,1 +1,21 @@
-"""The stiffness matrix K, the load f, and solvers for K u = f."""
+"""The linear system K u = f of the bodies, without contact, and the solvers for it.
+
+- `LinearSystem`: K and f from the user's forms and Dirichlet conditions. Rows and columns of
+  prescribed unknowns in K are those of the identity, and f has the prescribed values there.
+- `StiffnessSolver`: a KSP of PETSc that solves with K, counts its solves, and tells the error in
+  the energy norm; `choice` makes it: a factorisation by MUMPS, or multigrid.
+- `Component`: the displacement in a mixed space, whose further unknowns, such as pressures, make K
+  indefinite.
+- `BodyFrames`: linear bodies that turn with their frames, so that K stays as it is.
+- `Schwarz`: an approximation of K^-1 by a small local system and a coarse level of multigrid.
+
+| symbol | name in the code | meaning |
+|---|---|---|
+| K, f | `LinearSystem.K`, `.f` | stiffness matrix, load |
+| u, w | `LinearSystem.displacement(w)`, w | displacement; all unknowns of a mixed space |
+| M | `StiffnessSolver.preconditioner` | preconditioner; `uncertainty` bounds what r'M^-1 r misses |
+| S | `Schwarz.solve` | approximation of K^-1 |
+
+Read first: `system.LinearSystem.assemble_stiffness`, `solver.StiffnessSolver.improve`,
+`choice.choose`.
+"""
