@@ -49,8 +49,8 @@ from dolfinx_tresca import (
     Tresca,
     solve_adaptively,
 )
-from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.products import compliance
+from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.solvers import (
     iterate,
     iteration,
@@ -355,8 +355,7 @@ PARTS: dict[str, Patches] = {
 #: Module -> names of its constants. Constants in NEAR_ONE are fractions close to 1, whose distance
 #: from 1 is changed.
 CONSTANTS = {
-    "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
-    "_base.patience": "PROGRESS PATIENCE MOST_STEPS",
+    "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
     "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS WATCHDOG "
     "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
@@ -368,8 +367,7 @@ CONSTANTS = {
     "dual.products.compliance": "FEW",
     "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.initial_guess": "KEPT",
-    "dual.response": "LOAD_ACCURACY",
+    "dual.response": "KEPT LOAD_ACCURACY",
 }
 NEAR_ONE = {
     "PROGRESS", "SLACK",

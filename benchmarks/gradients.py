@@ -7,9 +7,8 @@ solve to solve, and solves end at a residual of 1e-8. "One solution": the gradie
 of the normal force is computed after the first solve, which starts from zero, and after each later
 solve; the control is a gap that is one number, or a Function with a value at each node of the mesh.
 "Process": all solves are recorded, with `accept()` after each, and the gradient of the last normal
-force goes back through all of them; with checkpoints each step is solved again, starting from its
-stored solution. Seconds are processor seconds of one thread on one rank, which depend less on other
-work on the machine.
+force goes back through all of them. Seconds are processor seconds of one thread on one rank, which
+depend less on other work on the machine.
 """
 
 from __future__ import annotations
@@ -40,10 +39,7 @@ RTOL, LATER = 1e-8, 6
 SEED, CHANGE = 1, 0.1
 
 #: Kinds of gradients: of one solution or a process, and with respect to which gap.
-WHAT = (
-    *("one solution, one value", "one solution, many values"),
-    *("process, many values", "process with checkpoints, many values"),
-)
+WHAT = ("one solution, one value", "one solution, many values", "process, many values")
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -66,9 +62,8 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     factors = np.cumprod([1.0, *(1.0 + CHANGE * signs)])
     solves, gradients, solutions = [], [], []
     is_process = "process" in case["what"]
-    every = 1 if "checkpoints" in case["what"] else None
     with scene.problem(stiffness=case["backend"], expected_solves=LATER) as problem:
-        with problem.record(checkpoint_every=every) if is_process else nullcontext() as tape:
+        with problem.record() if is_process else nullcontext() as tape:
             for factor in factors:
                 load.value[:] = factor * first
                 took, solution = timed(comm, lambda: problem.solve(rtol=RTOL))

@@ -19,10 +19,9 @@
 #       x = 0         x = 2
 #
 # **Loop.** Solve; estimate the error of each cell from the jumps of the strain to its neighbours;
-# mark the fewest cells that together have half of the squared error (Doerfler's marking); bisect
-# their longest edges. Marking and bisecting are repeated, with the errors that are expected on the
-# bisected mesh, until there are twice as many cells. The solve on each mesh starts from the
-# tractions on the previous mesh, so that it needs few products.
+# mark the fewest cells that together have 0.7 of the squared error (Doerfler's marking); bisect
+# their longest edges. The solve on each mesh starts from the tractions on the previous mesh, so
+# that it needs few products.
 #
 # It takes ten seconds and 600 MB. A number after the name of this script sets another accuracy, in
 # percent.

@@ -54,7 +54,6 @@ from dolfinx_tresca import (
     ContactForce,
     ContactPair,
     ContactProblem,
-    ControlVector,
     Coulomb,
     NormalForce,
     RigidPlane,
@@ -100,7 +99,7 @@ class Rig:
         V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
 
         friction, young, angle = (fem.Constant(mesh, value) for value in truth.values())
-        self.controls = ControlVector([friction, young, angle], scales)
+        self.controls = [friction, young, angle]
         mu = young / (2 * (1 + poisson))
         lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
@@ -123,7 +122,8 @@ class Rig:
 
     def run(self, values):
         """Return the forces (steps, 2) of a process with these controls, and its tape."""
-        self.controls.values = values
+        for control, scale, value in zip(self.controls, scales, values, strict=True):
+            control.value = scale * value
         self.problem.update_stiffness()
         self.problem.set_slip_origin(None)
         forces = []
@@ -160,7 +160,7 @@ def misfit(values):
     error, tape = errors(values)
     weights = error / spread / n
     goals = {step: list(zip(row, FORCES, strict=True)) for step, row in enumerate(weights)}
-    slopes = rig.controls.packed(tape.gradient(goals, rig.controls.controls))
+    slopes = scales * np.array(tape.gradient(goals, rig.controls))
     J = (error**2).sum() / (2 * n)
     history.append(J)
     return J, slopes
@@ -223,7 +223,7 @@ deviation = np.sqrt(np.diag(covariance))
 
 error, tape = errors(found.x)
 goals = {len(shifts) - 1: FORCES[0]}
-by_tape = rig.controls.packed(tape.gradient(goals, rig.controls.controls)) / spread[0]
+by_tape = scales * np.array(tape.gradient(goals, rig.controls)) / spread[0]
 by_differences = D.reshape(len(shifts), 2, 3)[-1, 0]
 if comm.rank == 0:
     per_run = len(shifts)

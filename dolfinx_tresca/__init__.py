@@ -6,7 +6,6 @@ from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.contact.found_pairs import Contacts, contacts
-from dolfinx_tresca.derivatives.controls import ControlVector
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
@@ -30,8 +29,7 @@ from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord, Ne
 from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem
 from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
-from dolfinx_tresca.scene.friction_curve import FrictionCurve
+from dolfinx_tresca.scene.friction import Bonded, Coulomb, FrictionCurve, Frictionless, Tresca
 from dolfinx_tresca.scene.goal import (
     ContactForce,
     MeanPressure,
@@ -62,7 +60,6 @@ __all__ = [
     "ContactStatus",
     "ContactTangent",
     "Contacts",
-    "ControlVector",
     "ConvergenceError",
     "Coulomb",
     "FrictionCurve",

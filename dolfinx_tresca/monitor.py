@@ -22,14 +22,12 @@ class NewtonProgress:
             (0, 1]. The fraction is reduced if the method has failed for a larger fraction.
         residual: residual of the previous step, as in `NewtonStep`; infinite in the first step.
         ended: whether Newton's method has converged.
-        applied: fraction of the change of load for which the problem has been solved so far.
     """
 
     number: int
     fraction: float
     residual: float
     ended: bool = False
-    applied: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,6 @@ class Iteration:
             paired with finite sliding, from 1 on; None with small sliding.
         ended: True in an additional call of the observer at the end of a solve with finite sliding,
             when the configurations have converged; False in all other calls.
-        stalled: how long the solve has made no progress, in words; empty while it makes progress.
     """
 
     number: int
@@ -63,7 +60,6 @@ class Iteration:
     newton: NewtonProgress | None = None
     configuration: int | None = None
     ended: bool = False
-    stalled: str = ""
 
 
 #: Function that is called on every rank before each iteration. If it returns True on any rank, the
@@ -139,7 +135,7 @@ class ProgressBar:
                 f"of load, Newton step {newton.number}, residual {newton.residual:7.1e}, "
                 f"{seconds:.0f} s"
             )
-        self._view.show(self._part, ", ".join(filter(None, (iteration.stalled, text))))
+        self._view.show(self._part, text)
         if done:
             self._view.end()
 

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
-from dolfinx_tresca._base.deprecated import deprecated
-from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
@@ -130,15 +129,6 @@ class SolverOptions:
         if "accuracy" in given:
             given.setdefault("rtol", None)
         return replace(self, **given)
-
-    @deprecated("SolverOptions.with_changes")
-    def but(self, **changes: Any) -> SolverOptions:
-        """Return a copy with changes: the former name of `with_changes`.
-
-        Raises:
-            InputError: see `with_changes`.
-        """
-        return self.with_changes(**changes)
 
     def at_least(self, accuracy: float) -> SolverOptions:
         """Return a copy whose `rtol` or `accuracy` is at most a given value in (0, 1).

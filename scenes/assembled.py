@@ -13,15 +13,14 @@ from scipy.sparse import csr_array
 
 from dolfinx import fem
 
-from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.choice import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 
@@ -46,10 +45,9 @@ def dual_program(
         bounds = [SlipBounds(scene.V).nodal_bounds(scene.pair.friction, operators.nodes)]
         with (
             JumpOperator(system, [operators]) as jump,
-            InitialGuess(jump) as guess,
             ContactCompliance(jump, solver, None) as compliance,
         ):
-            dual = DualProgram.from_bounds(compliance, guess, bounds)
+            dual = DualProgram.from_bounds(compliance, InitialGuess(jump), bounds)
             dual.response.solve_load()
             yield dual
 

@@ -124,11 +124,11 @@ class Rubbing:
         self.L = ufl.inner(self.load, ufl.TestFunction(V)) * ufl.dx
         self.arguments = self.a, self.L, [pair], scene.bcs
         self.controls = [self.young, self.poisson, self.load, self.end, self.profile, self.offset]
-        if law not in ("frictionless", "curve"):
+        if law in ("coulomb", "tresca"):
             self.controls += [self.coefficient]
-        if law != "frictionless":
+        if law in ("coulomb", "tresca", "curve"):
             self.controls += [self.bound]
-        if law in ("coulomb", "ellipse", "curve"):
+        if law in ("coulomb", "curve"):
             self.controls += [self.factor]
 
     def curve(self, p, v):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from dataclasses import replace
@@ -12,7 +11,6 @@ from types import SimpleNamespace
 import pytest
 
 from dolfinx_tresca import ContactStatus, Iteration, ProgressBar, Tresca, monitor
-from dolfinx_tresca.contact import stall_watch
 from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem
 
@@ -105,76 +103,6 @@ def test_the_bar_counts_digits_and_does_not_go_back(terminal):
         bar(at(number, reached))
     shown = [line[8:12] for line in terminal.getvalue().split("\r")[1:]]
     assert shown == ["  0%", " 25%", " 50%", " 50%", " 75%"]
-
-
-def warnings_of(caplog) -> list[str]:
-    """Return the texts of logged warnings, each on one line."""
-    found = [record for record in caplog.records if record.levelname == "WARNING"]
-    return [" ".join(record.getMessage().split()) for record in found]
-
-
-def test_a_solve_that_cycles_says_so_once_while_it_works(comm, terminal, caplog):
-    """IMSSN never converges on this scene; with the default method nothing is logged."""
-    seen: list[str] = []
-
-    def last_iteration(iteration: Iteration) -> None:
-        ProgressBar()(iteration)
-        seen.append(iteration.stalled)
-
-    with bricks_problem(comm, 4) as problem:
-        solution = problem.solve(
-            method="imssn", rtol=1e-9, rho_sigma=30, max_iterations=40, observer=last_iteration
-        )
-        assert len(warnings_of(caplog)) == 2  # of no progress, and of the end
-        assert problem.solve(rtol=1e-9).status is ContactStatus.CONVERGED
-    assert solution.status is not ContactStatus.CONVERGED
-    assert len(warnings_of(caplog)) == 2
-    first = next(i for i, stalled in enumerate(seen) if stalled)
-    assert first < len(seen) - 1
-    assert f"no progress: {seen[first]}. The solve goes on" in warnings_of(caplog)[0]
-    assert "load step" not in warnings_of(caplog)[0]  # there is but one
-    assert f"the residual has not halved in {stall_watch.PATIENCE} iterations" == seen[first]
-    assert seen[first] in terminal.getvalue()
-
-
-def test_newtons_method_without_progress_says_so_once(comm, caplog, monkeypatch):
-    """The steps that it may take without progress are counted in the whole solve."""
-    monkeypatch.setattr(stall_watch, "IDLE_NEWTON_STEPS", 0)
-    scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.1))
-    with scene.problem() as problem:
-        scene.push.value[:] = 0.02, -0.1
-        solution = problem.solve()
-        assert solution.status is ContactStatus.CONVERGED
-    (warning,) = warnings_of(caplog)
-    assert "the residual has not halved in 0 Newton steps" in warning
-
-
-def test_progress_of_newtons_method(comm):
-    """A residual that halves is progress, and a further part of the load; a smaller part is not."""
-    seen: list[str] = []
-    watch = stall_watch.StallWatch(comm, lambda iteration: bool(seen.append(iteration.stalled)))
-
-    def steps(residuals: list[float], first: int, applied: float) -> None:
-        for number, residual in enumerate(residuals, start=first):
-            newton = monitor.NewtonProgress(number, 0.5, residual, applied=applied)
-            watch(replace(at(0, 1.0), newton=newton))
-
-    most = stall_watch.IDLE_NEWTON_STEPS
-    steps([math.inf, *(0.99**k for k in range(most))], 1, 0.0)
-    assert not any(seen)
-    steps([0.49] * most, most + 2, 0.0)  # it has halved once
-    assert not any(seen)
-    steps([0.49] * most, 2 * most + 2, 0.25)  # and a quarter of the load is solved
-    assert not any(seen)
-    steps([1.0], 3 * most + 2, 0.25)
-    assert seen[-1] == f"the residual has not halved in {most} Newton steps"
-
-
-def test_many_configurations_of_finite_sliding_are_no_progress(comm, caplog):
-    watch = stall_watch.StallWatch(comm, lambda iteration: False)
-    for configuration in range(1, stall_watch.IDLE_CONFIGURATIONS + 3):
-        watch(replace(at(0, 1.0), configuration=configuration))
-        assert len(warnings_of(caplog)) == (configuration > stall_watch.IDLE_CONFIGURATIONS)
 
 
 def test_a_line_is_no_longer_than_the_terminal_is_wide(terminal, monkeypatch):

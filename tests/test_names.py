@@ -27,7 +27,7 @@ ROOMS = (
 #: (file, name) -> why the name stays.
 EXCEPTIONS = {
     ("pyadjoint.py", "other"): "what Python's documentation calls the operand of __iadd__",
-    ("scene/rigid_motion.py", "other"): "what Python's documentation calls the operand of __eq__",
+    ("scene/obstacle.py", "other"): "what Python's documentation calls the operand of __eq__",
     ("result.py", "other"): "public: users may write resultants_between(body, other=...)",
     ("scene/obstacle.py", "at"): "public: RigidObstacle.at, which a demo calls",
     (

@@ -24,7 +24,6 @@ from dolfinx_tresca import (
     ContactPair,
     ContactProblem,
     ContactTangent,
-    ControlVector,
     Coulomb,
     InputError,
     MeanPressure,
@@ -304,12 +303,6 @@ CASES: dict[str, Case] = {
         NormalForce(1),
         NormalForce(),
         "goal.pair",
-    ),
-    "derivatives in one array": (
-        lambda s, x: ControlVector([s.other]).packed(x * [s.other]),
-        2,
-        1,
-        "derivatives differs",
     ),
     "tape, goals": (
         lambda s, x: s.tape.gradient({x: NormalForce()}, [s.load]),

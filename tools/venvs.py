@@ -92,17 +92,20 @@ def requirements_of(*extras: str) -> "list[str]":
 
 def goes_with_wheels(leaking: bool) -> bool:
     """Whether DOLFINx from PyPI is there for this Python and this machine."""
+    import ast
     import platform
-    import runpy
 
-    pythons = os.path.join(TOOLS, "..", "dolfinx_tresca", "_base", "pythons.py")
+    # read as text: the file imports DOLFINx, which may be missing
+    with open(os.path.join(TOOLS, "..", "dolfinx_tresca", "_base", "requirements.py")) as file:
+        assignments = [node for node in ast.parse(file.read()).body if isinstance(node, ast.Assign)]
+    values = {node.targets[0].id: ast.literal_eval(node.value) for node in assignments}
     glibc, _, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").partition(" ")
     return (
         glibc == "glibc"
         and tuple(map(int, version.split("."))) >= (2, 34)
         and platform.machine() == "x86_64"
         and sys.version_info >= (3, 12)
-        and (sys.version_info[:3] in runpy.run_path(pythons)["LEAKING"]) == leaking
+        and (sys.version_info[:3] in values["LEAKING"]) == leaking
     )
 
 

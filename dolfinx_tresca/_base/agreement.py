@@ -15,9 +15,8 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh, MeshTags
 
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.parallel import mark_raised_on_all_ranks, picklable, raised_on_all_ranks
 from dolfinx_tresca.errors import InputError
 
@@ -33,10 +32,6 @@ MAX_COMPARED_VALUES = 16
 #: communicator.
 _comms: list[MPI.Comm] = []
 
-#: Maps the name of an argument, or of a part of an argument, to a text that must be equal on all
-#: ranks.
-Texts = dict[str, str]
-
 
 def collective(
     comm: Callable[[Mapping[str, Any]], MPI.Comm | None],
@@ -48,9 +43,9 @@ def collective(
 
     The body may then check values without communication, since all ranks get the same result. Data
     that differ between the ranks by design, such as the values of a Function, are not compared. The
-    comparison costs one reduction of five integers, or nothing on a single rank. If the arguments
-    of a rank are wrong and have no communicator, the rank compares them with the processes of its
-    last collective call.
+    comparison sends some 16 bytes to all ranks, and costs nothing on a single rank. If the
+    arguments of a rank are wrong and have no communicator, the rank compares them with the
+    processes of its last collective call.
 
     Args:
         comm: function that is given a mapping name -> argument and returns the communicator, or
@@ -66,7 +61,8 @@ def collective(
         @functools.wraps(function)
         def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
             ranks = comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
-            ranks = _last_comm() if ranks is None else _comm_of_group(ranks)
+            if ranks is None and _comms:
+                ranks = _comms[-1]
             if ranks is not None and ranks.size > 1:
 
                 def values() -> dict[str, Any]:
@@ -101,11 +97,6 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
             return duplicate
     _comms.append(comm.Dup() if comm.size > 1 else MPI.COMM_SELF)
     return _comms[-1]
-
-
-def _last_comm() -> MPI.Comm | None:
-    """Return the communicator of the last comparison; None if there was none. Not collective."""
-    return _comms[-1] if _comms else None
 
 
 def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
@@ -191,149 +182,97 @@ def check_agreement(
         InputError: the ranks are in different calls, or a value differs between them.
     """
     comm = _comm_of_group(comm)
-    texts: Texts = {}
+    texts: dict[str, str] = {}
     if error is None:
         try:
-            texts = _Description().texts(values())
+            texts = dict(_described("", values()))
         except Exception as caught:
             error = caught
     digest = hashlib.blake2b(repr((where, texts)).encode(), digest_size=16).digest()
-    words = np.frombuffer(digest, dtype=np.int64) >> 1  # so that -words cannot overflow
-    failed = 0 if error is None else comm.size - comm.rank
-    largest = np.concatenate([words, -words, [failed]])
-    comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
-    if largest[4] > 0:
-        root = comm.size - int(largest[4])
+    digests = comm.allgather(None if error is not None else digest)
+    if None in digests:
+        root = digests.index(None)
         received = comm.bcast(picklable(error) if comm.rank == root else None, root=root)
         raise mark_raised_on_all_ranks(error if error is not None else received)
-    if (largest[:2] != -largest[2:4]).any():
+    if len(set(digests)) > 1:
         raise mark_raised_on_all_ranks(_difference(comm.allgather((where, texts))))
 
 
-def _difference(rank_texts: Sequence[tuple[str, Texts]]) -> InputError:
+def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
     """Return an error that names the first difference between the ranks.
 
     Args:
         rank_texts: for each rank the name of its call, and the texts that describe the values.
     """
-    first_place, expected = rank_texts[0]
-    for rank, (where, texts) in enumerate(rank_texts):
-        if where != first_place:
-            return InputError(
-                f"the ranks are in different calls: {first_place} on rank 0, {where} on rank "
-                f"{rank}. All ranks must make the same collective calls in the same order."
-            )
-        for name in (*expected, *(name for name in texts if name not in expected)):
-            values = [texts_of_rank.get(name, "nothing") for texts_of_rank in (expected, texts)]
-            if values[0] != values[1]:
-                return InputError(
-                    f"{name} differs between ranks in {where}: {values[0]} on rank 0, {values[1]} "
-                    f"on rank {rank}. Give the same on all ranks."
-                )
-    raise AssertionError("the digests differ, but the texts are equal")
+    expected_place, expected = rank_texts[0]
+    rank, (where, texts) = next(
+        item for item in enumerate(rank_texts) if item[1] != (expected_place, expected)
+    )
+    if where != expected_place:
+        return InputError(
+            f"the ranks are in different calls: {expected_place} on rank 0, {where} on rank "
+            f"{rank}. All ranks must make the same collective calls in the same order."
+        )
+    name = next(name for name in {**expected, **texts} if expected.get(name) != texts.get(name))
+    values = [texts_of_rank.get(name, "nothing") for texts_of_rank in (expected, texts)]
+    return InputError(
+        f"{name} differs between ranks in {where}: {values[0]} on rank 0, {values[1]} on rank "
+        f"{rank}. Give the same on all ranks."
+    )
 
 
-class _Description:
-    """Describes values by texts, which are equal on all ranks if the values agree.
+def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Yield name and text of a value, or of each of its parts; no name: of the parts alone.
 
-    Function spaces and meshes are numbered in the order of their first appearance. So the texts
-    differ if two values share a space on one rank, and have different spaces on another rank.
+    The texts are equal on all ranks if the values agree. Meshes, and values of Functions, are
+    distributed and not compared.
     """
+    items: dict[str, Any] | None = None
+    if hasattr(value, "values_to_agree"):
+        items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}
+    elif dataclasses.is_dataclass(value) and type(value).__module__.startswith("dolfinx_tresca."):
+        names = [field.name for field in dataclasses.fields(value) if field.init]
+        items = {f"{name}.{key}": getattr(value, key) for key in names}
+    elif isinstance(value, Mapping):
+        items = {f"{name}[{key!r}]" if name else key: item for key, item in value.items()}
+    elif isinstance(value, list | tuple) and not all(real(item) is not None for item in value):
+        items = {f"{name}[{index}]": item for index, item in enumerate(value)}
+    if items is None:
+        yield name, _text(value)
+        return
+    if name:
+        yield name, f"{type(value).__name__} of {len(items)}"
+    for key, item in items.items():
+        yield from _described(key, item)
 
-    def __init__(self) -> None:
-        self._spaces: list[Any] = []
-        self._topologies: list[Any] = []
 
-    def texts(self, values: Mapping[str, Any]) -> Texts:
-        """Return name -> text of all values and of all their parts."""
-        return {
-            name: text
-            for value_name, value in values.items()
-            for name, text in self._described(value_name, value)
-        }
-
-    def _described(self, name: str, value: Any) -> Iterator[tuple[str, str]]:
-        """Yield the name and text of a value, and of each of its parts."""
-        components = self._parts(value)
-        if components is None:
-            yield name, self._text(value)
-            return
-        yield name, f"{type(value).__name__} of {len(components)}"
-        for template, component in components.items():
-            yield from self._described(template.replace("{}", name), component)
-
-    def _parts(self, value: Any) -> dict[str, Any] | None:
-        """Return name -> part of a value; None if it has no parts.
-
-        Names are templates such as '{}.radius': the caller replaces {} by the value's name.
-        """
-        if hasattr(value, "values_to_agree"):
-            return {f"{{}}.{name}": item for name, item in value.values_to_agree().items()}
-        ours = type(value).__module__.startswith("dolfinx_tresca.")
-        if ours and dataclasses.is_dataclass(value):
-            names = [field.name for field in dataclasses.fields(value) if field.init]
-            return {f"{{}}.{name}": getattr(value, name) for name in names}
-        if isinstance(value, Mapping):
-            return {f"{{}}[{key!r}]": item for key, item in value.items()}
-        if isinstance(value, list | tuple) and not all(real(item) is not None for item in value):
-            return {f"{{}}[{i}]": item for i, item in enumerate(value)}
-        return None
-
-    def _text(self, value: Any) -> str:
-        """Return the text of a value that `_parts` does not divide."""
-        number = real(value)
-        if isinstance(value, bool | np.bool_ | str | bytes) or value is None:
-            return repr(value)
-        if number is not None:
-            return f"{number:g}" if float(f"{number:g}") == number else repr(number)
-        if isinstance(value, fem.Constant):
-            return f"Constant {value.value.tolist()}"
-        if isinstance(value, fem.Function):
-            return f"Function on {self._space(value.function_space)}"
-        if isinstance(value, fem.FunctionSpace):
-            return self._space(value)
-        if isinstance(value, fem.DirichletBC):
-            fixed = getattr(value.g, "value", None)
-            return f"DirichletBC{'' if fixed is None else f' to {np.asarray(fixed).tolist()}'}"
-        if isinstance(value, MeshTags):
-            return f"MeshTags of dimension {value.dim}"
-        if isinstance(value, ufl.Form):
-            return self._form(value)
-        if isinstance(value, np.ndarray | list | tuple):
-            array = np.asarray(value)
-            numeric = array.dtype.kind in "iuf"
-            small = array.size <= MAX_COMPARED_VALUES
-            return (
-                f"{(array.astype(float) if numeric else array).tolist()}" if small else "an array"
-            )
-        if callable(value) and not isinstance(value, type | ufl.core.expr.Expr):
-            return "a function"
-        if isinstance(value, Mesh):
-            return f"mesh {self._mesh(value)}"
-        return f"an object of type {type(value).__name__}"
-
-    def _form(self, form: ufl.Form) -> str:
-        """Return a text with the spaces, the constants and the signature of a form."""
-        spaces = [self._space(argument.ufl_function_space()) for argument in form.arguments()]
-        constants = [np.asarray(getattr(c, "value", None)).tolist() for c in form.constants()]
+def _text(value: Any) -> str:
+    """Return the text of a value that is compared as a whole."""
+    number = real(value)
+    if isinstance(value, bool | np.bool_ | str | bytes) or value is None:
+        return repr(value)
+    if number is not None:
+        return f"{number:g}" if float(f"{number:g}") == number else repr(number)
+    if isinstance(value, fem.Constant):
+        return f"Constant {value.value.tolist()}"
+    if isinstance(value, fem.Function):
+        return f"Function on {value.function_space.ufl_element()}"
+    if isinstance(value, fem.DirichletBC):
+        fixed = getattr(value.g, "value", None)
+        return f"DirichletBC{'' if fixed is None else f' to {np.asarray(fixed).tolist()}'}"
+    if isinstance(value, ufl.Form):
+        spaces = [argument.ufl_function_space().ufl_element() for argument in value.arguments()]
+        constants = [np.asarray(getattr(c, "value", None)).tolist() for c in value.constants()]
         try:
-            signature = form.signature()[:8]
+            signature = value.signature()[:8]
         except Exception:  # DOLFINx reports an invalid form when it compiles the form
             signature = "none"
         with_constants = f", constants {constants}" if constants else ""
-        return f"a form on {' and '.join(spaces)}{with_constants}, signature {signature}"
-
-    def _space(self, V: Any) -> str:
-        """Return a text with the number, the element and the mesh of a function space."""
-        if V not in self._spaces:
-            self._spaces.append(V)
-        mesh = self._mesh(V.mesh) if hasattr(V, "mesh") else "none"
-        return f"space {self._spaces.index(V)} ({V.ufl_element()}) on mesh {mesh}"
-
-    def _mesh(self, mesh: Any) -> int:
-        """Return the number of a mesh."""
-        for number, topology in enumerate(self._topologies):
-            if topology is mesh.topology:
-                return number
-        self._topologies.append(mesh.topology)
-        return len(self._topologies) - 1
+        return f"a form on {' and '.join(map(str, spaces))}{with_constants}, signature {signature}"
+    if isinstance(value, np.ndarray | list | tuple):
+        array = np.asarray(value)
+        entries = array.astype(float) if array.dtype.kind in "iuf" else array
+        return str(entries.tolist()) if array.size <= MAX_COMPARED_VALUES else "an array"
+    if callable(value) and not isinstance(value, type | ufl.core.expr.Expr):
+        return "a function"
+    return f"an object of type {type(value).__name__}"

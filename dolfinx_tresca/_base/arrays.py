@@ -1,8 +1,9 @@
-"""Types of arrays and matrices, the smallest divisor, and rounding."""
+"""Types of arrays and matrices, rounding, plain numbers, and random integers."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import numbers
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -49,3 +50,36 @@ def cross(a: Array, b: Array) -> Array:
 def dense(matrix: Matrix) -> Array:
     """Return a matrix as a dense array."""
     return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
+
+
+def real(value: Any) -> float | None:
+    """Convert a real number of any type to float; return None if the value is not a real number.
+
+    Scalars of numpy, fractions and zero-dimensional arrays, such as the value of a `fem.Constant`,
+    are numbers; bools are not.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return None
+    return float(value)
+
+
+def integer(value: Any) -> int | None:
+    """Convert an integer of any type to int; return None for other values, such as 2.0 or True."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral):
+        return None
+    return int(value)
+
+
+def splitmix64(x: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Scramble the bits of 64-bit integers (n,), one to one. Not collective.
+
+    This is the output function of SplitMix64 (Steele, Lea and Flood 2014).
+    """
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    result: npt.NDArray[np.uint64] = x ^ (x >> np.uint64(31))
+    return result

@@ -15,8 +15,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import exchange, gather_rows, reduce_array
 
 #: Difference of coordinates, relative to the mesh's largest coordinate, that counts as rounding.
 ONE_PLACE = 1e-10

@@ -1,8 +1,18 @@
-"""Functions that take no MPI communicators."""
+"""Functions of DOLFINx: zeros, assembled forms, and nodes at the vertices of the mesh."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
+import basix
+import dolfinx.la
+import ufl
 from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import GlobalNumbers, LocalNumbers
+from dolfinx_tresca._base.compat import geometry_dofmap
 
 
 def zero_like(
@@ -21,3 +31,51 @@ def zero_like(
     result = kind(function.function_space, function.copy().x, name=name)
     result.x.array[:] = 0.0
     return result
+
+
+def assembled(form: ufl.Form, space: Any) -> fem.Function:
+    """Assemble a linear form into a Function whose ghost values are up to date. Collective.
+
+    Args:
+        form: the linear form.
+        space: the space of the form's test function.
+    """
+    result = fem.Function(space)
+    fem.assemble_vector(result.x.array, fem.form(form))
+    result.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    result.x.scatter_forward()
+    return result
+
+
+def entities_per_cell(V: Any, dim: int) -> int:
+    """Return the number of entities of a dimension in each cell of V's mesh. Not collective."""
+    return len(basix.topology(V.element.basix_element.cell_type)[dim])
+
+
+def nodes_of_vertices(V: Any) -> LocalNumbers:
+    """Return for each geometry node at a vertex the node of V at this vertex. Not collective.
+
+    Args:
+        V: a Lagrange space. Its nodes on edges, on facets and in cells do not appear in the result.
+
+    Returns:
+        (geometry nodes,) nodes of V; zero for geometry nodes of curved meshes that are not at
+        vertices.
+    """
+    vertices = entities_per_cell(V, 0)
+    nodes = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
+    nodes[geometry_dofmap(V.mesh)[:, :vertices]] = V.dofmap.list[:, :vertices]
+    return nodes
+
+
+def numbers_in_file(V: Any) -> GlobalNumbers:
+    """Return for each node of V the number of its vertex in the mesh file. Not collective.
+
+    If the mesh was not refined, the numbers depend neither on the degree of V nor on the partition.
+    Nodes that are not at vertices have the number 0.
+    """
+    index_map, vertices = V.dofmap.index_map, entities_per_cell(V, 0)
+    numbers = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
+    in_file = np.asarray(V.mesh.geometry.input_global_indices)
+    numbers[V.dofmap.list[:, :vertices]] = in_file[geometry_dofmap(V.mesh)[:, :vertices]]
+    return numbers

@@ -1,15 +1,18 @@
-"""Collective helpers: errors that are raised on all ranks, logging, reductions of small arrays."""
+"""Collective helpers: errors on all ranks, logging, sums, exchange of rows, observers, times."""
 
 from __future__ import annotations
 
 import logging
 import pickle
+import textwrap
+import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any
+from math import prod
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
@@ -17,8 +20,31 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, issparse, vstack
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.lines import fill
+import dolfinx.la
+from dolfinx import common
+
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca.errors import InputError, shown
+
+#: Greatest number of characters in a line; longer words are not broken.
+LINE_WIDTH = 100
+
+#: A space at which lines are not broken, such as a space between the components of a vector.
+UNBROKEN = "\N{NO-BREAK SPACE}"
+
+
+def fill(text: str, start: str = "", further: str = "  ") -> str:
+    """Break a text into lines; `start` precedes the first line, and `further` each further line."""
+    lines = textwrap.fill(
+        text,
+        LINE_WIDTH,
+        initial_indent=start,
+        subsequent_indent=further,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return lines.replace(UNBROKEN, " ")
+
 
 _logger = logging.getLogger("dolfinx_tresca")
 
@@ -178,3 +204,123 @@ class RankReductions:
     def minimum_over_ranks(self, value: float) -> float:
         """Return the minimum of a value over all ranks. Collective."""
         return float(self.comm.allreduce(value, op=MPI.MIN))
+
+
+_exchange_logger = logging.getLogger("dolfinx_tresca.exchange")
+
+
+def exchange(
+    comm: MPI.Comm, rows: npt.NDArray[Any], ranks: Indices
+) -> tuple[npt.NDArray[Any], Indices]:
+    """Send each row to a rank and return the rows received from all ranks. Collective.
+
+    Each rank logs, at level DEBUG, how many bytes it sends to how many ranks.
+
+    Args:
+        comm: the communicator.
+        rows: (n, ...) rows of any data type, records included; the type is equal on all ranks.
+        ranks: (n,) the rank to which each row goes.
+
+    Returns:
+        The received rows (m, ...), in the order of the sending ranks and of each sender's rows, and
+        the rank (m,) from which each row comes.
+    """
+    if comm.size == 1:
+        return rows, np.asarray(ranks, dtype=np.intp)
+    sent = np.ascontiguousarray(rows[np.argsort(ranks, kind="stable")])
+    counts = np.bincount(ranks, minlength=comm.size).astype(np.intc)
+    incoming = np.empty_like(counts)
+    comm.Alltoall(counts, incoming)
+    received = np.empty((int(incoming.sum()), *rows.shape[1:]), dtype=rows.dtype)
+    _exchange_logger.debug("%d bytes to %d ranks", sent.nbytes, np.count_nonzero(counts))
+    row = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * prod(rows.shape[1:])).Commit()
+    comm.Alltoallv(
+        [_bytes(sent), counts, row],
+        [_bytes(received), incoming, row],
+    )
+    row.Free()
+    return received, np.repeat(np.arange(comm.size), incoming)
+
+
+def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at nodes (...) of all ranks. Collective.
+
+    Args:
+        index_map: the nodes of this rank, ghosts included.
+        nodes: (...) local numbers of nodes, each any number of times.
+        values: (..., k) values at the nodes.
+    """
+    vector = dolfinx.la.vector(index_map, values.shape[-1])
+    vector.array[:] = 0.0
+    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    return np.array(vector.array).reshape(-1, values.shape[-1])
+
+
+def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
+    """Return the row (k,) with the least key among the rows of all ranks. Collective.
+
+    The result is None if no rank has a row.
+
+    Args:
+        comm: the communicator.
+        keys: (n,) the key of each row.
+        rows: (n, k) the rows of this rank.
+    """
+    mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
+    candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
+    return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
+
+
+def _bytes(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    return rows.reshape(-1).view(np.uint8)
+
+
+_T = TypeVar("_T")
+
+
+def agreed_observer(
+    comm: MPI.Comm, observer: Callable[[_T], bool | None] | None, argument: str
+) -> Callable[[_T], bool]:
+    """Return an observer whose answer, or exception, is the same on all ranks. Collective.
+
+    Calls of the returned observer are collective. It returns True if the observer of any rank
+    returns True.
+
+    Args:
+        comm: the communicator.
+        observer: the observer of this rank, or None.
+        argument: the type of the observer's argument, for the error message.
+
+    Raises:
+        InputError: the observer of a rank is not callable.
+    """
+    with errors_on_all_ranks(comm):
+        if observer is not None and not callable(observer):
+            raise InputError(f"observer must be a function of {argument}, found {shown(observer)}.")
+    if not comm.allreduce(observer is not None, op=MPI.LOR):
+        return lambda progress: False
+
+    def any_rank_stops(progress: _T) -> bool:
+        stop = False
+        with errors_on_all_ranks(comm):
+            stop = observer is not None and bool(observer(progress))
+        return bool(comm.allreduce(stop, op=MPI.LOR))
+
+    return any_rank_stops
+
+
+@contextmanager
+def timed(name: str, timings: dict[str, float]) -> Iterator[None]:
+    """Add the wall-clock time of a block [s] to `timings` and to `dolfinx.common.list_timings`."""
+    start = time.perf_counter()
+    with common.Timer(f"~dolfinx_tresca: {name}"):
+        yield
+    timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
+
+
+def largest_over_ranks(comm: MPI.Comm, timings: dict[str, float]) -> dict[str, float]:
+    """Return the largest time of each phase over all ranks [s]. Collective."""
+    values = reduce_array(comm, list(timings.values()), MPI.MAX)
+    return dict(zip(timings, values.tolist(), strict=True))

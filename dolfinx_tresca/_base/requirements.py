@@ -5,7 +5,10 @@ from __future__ import annotations
 import logging
 import sys
 
-from dolfinx_tresca._base.pythons import LEAKING
+#: Versions of Python whose `functools.singledispatchmethod`, used by UFL, never frees its
+#: arguments, so that every mesh stays in memory. tools/venvs.py reads these versions from the file.
+LEAKING = ((3, 13, 0), (3, 13, 1))
+
 
 try:
     # MPI comes first: DOLFINx from PyPI finds the MPI library only after mpi4py has loaded it.

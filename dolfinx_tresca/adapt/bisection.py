@@ -15,100 +15,40 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.mixing import splitmix64
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
 
 #: Range of the shifts of nodes, relative to the shortest edge, that make equal edge lengths differ.
 MOVED = 1e-5
 
-
-class SharedNodes:
-    """Nodes with keys: a node has the same key on all ranks that have the node.
-
-    Each key determines one rank, its keeper. All ranks that have the node send their messages about
-    it to the keeper.
-
-    Attributes:
-        numbers: (n,) numbers of this rank's nodes: 0, 1, ... over all ranks, in the order of their
-            keys, for any partition.
-    """
-
-    def __init__(self, comm: MPI.Comm, keys: npt.NDArray[np.int64], limit: int) -> None:
-        """Number the nodes. Collective.
-
-        Args:
-            comm: communicator of the ranks.
-            keys: (n,) keys of this rank's nodes, ascending, without repetition.
-            limit: a number larger than all keys.
-        """
-        self._comm = comm
-        # ascending like the keys, so that answers come back in the order of the questions
-        self._keepers = (keys // (limit // comm.size + 1)).astype(np.intp)
-        asked, self._askers = exchange(comm, keys, self._keepers)
-        kept, self._position = np.unique(asked, return_inverse=True)
-        self._count = len(kept)
-        start = sum(comm.allgather(self._count)[: comm.rank])
-        self.numbers, _ = exchange(comm, (start + self._position).astype(np.int64), self._askers)
-
-    def kept(self, rows: Array) -> Array:
-        """Return the rows (m, k) of the nodes whose keeper is this rank, by ascending number.
-
-        Collective.
-
-        Args:
-            rows: (n, k) rows of this rank's nodes, the same on all ranks that have them.
-        """
-        told, _ = exchange(self._comm, rows, self._keepers)
-        result = np.zeros((self._count, rows.shape[1]))
-        result[self._position] = told
-        return result
-
-    def known_values(self, rows: Array, is_known: Mask) -> tuple[Array, Mask]:
-        """Return values at this rank's nodes, taken from any rank that knows them. Collective.
-
-        Args:
-            rows: (n, k) rows of this rank's nodes; known rows are the same on all ranks.
-            is_known: (n,) whether this rank knows each row.
-
-        Returns:
-            The rows (n, k), unchanged where no rank knows them; and whether a rank knows each row,
-            (n,).
-        """
-        told, _ = exchange(self._comm, np.column_stack([rows, is_known]), self._keepers)
-        result = np.zeros((self._count, rows.shape[1] + 1))
-        known_rows = told[:, -1] > 0.0
-        result[self._position[known_rows]] = told[known_rows]
-        answers, _ = exchange(self._comm, result[self._position], self._askers)
-        return np.where(answers[:, -1:] > 0.0, answers[:, :-1], rows), answers[:, -1] > 0.0
+#: The shift of a node along axis i is the sine of row i times the coordinates over the shortest
+#: edge: numbers without common multiples, so that shifts of neighbours have nothing in common.
+WAVES = 100.0 * np.sqrt([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]])
 
 
 @dataclass(frozen=True)
 class BisectedCells:
-    """The cells into which bisection cuts this rank's cells of a mesh, and the nodes of new cells.
+    """The cells into which bisection cuts this rank's cells of a mesh.
 
-    A node is a corner of the mesh, or the middle of an edge. Cells have the dimension d.
+    Cells have the dimension d.
 
     Attributes:
-        parent: (n,) the cell of the mesh that contains each cell.
+        mesh: the mesh of the new cells, which are on the ranks of their parents.
+        parent: (n,) the cell of the old mesh that contains each new cell of this rank.
         opposite: (n, d + 1, d + 1) whether a corner of the cell (second index) lies on the facet of
             the parent that is opposite to the parent's corner (third index).
-        nodes: (n, d + 1) the corners of each cell, as positions in `points`.
-        points: (nodes, 3) coordinates of the nodes [length].
-        ends: (nodes, 2) the two ends of the edge of which the node is the middle; for a corner,
-            twice the corner itself. Corners have the numbers that they got when the mesh was
-            created.
-        shared: numbering of the nodes over all ranks.
+        nodes: (n, d + 1) nodes of `mesh` at the corners of each cell.
+        ends: (nodes, 2) for each node of `mesh` that this rank owns the two ends of the edge of
+            which it is the middle; for a corner of the old mesh, twice this corner. Corners have
+            the numbers that they got when the old mesh was created.
     """
 
+    mesh: Any
     parent: npt.NDArray[np.int32]
     opposite: npt.NDArray[np.bool_]
-    nodes: npt.NDArray[np.intp]
-    points: Array
+    nodes: Indices
     ends: npt.NDArray[np.int64]
-    shared: SharedNodes
 
     @classmethod
     def from_marked(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
@@ -140,69 +80,53 @@ class BisectedCells:
         start = sum(comm.allgather(count)[: comm.rank])
         parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - start]
 
-        corners = geometry_dofmap(mesh)[parent]
-        fine_corners = fine.geometry.x[geometry_dofmap(fine)[:count]]
-        twice = _halves(moved[corners][:, :, :dim], fine_corners[:, :, :dim])
+        corners, nodes = geometry_dofmap(mesh)[parent], geometry_dofmap(fine)[:count]
+        twice = _halves(moved[corners][:, :, :dim], fine.geometry.x[nodes][:, :, :dim])
         # the parent's first and last corner with a nonzero barycentric coordinate: at a corner both
         # are this corner, at the middle of an edge they are its ends
         begin, end = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
-        in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
-        begins, ends = (np.take_along_axis(in_file, which, axis=1) for which in (begin, end))
-        # nodes of a submesh have the numbers of its parent mesh, with gaps
-        largest = np.max(mesh.geometry.input_global_indices, initial=0)
-        total = int(reduce_array(comm, largest, MPI.MAX)) + 1
-        keys, position, nodes = np.unique(
-            np.minimum(begins, ends) * total + np.maximum(begins, ends),
-            return_index=True,
-            return_inverse=True,
-        )
-        begins, ends = (
-            np.take_along_axis(corners, which, axis=1).ravel()[position] for which in (begin, end)
-        )
-        x = mesh.geometry.x
-        return cls(
-            parent=parent,
-            opposite=twice == 0,
-            nodes=nodes.reshape(-1, dim + 1),
-            points=0.5 * (x[begins] + x[ends]),
-            ends=np.column_stack([keys // total, keys % total]),
-            shared=SharedNodes(comm, keys, total**2),
-        )
+        begin, end = (np.take_along_axis(corners, which, axis=1) for which in (begin, end))
+        fine.geometry.x[nodes] = 0.5 * (mesh.geometry.x[begin] + mesh.geometry.x[end])
+        in_file = np.asarray(mesh.geometry.input_global_indices)
+        ends = np.zeros((len(fine.geometry.x), 2), dtype=np.int64)
+        ends[nodes] = np.sort(in_file[np.stack([begin, end], axis=2)], axis=2)
+        owned = fine.geometry.index_map().size_local
+        return cls(fine, parent, twice == 0, nodes.astype(np.intp), ends[:owned])
 
     @property
-    def dim(self) -> int:
-        """Dimension of the cells."""
-        return int(self.nodes.shape[1]) - 1
+    def numbers(self) -> npt.NDArray[np.int64]:
+        """(nodes,) the numbers of this rank's nodes over all ranks. Not collective."""
+        count = np.arange(len(self.mesh.geometry.x), dtype=np.int32)
+        return np.asarray(self.mesh.geometry.index_map().local_to_global(count))
 
     def volumes(self, points: Array) -> Array:
         """Return the signed volumes (n,), times d!, for nodes at given points (nodes, 3)."""
         sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
-        return np.asarray(np.linalg.det(sides[:, :, : self.dim]))
+        return np.asarray(np.linalg.det(sides[:, :, : self.mesh.topology.dim]))
 
-    def volume_parts(self) -> Array:
-        """Return the volumes (n,) of the cells, divided by the volumes of their parents."""
-        volumes = np.abs(self.volumes(self.points))
-        return np.asarray(volumes / np.bincount(self.parent, volumes)[self.parent])
+    def on_any_rank(self, nodes: Mask) -> Mask:
+        """Return whether nodes (nodes,) are true on any rank that has them. Collective."""
+        every = np.arange(len(nodes))
+        sums = summed_at_nodes(self.mesh.geometry.index_map(), every, nodes[:, None].astype(float))
+        return np.asarray(sums[:, 0] > 0.0)
 
-    def inherited_facets(
-        self, mesh: Any, tags: Any
-    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
+    def inherited_facets(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
         """Return the nodes (m, d) and tags (m,) of the facets of the cells that inherit a tag.
 
-        A facet inside a tagged facet of `mesh` gets this tag. A facet between two cells occurs
-        twice. Not collective.
+        A facet inside a tagged facet of the old `mesh` gets this tag. A facet between two cells
+        occurs twice. Not collective.
         """
-        dim = self.dim
+        dim = mesh.topology.dim
         mesh.topology.create_connectivity(dim, dim - 1)
-        of_cell = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
-        value, tagged = _of_entities(of_cell.max(initial=-1) + 1, tags)
-        facets = of_cell[self.parent]
+        facets_of_cells = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+        value, tagged = _of_entities(facets_of_cells.max(initial=-1) + 1, tags)
+        facets = facets_of_cells[self.parent]
         # all corners except one lie on the parent's facet
         cell, side = np.nonzero((self.opposite.sum(axis=1) == dim) & tagged[facets])
-        on = self.opposite[cell, :, side]
-        return self.nodes[cell][on].reshape(-1, dim), value[facets[cell, side]]
+        corners = self.opposite[cell, :, side]
+        return self.nodes[cell][corners].reshape(-1, dim), value[facets[cell, side]]
 
-    def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
+    def inherited_cells(self, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
         """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
         value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
         kept = tagged[self.parent]
@@ -217,17 +141,14 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
     on the partition. After the motion all lengths differ, in the same way for any partition.
     Collective.
     """
-    x = mesh.geometry.x
+    x, dim = mesh.geometry.x, mesh.geometry.dim
     start = x.copy()
-    dim = mesh.geometry.dim
-    in_file = np.asarray(mesh.geometry.input_global_indices).astype(np.uint64)
-    random_bits = splitmix64(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
     corners = x[geometry_dofmap(mesh)]
     sides = [corners[:, i] - corners[:, j] for i, j in combinations(range(dim + 1), 2)]
     shortest = np.linalg.norm(sides, axis=2).min(initial=np.inf)
     size = float(reduce_array(mesh.comm, shortest, MPI.MIN))
     try:
-        x[:, :dim] += MOVED * size * (random_bits / 2.0**64 - 0.5)
+        x[:, :dim] += 0.5 * MOVED * size * np.sin(start[:, :dim] / size @ WAVES[:dim, :dim].T)
         yield x.copy()
     finally:
         x[:] = start

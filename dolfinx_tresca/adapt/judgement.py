@@ -11,9 +11,9 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.assembly import assembled
-from dolfinx_tresca._base.forcing import FORCING
+from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.adapt.refinement import owned_values
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import InputError, shown

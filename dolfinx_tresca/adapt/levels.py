@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dolfinx_tresca.derivatives.goals import GoalError
@@ -123,33 +121,3 @@ class AdaptiveSolution(Tabulated):
             f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} mesh(es), "
             f"{self.levels[-1].free_dofs} unknowns, mesh error {self.error:.1e}>"
         )
-
-
-def rate_of(levels: Sequence[Level]) -> float:
-    """Return the power of 1/n, for n unknowns, with which the error has fallen to the last level.
-
-    Without two levels, and if the error has not fallen, this is the rate of degree 1 with singular
-    edges, 1/3.
-    """
-    if len(levels) > 1:
-        coarse, fine = levels[-2:]
-        if coarse.error > fine.error > 0.0 and fine.free_dofs > coarse.free_dofs:
-            return math.log(coarse.error / fine.error) / math.log(fine.free_dofs / coarse.free_dofs)
-    return 1.0 / 3.0
-
-
-def expected_error(levels: Sequence[Level], free_dofs: int) -> float:
-    """Return the relative error to expect on a mesh after these levels, infinite without levels.
-
-    Args:
-        levels: the earlier meshes.
-        free_dofs: number of unknowns of the mesh.
-    """
-    if not levels:
-        return math.inf
-    return levels[-1].error * math.pow(levels[-1].free_dofs / free_dofs, rate_of(levels))
-
-
-def growth_to(levels: Sequence[Level], error: float) -> float:
-    """Return the factor of the number of unknowns that leads to a relative error, at most e^100."""
-    return math.exp(min(math.log(levels[-1].error / error) / rate_of(levels), 100.0))

@@ -18,23 +18,23 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
-from dolfinx_tresca.stiffness.nested import Bisection, remember
+from dolfinx_tresca.stiffness.levels import Bisection, remember
 
-#: Step to which logarithms of errors are rounded when they go to other ranks.
-LOGARITHM_STEP = 1e-6
-
-#: Relative difference of squared errors that counts as rounding: cells whose errors differ less are
-#: marked together, so that the mesh of a symmetric scene stays symmetric, and is the same on any
-#: number of ranks.
+#: Relative difference of squared errors that counts as rounding.
 TIE = 1e-9
+
+#: Least squared error of a marked cell, divided by the least that Doerfler's marking needs. The
+#: errors of marked cells end in the widest gap of this range, so that rounding, and what iterative
+#: solvers leave, hardly change the marked cells: the mesh of a symmetric scene stays symmetric, and
+#: is the same on any number of ranks. With a smaller number the gap is wider, and more are marked.
+NEARLY = 0.8
 
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
@@ -88,20 +88,45 @@ def refine(
     """
     check_type(tagged_mesh)
     mesh = tagged_mesh.mesh
-    comm = mesh.comm
+    comm, dim = mesh.comm, mesh.topology.dim
     with errors_on_all_ranks(comm):
         check_tagged_mesh(tagged_mesh)
         check_fraction(fraction)
         errors = owned_values(mesh, cell_errors)
-        surfaces = checked_snap(tagged_mesh, snap)
-    return _cut(tagged_mesh, errors, fraction, snap, surfaces)[0]
+        given = checked_snap(tagged_mesh, snap)
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    marked = largest_part(comm, np.square(errors / largest), float(fraction))
+    cells = BisectedCells.from_marked(mesh, marked, fraction == 1.0 or dim == 2)
+    facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
+    with _surfaces(tagged_mesh, snap, given) as surfaces:
+        points = snapped(cells, facets, facet_values, surfaces)
+
+    numbers, index_map = cells.numbers, cells.mesh.geometry.index_map()
+    fine = compat.create_mesh(
+        comm,
+        numbers[cells.nodes],
+        points[: index_map.size_local, :dim],
+        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
+        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
+    )
+    remember(fine, Bisection(mesh, index_map.local_range[0], cells.ends))
+    cell_tags = tagged_mesh.cell_tags
+    if cell_tags is not None:
+        cell_nodes, cell_values = cells.inherited_cells(cell_tags)
+        cell_tags = _distributed(fine, cell_tags, numbers[cell_nodes], cell_values)
+    facet_tags = _distributed(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
+    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
+        facet_tags.cell_tags = cell_tags
+    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
-    except that all cells whose errors equal the least marked error are marked, too.
+    except that cells whose errors nearly equal the least marked error are marked, too (`NEARLY`).
 
     Args:
         comm: communicator of the ranks.
@@ -125,118 +150,11 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     while high > low * (1.0 + TIE):
         middle = np.sqrt(low) * np.sqrt(high)
         low, high = (middle, high) if beyond(middle) >= wanted else (low, middle)
-    return np.asarray(squares >= low * (1.0 - TIE))
-
-
-def cut(
-    tagged_mesh: TaggedMesh, errors: Array, fraction: float, degree: int, snap: Snap | None
-) -> tuple[TaggedMesh, Array]:
-    """Return a refined mesh, see `refine`, and the errors expected on it. Collective.
-
-    With these errors the mesh can be cut again before a problem is solved on it. The squared error
-    of a cell is taken as proportional to its volume times size^(2 degree), as for smooth
-    displacements. Cells where displacements are not smooth are therefore cut too rarely, until a
-    solution shows their errors.
-
-    Args:
-        tagged_mesh: mesh of triangles or tetrahedra, checked.
-        errors: (n,) errors of the cells that this rank owns.
-        fraction: see `refine`.
-        degree: degree of the displacement.
-        snap: see `refine`.
-
-    Returns:
-        the mesh, and the errors (m,) of its cells that this rank owns.
-    """
-    dim = tagged_mesh.mesh.topology.dim
-    fine, cells, nodes = _cut(tagged_mesh, errors, fraction, snap, checked_snap(tagged_mesh, snap))
-    expected = errors[cells.parent] * cells.volume_parts() ** (0.5 + degree / dim)
-    return fine, _sent_to_owners(fine.mesh, nodes, expected)
-
-
-def _cut(
-    tagged_mesh: TaggedMesh,
-    errors: Array,
-    fraction: float,
-    snap: Snap | None,
-    surfaces: Mapping[int, tuple[str, Projection]],
-) -> tuple[TaggedMesh, BisectedCells, npt.NDArray[np.int64]]:
-    """Return a mesh with the worst cells bisected, its cells, and their nodes. Collective.
-
-    Args:
-        tagged_mesh: the mesh.
-        errors: (n,) errors of the cells that this rank owns.
-        fraction: see `refine`.
-        snap: see `refine`.
-        surfaces: result of `checked_snap` for `snap`.
-
-    Returns:
-        the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of the new
-        cells, with the numbers that were passed to `create_mesh`.
-
-    Raises:
-        InputError: all errors are zero.
-    """
-    mesh = tagged_mesh.mesh
-    comm, dim = mesh.comm, mesh.topology.dim
-    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
-    if largest == 0.0:
-        raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(comm, np.square(errors / largest), float(fraction))
-    cells = BisectedCells.from_marked(mesh, marked, fraction == 1.0 or dim == 2)
-    facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
-    with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
-        points = snapped(comm, cells, facets, facet_values, all_surfaces)
-
-    fine = compat.create_mesh(
-        comm,
-        cells.shared.numbers[cells.nodes],
-        cells.shared.kept(points)[:, :dim],
-        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
-        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
-    )
-    ends = cells.shared.kept(cells.ends.astype(np.float64)).astype(np.int64)
-    remember(fine, Bisection(mesh, sum(comm.allgather(len(ends))[: comm.rank]), ends))
-    numbers_of = cells.shared.numbers
-    cell_tags = tagged_mesh.cell_tags
-    if cell_tags is not None:
-        cell_nodes, cell_values = cells.inherited_cells(cell_tags)
-        cell_tags = _distributed(fine, cell_tags, numbers_of[cell_nodes], cell_values)
-    facet_tags = _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values)
-    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
-        facet_tags.cell_tags = cell_tags
-    result = TaggedMesh(
-        fine,
-        cell_tags,
-        facet_tags,
-        dict(tagged_mesh.tags),
-        tagged_mesh.geometry,
-    )
-    return result, cells, numbers_of[cells.nodes]
-
-
-def _sent_to_owners(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
-    """Send values of cells to the ranks that own the cells, rounded to six digits. Collective.
-
-    DOLFINx distributes integers only, so the logarithms are rounded and sent.
-
-    Args:
-        mesh: the mesh.
-        cells: (n, nodes) nodes of cells on any rank, with the numbers that were passed to
-            `create_mesh`.
-        values: (n,) values of the cells, zero or positive.
-
-    Returns:
-        the values (m,) of the cells that this rank owns.
-    """
-    dim = mesh.topology.dim
-    logarithms = np.log(np.maximum(values, np.finfo(np.float64).tiny))
-    whole = np.rint(logarithms / LOGARITHM_STEP).astype(np.int32)
-    tags = _meshtags(mesh, dim, cells, whole)
-    result: Array = np.zeros(mesh.topology.index_map(dim).size_local)
-    own = tags.indices < len(result)
-    result[tags.indices[own]] = np.exp(LOGARITHM_STEP * tags.values[own])
-    return result
+    is_near = (squares >= NEARLY * low) & (squares <= low * (1.0 + TIE))
+    near = np.sort(np.concatenate(comm.allgather(squares[is_near])))
+    below = np.append(NEARLY * low, near[:-1])
+    gap = np.argmax(near / below)
+    return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))
 
 
 @contextmanager
@@ -261,12 +179,6 @@ def _surfaces(
         with errors_on_all_ranks(tagged_mesh.mesh.comm):
             projections = session.enter_context(geometry.projections())
         yield {tag: (names[tag], projection) for tag, projection in projections.items()}
-
-
-def cell_count(tagged_mesh: TaggedMesh) -> int:
-    """Return the number of cells on all ranks. Not collective."""
-    topology = tagged_mesh.mesh.topology
-    return int(topology.index_map(topology.dim).size_global)
 
 
 def check_fraction(fraction: float) -> None:
@@ -390,20 +302,13 @@ def _distributed(
             `create_mesh`.
         values: (n,) tags of the entities.
     """
-    tags = _meshtags(mesh, old.dim, entities, values)
+    mesh.topology.create_connectivity(old.dim, 0)
+    mesh.topology.create_connectivity(old.dim, mesh.topology.dim)
+    local, values = dolfinx.io.distribute_entity_data(mesh, old.dim, entities, values)
+    tags = dolfinx.mesh.meshtags_from_entities(
+        mesh, old.dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
+    )
     if isinstance(old, NamedTags):
         tags = NamedTags(tags, old.names, geometry=old.geometry)
     tags.name = old.name
     return tags
-
-
-def _meshtags(
-    mesh: Any, dim: int, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
-) -> Any:
-    """Return tags of entities given by their nodes, see `_distributed`. Collective."""
-    mesh.topology.create_connectivity(dim, 0)
-    mesh.topology.create_connectivity(dim, mesh.topology.dim)
-    local, values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
-    return dolfinx.mesh.meshtags_from_entities(
-        mesh, dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
-    )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.number import integer
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, integer
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, summed_at_nodes
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection, project_points
@@ -52,9 +51,8 @@ def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[
 
 
 def snapped(
-    comm: Any,
     cells: BisectedCells,
-    facets: npt.NDArray[np.intp],
+    facets: Indices,
     tags: npt.NDArray[np.int32],
     snap: Mapping[int, tuple[str, Projection]],
 ) -> Array:
@@ -64,9 +62,8 @@ def snapped(
     next refinement tries again, with smaller cells.
 
     Args:
-        comm: communicator of the ranks.
         cells: the cells.
-        facets: (m, d) nodes of tagged facets, as positions in `cells.points`.
+        facets: (m, d) nodes of tagged facets.
         tags: (m,) tags of the facets.
         snap: tag -> name, projection.
 
@@ -74,31 +71,33 @@ def snapped(
         InputError: a projection fails, or does not return one finite point for each node; or no
             facet has the tag of a projection.
     """
-    start = points = cells.points
+    mesh = cells.mesh
+    comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
+    start = surface = mesh.geometry.x.copy()
     for tag, (name, projection) in snap.items():
         nodes = np.unique(facets[tags == tag])
         if reduce_array(comm, len(nodes)) == 0:
             raise InputError(f"snap names facets that there are not: none has the tag {name}.")
-        moved = np.zeros(len(points), dtype=np.bool_)
-        moved[nodes] = True
-        target = points.copy()
         with errors_on_all_ranks(comm):
-            target[nodes] = project_points(points[nodes], f"snap[{name!r}]", projection, cells.dim)
-        points, _ = cells.shared.known_values(target, moved)
+            target = project_points(surface[nodes], f"snap[{name!r}]", projection, dim)
+        # another rank may know of a node, but of none of its facets
+        values = np.column_stack([target, np.ones(len(nodes))])
+        sums = summed_at_nodes(index_map, nodes, values)
+        surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
 
-    held: Mask = np.zeros(len(points), dtype=np.bool_)
-    surface, volumes = points, cells.volumes(start)
+    held: Mask = np.zeros(len(start), dtype=np.bool_)
+    points, volumes = surface, cells.volumes(start)
     while True:
         flat = np.sign(volumes) * cells.volumes(points) < LEAST_VOLUME * np.abs(volumes)
         more = held.copy()
         more[cells.nodes[flat]] = True
-        _, more = cells.shared.known_values(start, more)
+        more = cells.on_any_rank(more)
         if reduce_array(comm, (more & ~held).sum()) == 0:
             break
         held = more
         points = np.where(held[:, None], start, surface)
     back = held & (surface != start).any(axis=1)
-    count = int(reduce_array(comm, cells.shared.kept(back[:, None].astype(float)).sum()))
+    count = int(reduce_array(comm, back[: index_map.size_local].sum()))
     if count:
         log(
             comm,
@@ -107,4 +106,4 @@ def snapped(
             count,
             level=logging.WARNING,
         )
-    return points
+    return np.asarray(points)

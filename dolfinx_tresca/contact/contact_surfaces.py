@@ -12,16 +12,15 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.timing import timed
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, timed
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.friction_checks import depends_on_pressure
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepState
-from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import moved_jump
+from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError, StiffnessError
@@ -109,7 +108,7 @@ class ContactSurfaces(PetscOwner):
         self.guess = InitialGuess(self.jump)
         self.obstacles.note_pairing(self.jump)
         self._state = StepState.undeformed(self.jump, self.obstacles.motions)
-        with destroyed_on_error(self.guess), destroyed_on_error(self.jump):
+        with destroyed_on_error(self.jump):
             self.compliance = stiffness.compliance(self.jump, self.timings)
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
@@ -140,8 +139,8 @@ class ContactSurfaces(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._drop_operators()
-        for owner in (self.nodal_values, self.compliance, self.guess, self.jump):
-            owner.destroy()
+        self.compliance.destroy()
+        self.jump.destroy()
 
     @property
     def operators(self) -> tuple[ContactOperators, ...]:

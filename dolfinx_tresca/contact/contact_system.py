@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -15,13 +15,18 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.owner import PetscOwner, free_unused
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca._base.timing import largest_over_ranks, timed
+from dolfinx_tresca._base.parallel import (
+    errors_on_all_ranks,
+    largest_over_ranks,
+    log,
+    reduce_array,
+    timed,
+)
+from dolfinx_tresca._base.petsc import PetscOwner, free_unused
+from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.friction_checks import check_curves, check_curves_of_floating_bodies
-from dolfinx_tresca.contact.solve_to_bound import solve_to_bound
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, MechanismError
@@ -31,20 +36,28 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.hints import hint_at_overlap, hint_at_scene
-from dolfinx_tresca.solution.theory import (
+from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
+from dolfinx_tresca.solution.scene_checks import (
     Limit,
+    hint_at_overlap,
+    hint_at_scene,
     motions_of_bodies,
     motions_of_pairs,
     reason_outside,
 )
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, pressed_values
+from dolfinx_tresca.solvers.history import History
+from dolfinx_tresca.solvers.iteration import solve
+from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
-from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
 
+#: Statuses with which a solution may have left linear theory. Where a body slides without end,
+#: there is no fixed point of pressures and slip bounds, and the last iterate shows the motion.
+CHECKED = (ContactStatus.CONVERGED, ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED)
 Solution = TypeVar("Solution", bound=ContactSolution)
 
 
@@ -61,45 +74,27 @@ class ContactSystem(PetscOwner):
     """
 
     def __init__(
-        self,
-        linear: LinearSystem,
-        pairs: list[ContactPair],
-        stiffness: StiffnessMethod,
-        expected_solves: int = 1,
-        petsc_options: Mapping[str, Any] | None = None,
-        petsc_options_prefix: str | None = None,
+        self, linear: LinearSystem, pairs: list[ContactPair], stiffness: Factorisation
     ) -> None:
         """Pair the surfaces, and assemble and factor K. Collective.
 
         Args:
             linear: the system K u = f. The problem owns it, and destroys it if this call fails.
             pairs: the surfaces that may touch.
-            stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
-            expected_solves: number of solves with the same K, approximately.
-            petsc_options: PETSc options of the solver for K, with precedence over the defaults.
-            petsc_options_prefix: prefix of the options that the command line gives to this solver.
+            stiffness: object that assembles and factors K.
 
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        self.linear, self.pairs = linear, pairs
+        self.linear, self.pairs, self._stiffness = linear, pairs, stiffness
         self.comm = self.linear.comm
         self._destroyed = False
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
-            cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
-            self._stiffness = Factorisation(
-                linear,
-                cell_tags[0] if cell_tags else None,
-                stiffness,
-                expected_solves,
-                {} if petsc_options is None else petsc_options,
-                petsc_options_prefix,
-            )
-            self.surfaces = ContactSurfaces(linear, pairs, self._stiffness)
+            self.surfaces = ContactSurfaces(linear, pairs, stiffness)
         except ContactError:
             linear.destroy()
             raise
@@ -237,7 +232,8 @@ class ContactSystem(PetscOwner):
     def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
-        Prescribed overlaps and the reason of a failure are logged. With finite sliding, the first
+        Prescribed overlaps and the reason of a failure are logged. A solve that found no solution
+        since bodies slide away has this as its reason. With finite sliding, the first
         configurations are not checked, since surfaces that come from afar may lie deep inside other
         bodies there.
 
@@ -246,7 +242,8 @@ class ContactSystem(PetscOwner):
             linear: whether bodies are linear, so that rotations and deformations have limits.
         """
         hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
-        if solution.status is ContactStatus.CONVERGED:
+        status = solution.status
+        if status in CHECKED and not solution.sliding:
             surfaces, u, v = self.surfaces, solution.u, solution.deformation
             paired, tractions = surfaces.state.geometry, solution.multipliers
             departures = [
@@ -255,10 +252,13 @@ class ContactSystem(PetscOwner):
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:
-                status = ContactStatus.OUTSIDE_THEORY
-                surfaces.state = surfaces.state.with_status(status)
+                if status is ContactStatus.CONVERGED:
+                    status = ContactStatus.OUTSIDE_THEORY
+                    surfaces.state = surfaces.state.with_status(status)
+                else:
+                    reason = f"The last iterate has left linear theory: {reason}"
                 solution = replace(solution, status=status, sliding=reason)
-        elif solution.failure:
+        if solution.failure:
             log(self.comm, "%s", solution.failure, level=logging.WARNING)
         return solution
 
@@ -296,6 +296,7 @@ class ContactSystem(PetscOwner):
             MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
+        free_unused(self.comm)  # vectors of the solves before
         surfaces, bodies = self.surfaces, self._stiffness.bodies
         requested = requested or options
         self._stiffness.check_suits(options)
@@ -321,11 +322,14 @@ class ContactSystem(PetscOwner):
             if dual.equilibrium is not None:
                 check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
-        start, secondary = state.multipliers, surfaces.secondary
-        dual_solution, evaluation, history = solve_to_bound(
-            dual, start, secondary, bodies, options, requested, observe, timings
-        )
-        status = dual_solution.status
+        with timed("iteration", timings):
+            dual_solution = solve(dual, state.multipliers, options, observe)
+        with timed("fields", timings):
+            secondary, estimate = surfaces.secondary, options.balanced
+            evaluation, history = evaluate(
+                dual, secondary, bodies, dual_solution, estimate=estimate
+            )
+        status = _status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = check_curves(dual, dual_solution, surfaces.friction)
         inputs += [pressed_values(*curve) for curve in curves]
         sliding = ""
@@ -362,6 +366,47 @@ class ContactSystem(PetscOwner):
             sliding=sliding,
             **vars(evaluation),
         )
+
+
+def _status_of_fields(
+    dual: DualProgram,
+    solution: DualSolution,
+    evaluation: Evaluation,
+    options: SolverOptions,
+    requested: SolverOptions,
+) -> ContactStatus:
+    """Return the status of a solve, given the error bound of its fields. Collective.
+
+    The fields are computed from the last multipliers anew, and their error bound may differ from
+    the bound of the iterate that the iteration has accepted: if it is too large, rounding prevents
+    the requested accuracy. A solve that ends for another reason than the observer, but whose fields
+    have the requested accuracy, has converged: the reason then prevented only the accuracy of
+    `options`, or of the iterates.
+
+    Args:
+        dual: the dual problem.
+        solution: solution of the dual problem.
+        evaluation: fields of the solution.
+        options: options of the contact algorithm.
+        requested: the options that the user gave; `options` may ask for more.
+    """
+    status = solution.status
+    is_accurate = not evaluation.energy_error_bound > SLACK * solution.wanted
+    if status is ContactStatus.CONVERGED:
+        return status if is_accurate else ContactStatus.STAGNATED
+    if status is ContactStatus.STOPPED:
+        return status
+    if is_accurate and not (options.rtol or options.balanced):
+        return ContactStatus.CONVERGED
+    if requested != options:
+        residual = NaturalResidual(dual, solution.rho)
+        point = Point(solution.multipliers, solution.c, solution.gradient)
+        history = History(dual, requested, lambda iteration: False, residual)
+        measures = history.measures(point, solution.accuracy or 0.0, residual.norm_at(point))
+        met = all(reached <= wanted for reached, wanted in measures)
+        if met and evaluation.energy_error_bound <= SLACK * history.accuracy:
+            return ContactStatus.CONVERGED
+    return status
 
 
 def _with_unit_maximum(values: Array, V: Any) -> fem.Function:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
-from dolfinx_tresca._base.timing import timed
+from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
-from dolfinx_tresca.floating.rigid_modes import weakly_resisted_modes
+from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.scene.mesh import NamedTags
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.choice import (
     ChosenMethod,
@@ -22,51 +23,39 @@ from dolfinx_tresca.stiffness.choice import (
     choose,
     solver_for,
 )
-from dolfinx_tresca.stiffness.nested import is_nested
+from dolfinx_tresca.stiffness.levels import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
+@dataclass
 class Factorisation:
     """Assembles K, adds springs that fix the bodies that K holds only weakly, and factors the sum.
 
     The first call of `compliance` finds the bodies, and chooses the solver for K that suits them.
 
     Attributes:
+        linear: the system of K.
+        pairs: the contact pairs, whose tags of cells have the names of bodies.
+        stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
+        petsc_options: PETSc options of the solver for K, with precedence over the defaults.
+        petsc_options_prefix: prefix of the options that the command line gives to this solver.
+        expected_solves: number of solves with the same K, approximately.
         bodies: the bodies of the mesh.
         method: name of the chosen solver for K.
         reason: why this solver was chosen, as text.
     """
 
-    def __init__(
-        self,
-        linear: LinearSystem,
-        cell_tags: NamedTags | None,
-        stiffness: StiffnessMethod,
-        expected_solves: int,
-        petsc_options: Mapping[str, Any],
-        petsc_options_prefix: str | None,
-    ) -> None:
-        """Check the arguments. Not collective.
-
-        Args:
-            linear: the system of K.
-            cell_tags: tags of cells with the names of bodies; None: bodies have numbers only.
-            stiffness: see `ContactSystem`.
-            expected_solves: see `ContactSystem`.
-            petsc_options: see `ContactSystem`.
-            petsc_options_prefix: see `ContactSystem`.
-
-        Raises:
-            InputError: an argument is wrong.
-        """
-        check_options(petsc_options, petsc_options_prefix)
-        check_choice(stiffness, expected_solves, saddle=linear.component is not None)
-        if linear.comm.rank == 0:
-            warn_of_slow_blas()
-        self._linear, self._cell_tags = linear, cell_tags
-        self._requested = stiffness, int(expected_solves)
-        self._options = petsc_options, petsc_options_prefix
+    linear: LinearSystem
+    pairs: list[ContactPair]
+    stiffness: StiffnessMethod
+    petsc_options: Mapping[str, Any] | None
+    petsc_options_prefix: str | None
+    expected_solves: int = 1
+    bodies: Bodies = field(init=False)
+    method: ChosenMethod = field(init=False)
+    reason: str = field(init=False)
+    _modes: RigidBodyModes = field(init=False)
 
     @property
     def bodies_found(self) -> str:
@@ -86,12 +75,14 @@ class Factorisation:
             again: whether this is a later call, for the same bodies with another K.
 
         Raises:
+            InputError: an option of the solver is wrong.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        linear = self._linear
+        linear = self.linear
+        petsc_options = {} if self.petsc_options is None else self.petsc_options
         if not again:
-            self.bodies = Bodies.from_space(linear.V, self._cell_tags)
-            self.method, self.reason = self._chosen()
+            check_options(petsc_options, self.petsc_options_prefix)
+            self._choose()
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if not again or linear.component is None:
@@ -102,26 +93,32 @@ class Factorisation:
         K = springs.added_to(linear.K) if springs else linear.K
         try:
             with timed(self.method, timings):
-                solver = solver_for(self.method, K, linear, *self._options)
+                solver = solver_for(
+                    self.method, K, linear, petsc_options, self.petsc_options_prefix
+                )
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
         with timed(self.method, timings):  # for a saddle point, this factors another matrix
             return ContactCompliance(jump, solver, springs)
 
-    def _chosen(self) -> tuple[ChosenMethod, str]:
-        """Return the solver for K that suits these bodies, and the reason. Not collective."""
-        method, expected_solves = self._requested
-        V = self._linear.V
+    def _choose(self) -> None:
+        """Find the bodies, and choose the solver for K that suits them. Collective."""
+        V, is_saddle = self.linear.V, self.linear.component is not None
+        check_choice(self.stiffness, self.expected_solves, saddle=is_saddle)
+        if self.linear.comm.rank == 0:
+            warn_of_slow_blas()
+        cell_tags = [pair.cell_tags for pair in self.pairs if pair.cell_tags is not None]
+        self.bodies = Bodies.from_space(V, cell_tags[0] if cell_tags else None)
         dim = V.dofmap.index_map_bs
-        return choose(
-            method,
+        self.method, self.reason = choose(
+            self.stiffness,
             dim * self.bodies.mean_nodes,
             dim,
             V.element.basix_element.degree,
-            expected_solves,
-            self._linear.comm,
-            saddle=self._linear.component is not None,
+            int(self.expected_solves),
+            self.linear.comm,
+            saddle=is_saddle,
             refined=is_nested(V),
         )
 
@@ -131,7 +128,7 @@ class Factorisation:
         Raises:
             InputError: the options need a form of UFL, or bodies without rigid motions.
         """
-        linear = self._linear
+        linear = self.linear
         if options.balanced and not linear.form_of_displacement:
             reason = "a is none" if linear.form is None else "a is on a mixed space"
             raise InputError(

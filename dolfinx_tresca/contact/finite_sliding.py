@@ -124,7 +124,9 @@ class FiniteSliding:
     configuration lies on the step. Where bodies snap, u(w) = w has an unstable solution, or none:
     residuals u - w grow, and the accelerated step would go against them. Then the step w <- u(w) is
     taken, which goes on until bodies reach another equilibrium, and earlier configurations are
-    forgotten.
+    forgotten. If the step leads back to where such a step has led before, bodies do not snap: the
+    equilibrium is stable, though the iteration w <- u(w) is not. (The tip of a snap-fit hook on the
+    round edge of a block, with friction, went in circles for 444 Newton steps; now it takes 27.)
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last
@@ -141,6 +143,7 @@ class FiniteSliding:
         self._gaps: Array | None = None
         self._residual = math.inf  # |u - w|^2
         self._path: list[Configuration] = []
+        self._followed: Array | None = None  # u of the last step that followed a snap
         self._grows = 0  # number of last configurations in which |u - w| has grown
         self._start = 1.0  # relative residual that the last contact problem started with
         self.change = self.error = math.inf
@@ -310,8 +313,10 @@ class FiniteSliding:
         scaled = matrix / np.outer(lengths, lengths)
         weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
         accelerated: Array = u - moves.T @ weights
-        if self._grows >= GROWING and self._products(residual, [accelerated - w])[0] < 0.0:
-            self.snaps, self._path = True, [newest]
+        followed = w if self._followed is None else self._followed
+        against, back = self._products(residual, [w - accelerated, followed - w]) > 0.0
+        if self._grows >= GROWING and against and not back:
+            self.snaps, self._path, self._followed = True, [newest], u
             return u
         return accelerated
 

@@ -17,9 +17,8 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask, real
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import each_warning_once, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
 from dolfinx_tresca.floating.bodies import Bodies

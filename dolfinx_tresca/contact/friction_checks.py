@@ -9,7 +9,7 @@ from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.hints import hint_at_weakening
+from dolfinx_tresca.solution.scene_checks import hint_at_weakening
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, FrictionCones
 from dolfinx_tresca.solvers.problem import DualSolution
 

@@ -17,9 +17,8 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.scene.friction import Frictionless
-from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
 
 class Obstacles:

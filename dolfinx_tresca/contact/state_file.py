@@ -1,11 +1,18 @@
-"""The file of a state: tables of values at nodes, which any number of ranks can read."""
+"""The state of a process in a file, which any number of ranks can read.
+
+The file is an archive of numpy arrays. Arrays named "table/column" have a row for each node of the
+table; the column `PLACES` says which node that is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, is_zipfile
+
+from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -14,18 +21,18 @@ from scipy.spatial import KDTree
 import dolfinx.la
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca._base.atomic_write import atomic_write
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, reduce_array
+from dolfinx_tresca.contact.step_state import StepState
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Name and version of the format of the file.
 FORMAT = "dolfinx_tresca state 5"
-
-#: Names of the arrays of the header: the kinds of laws of the pairs; dissipation, whether a step
-#: was accepted, and the number of the step; and the places of rigid obstacles.
-HEADER = ("laws", "numbers", "motions")
 
 #: Name of the column of a table with the `surroundings` of its nodes.
 PLACES = "places"
@@ -38,132 +45,253 @@ SAME_PLACE = 1e-9
 ROOT = 0
 
 
-def write_file(
-    path: Path,
-    comm: Any,
-    header: Mapping[str, npt.ArrayLike],
-    tables: Mapping[str, Mapping[str, Array]],
+def write_state(
+    path: Path, state: StepState, step: int = 0, material: Sequence[fem.Function] = ()
 ) -> None:
-    """Write a file, which appears when it is complete. Collective.
+    """Write the state from which a solve begins; see `StepState.at_start`. Collective.
+
+    Displacements and slips are values at all nodes. Multipliers and the origin of friction are
+    values at the contact nodes of each pair: a pressure and two vectors for each smooth patch of
+    the surface to which the node belongs, since the tangents are arbitrary. The last solution is
+    not written. The file appears when it is complete.
 
     Args:
         path: path of the file.
-        comm: the communicator.
-        header: name -> array, equal on all ranks.
-        tables: name of a table -> name of a column -> this rank's rows; all tables have the column
-            `PLACES`.
+        state: the state.
+        step: a number chosen by the user, such as the number of the load step.
+        material: Functions of the material's history.
 
     Raises:
         InputError: the file cannot be written.
     """
-    ranks = comm.gather(tables, root=ROOT)
-    with errors_on_all_ranks(comm):
+    jump, history, accepted = state.jump, state.history, state.accepted
+    system, places = jump.system, surroundings(jump.system.V)
+    at_rest, start = fem.Function(system.V), accepted.configuration
+    displacements = {
+        "configuration": _if_other(state.configuration, at_rest),
+        "geometry": _if_other(state.geometry, at_rest),
+        "accepted displacement": accepted.displacement,
+        "displacement before": accepted.before,
+        "accepted configuration": None if start is None else _if_other(start, state.configuration),
+    }
+    functions = {f"material {k}": function for k, function in enumerate(material)}
+    if state.unknowns is not None:
+        w = fem.Function(system.space)
+        w.x.array[:] = state.unknowns
+        displacements["u"] = system.displacement(w, "u")
+        further_unknowns = () if system.component is None else system.component.other_parts(w)
+        functions |= {f"unknown {k}": function for k, function in enumerate(further_unknowns)}
+    columns = {f"nodes/{PLACES}": places}
+    columns |= {f"nodes/{name}": values_of(u) for name, u in displacements.items() if u is not None}
+    if history.begun:
+        columns |= {f"nodes/slip of pair {k}": slip for k, slip in enumerate(history.slipped)}
+    origin = history.origin * jump.length_scale
+    tractions = state.multipliers * jump.stress_scale
+    for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
+        pressure = np.zeros((len(pair.nodes), 1))
+        pressure[pair.normal_node, 0] = tractions[n]
+        vectors = [pair.tangential_vectors(values[t]) for values in (tractions, origin)]
+        nodes, row, patch, patches = _patches(jump, pair)
+        values = np.zeros((len(nodes), patches, 1 + 2 * vectors[0].shape[1]))
+        values[row, patch] = np.hstack([pressure, *vectors])
+        columns[f"pair {k}/{PLACES}"] = places[nodes]
+        columns[f"pair {k}/values"] = values.reshape(len(nodes), patches * values.shape[2])
+    for name, function in functions.items():
+        columns[f"{name}/{PLACES}"] = surroundings(function.function_space)
+        columns[f"{name}/values"] = values_of(function)
+    ranks, laws = jump.comm.gather(columns, root=ROOT), _laws(jump)
+    with errors_on_all_ranks(jump.comm):
         if ranks is not None:
-            content: dict[str, Any] = {"format": FORMAT, **header}
-            for table, columns in tables.items():
-                for name in columns:
-                    rows = [tables_of_rank[table][name] for tables_of_rank in ranks]
-                    content[f"{table}/{name}"] = np.concatenate(rows)
+            content: dict[str, Any] = {"format": FORMAT, "laws": laws, "motions": accepted.motions}
+            content["numbers"] = np.array([history.dissipation, history.begun, step])
+            for name in columns:
+                content[name] = np.concatenate([of_rank[name] for of_rank in ranks])
             size = sum(np.asarray(values).nbytes for values in content.values())
             with atomic_write(path, size) as new, new.open("wb") as stream:
                 np.savez(stream, **content)
 
 
-class StateFile:
-    """A file that was read: its header, and its tables row by row.
+class SavedState:
+    """A file that `write_state` has written.
 
     Attributes:
-        path: path of the file.
-        header: name -> array.
-        columns: (table, column) -> number of values in a row.
+        step: the number that was saved.
+        motions: (pairs, 3, 4) places of the obstacles at the accepted step.
+        configuration: displacement [length] at which pairs with finite sliding were paired.
+        geometry: displacement [length] at which the other pairs were paired.
     """
 
-    def __init__(self, path: Path, comm: Any) -> None:
-        """Read the file on the first rank. Collective.
+    def __init__(self, path: Path, system: LinearSystem, pairs: int) -> None:
+        """Read a file. Collective.
+
+        Args:
+            path: path of the file, the same on all ranks.
+            system: the system K u = f of the problem that goes on from the state.
+            pairs: number of its contact pairs.
 
         Raises:
-            InputError: the file cannot be read, or holds no state.
+            InputError: the file cannot be read, or belongs to another mesh or degree, or to a
+                problem with another number of pairs.
         """
-        self.path, self.comm = path, comm
+        self.path, self.comm, self._system = path, system.comm, system
         self._content: dict[str, npt.NDArray[Any]] = {}
-        with errors_on_all_ranks(comm):
-            if comm.rank == ROOT:
+        with errors_on_all_ranks(self.comm):
+            if self.comm.rank == ROOT:
                 self._content = _read(path)
-        header = {name: self._content.get(name) for name in HEADER}
-        columns = {
-            tuple(name.split("/")): values.shape[1]
-            for name, values in self._content.items()
-            if "/" in name
-        }
-        self.header: dict[str, Any]
-        self.columns: dict[tuple[str, str], int]
-        self.header, self.columns = comm.bcast((header, columns), root=ROOT)
+        header = [self._content.get(name) for name in ("laws", "numbers", "motions")]
+        widths = {name: x.shape[1] for name, x in self._content.items() if "/" in name}
+        header, self._widths = self.comm.bcast((header, widths), root=ROOT)
+        self._laws, (self._dissipation, self._begun, step), self.motions = header
+        self.step = int(step)
+        if len(self.motions) != pairs:
+            raise self._refusal(f"with {len(self.motions)} pair(s), and here there are {pairs}")
+        self._places = surroundings(system.V)
+        self._nodes = self._rows("nodes", self._places)
+        none = np.zeros((len(self._places), system.V.dofmap.index_map_bs))
+        self.configuration, self.geometry = (
+            _function(system.V, self._nodes.get(name, none))
+            for name in ("configuration", "geometry")
+        )
 
-    def rows(self, table: str, places: Array, refusal: str) -> dict[str, Array]:
+    def _refusal(self, difference: str) -> InputError:
+        """Return the error to raise if the file is of a problem with a difference in words."""
+        return InputError(
+            f"the state in '{self.path}' is of a problem {difference}. Give the pairs, the mesh "
+            "and the space of that problem."
+        )
+
+    def _rows(self, table: str, places: Array) -> dict[str, Array]:
         """Return column -> values (n, k) of a table at this rank's nodes. Collective.
 
         Args:
             table: name of the table.
             places: (n, 2 d) `surroundings` of the nodes.
-            refusal: beginning of the error if the nodes are others than in the file.
 
         Raises:
             InputError: all nodes of all ranks together are not those in the file.
         """
-        widths = {
-            name: width
-            for (of_table, name), width in self.columns.items()
-            if of_table == table and name != PLACES
-        }
+        split = [(name.partition("/")[2], name, width) for name, width in self._widths.items()]
         nodes, owner = exchange(self.comm, places, np.full(len(places), ROOT))
-        answers: dict[str, Array] = {name: np.zeros((0, k)) for name, k in widths.items()}
+        rows: Indices | None = np.zeros(0, dtype=np.int64)
         with errors_on_all_ranks(self.comm):
             if self.comm.rank == ROOT:
                 saved = self._content.get(f"{table}/{PLACES}", np.zeros((0, nodes.shape[1])))
                 rows = same_nodes(saved, nodes)
                 if rows is None:
                     raise InputError(
-                        f"{refusal} in '{self.path}' is of another mesh, of another degree or of "
-                        f"other pairs: it has {len(saved)} nodes or points, the problem "
+                        f"the state in '{self.path}' is of another mesh, of another degree or of "
+                        f"other pairs: its {table} has {len(saved)} nodes or points, the problem "
                         f"{len(nodes)}, and they must be the same ones. For another mesh take "
                         "start_from(solution)."
                     )
-                answers = {name: self._content[f"{table}/{name}"][rows] for name in widths}
-        return {name: exchange(self.comm, values, owner)[0] for name, values in answers.items()}
+        result = {}
+        for column, name, width in split:
+            if name == f"{table}/{column}" and column != PLACES:
+                values = self._content.get(name, np.zeros((0, width)))[rows]
+                result[column] = exchange(self.comm, values, owner)[0]
+        return result
 
     def functions(self, kind: str, functions: Sequence[fem.Function]) -> list[Array]:
         """Return for each Function its values in the file, ghosts included. Collective.
 
         Args:
-            kind: "material" or "unknown", see `tables_of`.
+            kind: "material" for the material's history, "unknown" for unknowns of a mixed space
+                that are not displacements.
             functions: Functions on the same spaces as the saved Functions; they are not changed.
 
         Raises:
             InputError: the file belongs to another mesh, other Functions or another number of
                 Functions.
         """
-        count = sum(table.startswith(f"{kind} ") for table, name in self.columns if name == PLACES)
-        if count != len(functions):
-            raise InputError(
-                f"the state in '{self.path}' has {count} Function(s) of the material, and material "
-                f"has {len(functions)}: give the same ones to save_state and load_state."
-                if kind == "material"
-                else f"the state in '{self.path}' has {count} unknown(s) beside the displacement, "
-                f"and the problem has {len(functions)}: it is of a problem on another space."
+        widths = [self._widths[n] for n in self._widths if n.startswith(kind) and "values" in n]
+        wanted = [function.function_space.dofmap.index_map_bs for function in functions]
+        if widths != wanted:
+            raise self._refusal(
+                f"with {len(widths)} Function(s) of kind '{kind}', of {widths} component(s), and "
+                f"here there are {len(wanted)}, of {wanted}"
             )
         result = []
         for number, function in enumerate(functions):
-            V, table = function.function_space, f"{kind} {number}"
-            values = self.rows(table, surroundings(V), f"a {kind} of the state")["values"]
-            if values.shape[1] != V.dofmap.index_map_bs:
-                raise InputError(
-                    f"Function {number + 1} of {len(functions)} in the state in '{self.path}' has "
-                    f"{values.shape[1]} component(s), and the Function that is to receive it has "
-                    f"{V.dofmap.index_map_bs}: give the same ones to save_state and load_state, in "
-                    "the same order."
-                )
-            result.append(function_of_rows(V, values).x.array.copy())
+            V = function.function_space
+            values = self._rows(f"{kind} {number}", surroundings(V))["values"]
+            result.append(_function(V, values).x.array.copy())
         return result
+
+    def state(self, present: StepState) -> StepState:
+        """Return the state in the file. Collective.
+
+        Args:
+            present: a state whose surfaces are paired at `configuration`, `geometry` and `motions`.
+
+        Raises:
+            InputError: the file belongs to other pairs or other kinds of laws, or lacks a
+                displacement that is needed.
+        """
+        jump = present.jump
+        for number, (saved, law) in enumerate(zip(self._laws, _laws(jump), strict=True)):
+            if saved != law:
+                raise InputError(
+                    f"the state in '{self.path}' is of a problem whose pair {number} "
+                    f"{saved}; here it {law}, so that tractions and slip would be lost, or are "
+                    "not known. Where friction comes or goes in a process let its bound or "
+                    "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
+                    "last accepted displacement."
+                )
+        multipliers, origin = np.zeros((2, len(jump.gap)))
+        for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
+            nodes, row, patch, patches = _patches(jump, pair)
+            rows = self._rows(f"pair {k}", self._places[nodes])["values"]
+            columns = 1 + 2 * pair.tangents.shape[1]
+            if rows.shape[1] != patches * columns:
+                raise self._refusal(f"in which pair {k} has other sharp edges")
+            values = rows.reshape(len(nodes), patches, columns)[row, patch]
+            multipliers[n] = values[pair.normal_node, 0]
+            tractions_and_slips = np.split(values[:, 1:], 2, axis=1)
+            for result, vectors in zip((multipliers, origin), tractions_and_slips, strict=True):
+                result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
+        slips = enumerate(SlipHistory.none(jump).slipped)
+        history = SlipHistory(
+            origin / jump.length_scale,
+            tuple(self._nodes.get(f"slip of pair {k}", zeros) for k, zeros in slips),
+            float(self._dissipation),
+            begun=bool(self._begun),
+        )
+        displacement, before, configuration = (
+            None if rows is None else _function(self._system.V, rows)
+            for rows in map(
+                self._nodes.get,
+                ("accepted displacement", "displacement before", "accepted configuration"),
+            )
+        )
+        unknowns = None if present.unknowns is None else self._unknowns()
+        state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
+        state = state.after_step(history, displacement)
+        accepted = replace(
+            state.accepted, configuration=configuration, before=before, solution=None
+        )
+        return replace(state, accepted=accepted)
+
+    def _unknowns(self) -> Array:
+        """Return the values of all unknowns of nonlinear bodies, with ghosts. Collective.
+
+        Raises:
+            InputError: the file has no displacement, or other unknowns.
+        """
+        if "u" not in self._nodes:
+            raise InputError(
+                f"the state in '{self.path}' has no displacement, since a ContactProblem "
+                "wrote it; a NonlinearContactProblem needs one."
+            )
+        u, component = _function(self._system.V, self._nodes["u"]), self._system.component
+        if component is None:
+            return np.array(u.x.array)
+        w = fem.Function(self._system.space)
+        other_parts = component.other_parts(w)
+        read = self.functions("unknown", other_parts)
+        for function, values in zip(other_parts, read, strict=True):
+            function.x.array[:] = values
+        component.compose(w, u, other_parts)
+        return np.array(w.x.array)
 
 
 def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -183,8 +311,10 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
                 raise ValueError(
                     f"its format is '{file['format']}', and this version reads '{FORMAT}' only"
                 )
-            content = {name: file[name] for name in {*HEADER, *file.files} - {"format"}}
-        _check(content)
+            content = {name: file[name] for name in file.files if name != "format"}
+        for name, values in content.items():
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                raise ValueError(f"'{name}' has values that are NaN or infinite")
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise InputError(
             f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
@@ -192,40 +322,34 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
     return content
 
 
-def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Check for contents that `write_file` never writes. Not collective.
+def _if_other(u: fem.Function, reference: fem.Function) -> fem.Function | None:
+    """Return a Function if its values differ from those of a reference, or None. Collective."""
+    differs = not np.array_equal(u.x.array, reference.x.array)
+    return u if u.function_space.mesh.comm.allreduce(differs, op=MPI.LOR) else None
 
-    Raises:
-        ValueError: values are not finite, or some values are missing.
+
+def _laws(jump: JumpOperator) -> list[str]:
+    """Return the kind of law of each pair, which determines its multipliers. Collective."""
+    tangential_rows = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
+    return [
+        "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
+        for pair, rows in zip(jump.pairs, tangential_rows, strict=True)
+    ]
+
+
+def _patches(jump: JumpOperator, pair: PairOperators) -> tuple[LocalNumbers, Indices, Indices, int]:
+    """Return each contact node of a pair once, and where its smooth patches are. Collective.
+
+    A node on a sharp edge belongs to several patches, which come one after the other.
+
+    Returns:
+        the nodes (k,); for each entry (n,) of `pair.nodes` its position among these and the number
+        of its patch; and the largest number of patches of a node on all ranks.
     """
-    for name, values in content.items():
-        if values.dtype.kind not in "fiuU":
-            raise ValueError(f"'{name}' has values of type {values.dtype}")
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise ValueError(f"'{name}' has values that are NaN or infinite")
-        if "/" in name and len(values) != len(content[f"{name.split('/')[0]}/{PLACES}"]):
-            raise ValueError(f"'{name}' must have as many rows as its table has places")
-    pairs = len(content["laws"])
-    for name, shape in (("numbers", (3,)), ("motions", (pairs, 3, 4))):
-        if content[name].shape != shape:
-            raise ValueError(f"'{name}' has shape {content[name].shape} and not {shape}")
-
-
-def tables_of(kind: str, functions: Sequence[fem.Function]) -> dict[str, dict[str, Array]]:
-    """Return the tables of Functions on any spaces, to be written. Collective.
-
-    Args:
-        kind: "material" for the material's history, "unknown" for unknowns of a mixed space that
-            are not displacements.
-        functions: the Functions.
-    """
-    return {
-        f"{kind} {number}": {
-            PLACES: surroundings(function.function_space),
-            "values": values_of(function),
-        }
-        for number, function in enumerate(functions)
-    }
+    nodes, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
+    patch = np.arange(len(pair.nodes)) - start[row]
+    most = jump.comm.allreduce(int(patch.max(initial=0)) + 1, op=MPI.MAX)
+    return nodes, row, patch, most
 
 
 def values_of(u: fem.Function) -> Array:
@@ -235,7 +359,7 @@ def values_of(u: fem.Function) -> Array:
     return values
 
 
-def function_of_rows(V: Any, rows: Array) -> fem.Function:
+def _function(V: Any, rows: Array) -> fem.Function:
     """Return the Function with values (n, d) at each rank's own nodes. Collective."""
     result = fem.Function(V)
     values_of(result)[:] = rows

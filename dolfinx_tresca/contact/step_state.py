@@ -32,8 +32,7 @@ class AcceptedStep:
         unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
             space, that belong to these multipliers; None for linear bodies.
         displacement: displacement [length] from which slip counts with finite sliding; None: the
-            bodies were undeformed, or the state does not keep it, as in checkpoints of a
-            `ProcessTape`.
+            bodies were undeformed.
         motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`), from which slip
             counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:

@@ -36,10 +36,74 @@ from dolfinx_tresca.dual.slip_bounds import TERMS
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
+
+
+def checked_controls(controls: Any) -> list[Control]:
+    """Check that controls are a list of Constants and Functions, and return the list.
+
+    Not collective.
+
+    Args:
+        controls: the user's argument, which may have any type.
+
+    Raises:
+        InputError: controls are not such a list.
+    """
+    if not isinstance(controls, Sequence):
+        raise InputError(
+            "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
+            f"found {shown(controls)}."
+        )
+    for control in controls:
+        if not isinstance(control, fem.Constant | fem.Function):
+            raise InputError(
+                f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+            )
+    return list(controls)
+
+
+def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any]:
+    """Check changes of controls, and return them: arrays for Constants, or Functions.
+
+    Not collective.
+
+    Raises:
+        InputError: there is not one direction of the right type for each control.
+    """
+    directions = list(directions) if isinstance(directions, Sequence) else [directions]
+    if len(directions) != len(controls):
+        raise InputError(
+            f"directions must be a list with one for each control, found {len(directions)} for "
+            f"{len(controls)} control(s)."
+        )
+    result = []
+    for control, given in zip(controls, directions, strict=True):
+        direction = given
+        if isinstance(control, fem.Function):
+            if (
+                not isinstance(direction, fem.Function)
+                or direction.function_space != control.function_space
+            ):
+                raise InputError(
+                    f"the direction of the Function {control.name} must be a Function on its space,"
+                    f" found {shown(direction)}."
+                )
+            values = direction.x.array
+        else:
+            direction = values = np.asarray(given, dtype=np.float64)
+            if values.shape != control.ufl_shape:
+                raise InputError(
+                    f"the direction of a Constant must have its shape {control.ufl_shape}, found "
+                    f"{shown(given)}."
+                )
+        if not np.isfinite(values).all():
+            raise InputError(f"the direction of {shown(control)} is NaN or infinite.")
+        result.append(direction)
+    return result
 
 
 @dataclass
@@ -110,17 +174,22 @@ class DataOfSolution:
         """Check that derivatives with respect to controls are known. Collective.
 
         Raises:
-            InputError: a direction of orthotropic friction, or the position of an obstacle that
-                reads a Function, depends on a control.
+            InputError: a direction or two bounds of orthotropic friction, or the position of an
+                obstacle that reads a Function, depend on a control.
         """
         surfaces = self.system.surfaces
         for control in controls:
             for pair in self.system.pairs:
-                law = pair.friction
-                if isinstance(law, DryFriction) and control in inputs_of(law.terms.direction):
+                terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else None
+                if terms is None or terms.direction is None:
+                    continue
+                bounds = [getattr(terms, name) for name in TERMS]
+                axes = [bound for bound in bounds if isinstance(bound, tuple)]
+                if control in inputs_of((terms.direction, *axes)):
                     raise InputError(
                         f"contact pair {pair}: the derivative with respect to {shown(control)} is "
-                        "not known, since it is part of the direction of orthotropic friction."
+                        "not known, since it is part of the direction or the two bounds of "
+                        "orthotropic friction. Compare two solutions."
                     )
             surfaces.obstacles.depending_on(control, surfaces.jump)
 
@@ -346,8 +415,8 @@ def inputs_of_problem(
         inputs += inputs_of(pair.gap)
         if isinstance(pair.friction, DryFriction):
             terms = pair.friction.terms
-            curve = getattr(terms.curve, "function", None)
-            for term in (*(getattr(terms, name) for name in TERMS), curve):
+            functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
+            for term in (*(getattr(terms, name) for name in TERMS), *functions):
                 inputs += inputs_of(term)
     inputs += [bc.g for bc in bcs]
     return list(dict.fromkeys(inputs))

@@ -14,16 +14,14 @@ from scipy.sparse import csr_array
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
-from dolfinx_tresca.dual.friction_axes import NodalEllipses
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
@@ -82,18 +80,13 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     }
     result: list[NodalField] = []
     end = 0
-    for pair, operators, bounds, (normal, tangential) in zip(
-        pairs, jump.pairs, contact.bounds, jump.slices, strict=True
-    ):
+    for pair, operators, (normal, _) in zip(pairs, jump.pairs, jump.slices, strict=True):
         nodes, n = operators.nodes, len(operators.nodes)
         own = slice(end, end + n)
         end += n
-
-        def offsets(rows: Any, columns: Any, values: Any, n: int = n) -> csr_array:
-            return csr_array((values, (rows, columns)), shape=(discs.size, n))
-
         rows = np.arange(normal.start, normal.stop)
-        by_gap = offsets(rows, operators.normal_node, 1.0 / jump.length_scale[normal])
+        inverse = 1.0 / jump.length_scale[normal]
+        by_gap = csr_array((inverse, (rows, operators.normal_node)), shape=(discs.size, n))
         name = f"the gap of contact pair {pair}"
         result.append(NodalField(pair.gap, nodes, name, own, np.zeros(n), by_gap))
         terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
@@ -101,84 +94,10 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
             scalar, by_bound, name = getattr(terms, term), by_term[term][own], f"{words} of {pair}"
             if term == "coefficient" and terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
-            if not isinstance(scalar, tuple) or bounds.ellipses is None:
-                nothing = offsets([], [], [])
-                result.append(NodalField(scalar, nodes, name, own, by_bound, nothing))
-                continue
-            axes = _Axes.from_pair(operators, bounds.ellipses)
-            rows = tangential.start + axes.rows
-            # the stretched rows and multipliers of a node change with the ratio of its semi-axes
-            outwards = np.einsum("na,na->n", contact.face.radial[rows], axes.mirrored(x[rows]))
-            moved = axes.mirrored(r[rows] - contact.curvature[rows] * x[rows])
-            longer = np.argmax(bounds.ellipses.shape, axis=1)
-            for k, semi_axis in enumerate(scalar):
-                value = bounds.ellipses.shape[:, k] * getattr(bounds, term)
-                counts = np.isfinite(value) & (value > 0.0)
-                inverse = np.zeros(n)
-                np.divide(1.0, value, out=inverse, where=counts)
-                by_axis = inverse * np.where(counts, discs.radius[own], 0.0)
-                by_axis *= axes.shares[:, k] - (longer == k)
-                by_axis += np.where(longer == k, by_bound, 0.0)
-                half = (0.5 if k == 0 else -0.5) * inverse[axes.node]
-                by_axis[axes.node] += half * outwards
-                by_ratio = offsets(
-                    rows.ravel(), np.repeat(axes.node, 2), (half[:, None] * moved).ravel()
-                )
-                result.append(NodalField(semi_axis, nodes, name, own, by_axis, by_ratio))
+            if not isinstance(scalar, tuple):  # `check_controls` refuses controls in two bounds
+                no_offsets = csr_array((discs.size, n))
+                result.append(NodalField(scalar, nodes, name, own, by_bound, no_offsets))
     return result
-
-
-@dataclass(frozen=True)
-class _Axes:
-    """Derivatives of friction discs and tangential rows by the semi-axes of friction ellipses.
-
-    Tangential rows are stretched so that the ellipse of a node becomes a disc. A change of the
-    semi-axes b_1, b_2 stretches the multipliers of a node with two tangential rows by 1 + S, with
-    S = (a a' - e e') (db_1/b_1 - db_2/b_2) / 2 for the unit vectors a and e along the axes.
-
-    Attributes:
-        rows: (m, 2) tangential rows of each node with two tangential rows.
-        node: (m,) index of each node with two tangential rows among the nodes of the pair.
-        along: (m, 2) components of a along the tangents of the rows.
-        shares: (n, 2) derivatives of log(radius) of the discs with respect to log(b_1), log(b_2).
-    """
-
-    rows: Indices
-    node: Indices
-    along: Array
-    shares: Array
-
-    @classmethod
-    def from_pair(cls, pair: PairOperators, ellipses: NodalEllipses) -> _Axes:
-        """Return the derivatives at the nodes of a pair. Not collective."""
-        node, d = pair.tangent_node, pair.normals.shape[1]
-        direction = ellipses.direction[:, :d]
-        inward = np.einsum("ni,ni->n", direction, pair.normals)
-        axis = direction - inward[:, None] * pair.normals
-        length = np.linalg.norm(axis, axis=1)
-        axis /= np.where(length > 0.0, length, 1.0)[:, None]
-        cosines = np.einsum("ri,ri->r", pair.tangents, axis[node])
-        second = np.flatnonzero(node[1:] == node[:-1]) + 1
-        has_two = np.zeros(len(pair.nodes), dtype=np.bool_)
-        has_two[node[second]] = True
-        positive = ellipses.shape > ROUNDING
-        shares = positive / np.maximum(positive.sum(axis=1, keepdims=True), 1)
-        for row in np.flatnonzero(~has_two[node]):
-            # the semi-diameter b has 1/b^2 = (cos/b_1)^2 + (sin/b_2)^2
-            squares = np.array([cosines[row] ** 2, max(1.0 - cosines[row] ** 2, 0.0)])
-            b = ellipses.shape[node[row]]
-            squares = np.where(squares > ROUNDING, squares, 0.0)
-            terms = np.divide(squares, b**2, out=np.zeros(2), where=b > ROUNDING)
-            shares[node[row]] = terms / terms.sum() if terms.any() else 0.0
-        second = second[positive[node[second]].all(axis=1)]
-        rows = np.stack([second - 1, second], axis=1)
-        return cls(rows, node[second].astype(np.intp), cosines[rows], shares)
-
-    def mirrored(self, v: Array) -> Array:
-        """Return (a a' - e e') v for (m, 2) components along the tangents."""
-        # e e' = 1 - a a' in the tangential plane; a is zero where a circle has no direction
-        along, length = np.einsum("na,na->n", self.along, v), np.sum(self.along**2, axis=1)
-        return np.asarray(2.0 * along[:, None] * self.along - length[:, None] * v)
 
 
 @dataclass(frozen=True)

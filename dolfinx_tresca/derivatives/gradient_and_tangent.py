@@ -116,6 +116,7 @@ def gradient(
             derivative with respect to a control is not known.
         ConvergenceError: the adjoint has no solution.
     """
+    data.check_controls(controls)
     discs, sticks = data.contact.face.discs, data.contact.face.stick
     sticking, other_rows = np.zeros((2, discs.size), dtype=np.bool_)
     sticking[discs.tangential] = sticks[discs.node]
@@ -284,6 +285,7 @@ def tangent_of(
         InputError: the derivative with respect to a control is not known.
         ConvergenceError: the tangent has no solution.
     """
+    data.check_controls(controls)
     contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
     x, comm, prescribed = contact.multipliers, data.comm, jump.system.prescribed
     change, depends = data.change(controls, directions)

@@ -28,7 +28,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
 
 from petsc4py import PETSc
 
@@ -38,9 +37,8 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FULL_ACCURACY, ROUGH
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
@@ -76,10 +74,6 @@ STEP_ACCURACY = 0.05
 #: y, both in the energy norm.
 SHARE = 0.03
 
-#: State that is assumed for nodes that are about to change their state: as in the solution (None),
-#: pressed and sticking ("held"), or open and slipping ("released").
-EdgeState: TypeAlias = 'Literal["held", "released"] | None'
-
 
 @dataclass(frozen=True)
 class LinearisedContact:
@@ -90,21 +84,19 @@ class LinearisedContact:
         multipliers: (size,) multipliers x of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
-        edge: state that is assumed for nodes between two states, which `at_edge` finds.
     """
 
     dual: DualProgram
     multipliers: Array
     u: fem.Function
     bounds: Sequence[NodalBounds]
-    edge: EdgeState = None
 
     @classmethod
-    def of_last_solve(cls, system: ContactSystem, edge: EdgeState = None) -> LinearisedContact:
+    def of_last_solve(cls, system: ContactSystem) -> LinearisedContact:
         """Return the last solution of a problem that has one. Collective."""
         solved, bounds = system.solved, system.surfaces.slip_bounds()
         assert solved is not None
-        return cls(solved.dual, solved.multipliers, solved.fields.u, bounds, edge)
+        return cls(solved.dual, solved.multipliers, solved.fields.u, bounds)
 
     @property
     def accuracy(self) -> float:
@@ -138,18 +130,6 @@ class LinearisedContact:
         """The face, the curvature, and I + Q (size, size) with the change Q of slip bounds."""
         dual, x, r = self.dual, self.multipliers, self.gradient
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
-        if self.edge is not None:
-            rows, discs = at_edge(dual, x, r)
-            held = self.edge == "held"
-            x, target = x.copy(), target.copy()
-            target[rows] = 1.0 if held else -1.0
-            if not held:
-                x[rows] = 0.0  # a bound that depends on this pressure becomes zero as well
-            lam = cones.section(x)
-            norms, factor = lam.norms(target), np.ones_like(lam.radius)
-            beyond = 0.0 if held else 2.0 * lam.radius
-            np.divide(beyond, norms, out=factor, where=discs & (norms > 0.0))
-            target = lam.scaled_discs(target, factor)
         lam = cones.section(x)
         face = lam.face(target)
         follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
@@ -171,7 +151,7 @@ class LinearisedContact:
             log(
                 comm,
                 "derivative: %d node(s) are about to open or close, and %d to slip or stick: it is "
-                'one-sided; at_edge="held" and "released" give those of other sides',
+                "one-sided",
                 int(rows),
                 int(stick),
             )

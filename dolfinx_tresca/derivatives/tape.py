@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, TypeAlias
 from weakref import ref
 
@@ -17,23 +16,23 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.number import integer, real
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.saved_state import SavedState, write_state
-from dolfinx_tresca.contact.step_state import StepSolution, StepState
-from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
-from dolfinx_tresca.derivatives.controls import checked_controls
+from dolfinx_tresca.contact.step_state import StepSolution
+from dolfinx_tresca.derivatives.change_of_data import (
+    Control,
+    DataOfSolution,
+    checked_controls,
+    inputs_of_problem,
+)
 from dolfinx_tresca.derivatives.goals import WeightedGoals, checked_form_or_goal
 from dolfinx_tresca.derivatives.gradient_and_tangent import as_derivatives, gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
@@ -45,19 +44,17 @@ class _Recorded:
     """An accepted step.
 
     Attributes:
-        contact: the solution; None if it is to be computed again from a checkpoint.
+        contact: the solution.
         u: weak reference to the displacement that the solve returned; goals that are forms may
             depend on it. A call of the reference returns None if the user has dropped it.
         values: values of all inputs of the problem in this step.
-        options: options with which the step was solved.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.
     """
 
-    contact: LinearisedContact | None
+    contact: LinearisedContact
     u: Callable[[], fem.Function | None]
     values: Sequence[Array]
-    options: SolverOptions
     curves: Sequence[CurveAtNodes]
     laws: Sequence[Array]
 
@@ -69,11 +66,6 @@ class ProcessTape:
     the multipliers, and the values of all Constants and Functions in forms, gaps, laws of friction
     and Dirichlet conditions; values that do not change from one step to the next are kept once. Of
     Constants that a Python function reads, those are kept that are variables of the function.
-
-    With checkpoints at each k-th step, the tape keeps no displacements. At these steps, it keeps
-    the multipliers and the origin of the slip, which are values on the contact surfaces, in memory
-    or in files. For derivatives, it then solves again, for k steps at a time. The first of these k
-    solves starts from the multipliers that were kept at its step, and costs a product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
@@ -101,8 +93,6 @@ class ProcessTape:
         contact: ContactSystem,
         solved_for: Callable[[str], StepSolution],
         forms_at: Callable[[fem.Function], Forms],
-        checkpoint_every: int | None = None,
-        folder: str | Path | None = None,
     ) -> None:
         """Begin without steps. Not collective.
 
@@ -111,24 +101,10 @@ class ProcessTape:
             solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
                 an error that names the purpose.
             forms_at: function (u) -> forms and conditions of the problem at the displacement u.
-            checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
-                of all steps are kept.
-            folder: folder for files of the checkpoints; None: checkpoints are kept in memory.
 
         Raises:
-            InputError: `a` or `L` is no form of UFL; checkpoint_every is no positive integer, or
-                there is a folder without checkpoint_every.
+            InputError: `a` or `L` is no form of UFL.
         """
-        every = 0 if checkpoint_every is None else integer(checkpoint_every)
-        if every is None or (checkpoint_every is not None and every < 1):
-            raise InputError(
-                "checkpoint_every must be a number of load steps, such as 10, or None, found "
-                f"{shown(checkpoint_every)}."
-            )
-        if folder is not None and not every:
-            raise InputError("files in a folder hold checkpoints: give checkpoint_every, too.")
-        self._every, self._folder = every, None if folder is None else Path(folder)
-        self._checkpoints: dict[int, StepState] = {}
         self._contact, self._solved_for, self._forms_at = contact, solved_for, forms_at
         self._surfaces = contact.surfaces
         self._motions = self._surfaces.state.motions
@@ -158,9 +134,8 @@ class ProcessTape:
         """Record the last solution if the block accepts it. Collective.
 
         Raises:
-            ContactError: the solution has no derivative; the slip history has changed since the
-                last recorded step; or an obstacle has moved, which checkpoints cannot record.
-            InputError: the file of a checkpoint cannot be written.
+            ContactError: the solution has no derivative, or the slip history has changed since the
+                last recorded step.
         """
         contact = self._contact
         step = self._solved_for("a recorded load step")
@@ -177,14 +152,10 @@ class ProcessTape:
         self._has_places &= began_at_zero and stayed
         same = not self._steps or self._compliance is self._surfaces.compliance
         self._compliance = self._surfaces.compliance if same else None
-        if self._every and not stayed:
-            raise ContactError(
-                "an obstacle has moved since the recording began, and a tape with checkpoints has "
-                "no place for that: record without checkpoint_every."
-            )
-        solved = None if self._every else self._linearised()
-        if self._every and len(self) % self._every == 0:
-            self._add_checkpoint(step.multipliers)
+        solution = LinearisedContact.of_last_solve(contact)
+        # without the sum of slips at all nodes, which takes as much memory as u
+        history = replace(solution.dual.history, slipped=())
+        solution = replace(solution, dual=replace(solution.dual, history=history))
         yield
         self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -193,88 +164,8 @@ class ProcessTape:
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         self._steps.append(
-            _Recorded(
-                solved, ref(step.fields.u), values, step.options, step.curves, step.inputs[1:]
-            )
+            _Recorded(solution, ref(step.fields.u), values, step.curves, step.inputs[1:])
         )
-
-    def _linearised(self) -> LinearisedContact:
-        """Return the last solution with its problem. Collective."""
-        contact = LinearisedContact.of_last_solve(self._contact)
-        # without the sum of slips at all nodes, which takes as much memory as u
-        history = replace(contact.dual.history, slipped=())
-        return replace(contact, dual=replace(contact.dual, history=history))
-
-    def _add_checkpoint(self, multipliers: Array) -> None:
-        """Keep what is needed to solve again for the step that is being added. Collective.
-
-        Args:
-            multipliers: (size,) multipliers of the step's solution, from which the repeated solve
-                starts.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
-        state, number = self._surfaces.state, len(self)
-        state = replace(
-            state,
-            history=replace(state.history, slipped=()),
-            multipliers=multipliers,
-            accepted=replace(
-                state.accepted, displacement=None, multipliers=multipliers, solution=None
-            ),
-            solution=None,
-        )
-        if self._folder is None:
-            self._checkpoints[number] = state
-            return
-        with errors_on_all_ranks(self.comm):
-            if self.comm.rank == 0:
-                try:
-                    self._folder.mkdir(parents=True, exist_ok=True)
-                except OSError as error:
-                    raise InputError(f"cannot make the folder '{self._folder}': {error}.") from None
-        write_state(self._file(number), state, number)
-
-    def _file(self, number: int) -> Path:
-        """Return the path of the checkpoint at a step. Collective."""
-        assert self._folder is not None
-        return Path(self.comm.bcast(str(self._folder / f"step_{number:05d}.npz")))
-
-    def _checkpoint(self, number: int) -> StepState:
-        """Return the checkpoint at a step. Collective.
-
-        Raises:
-            InputError: its file cannot be read.
-        """
-        if self._folder is None:
-            state = self._checkpoints[number]
-        else:
-            saved = SavedState(self._file(number), self._contact.linear, len(self._motions))
-            state = saved.state(self._surfaces.state)
-        slipped = SlipHistory.none(self._surfaces.jump).slipped
-        return replace(state, history=replace(state.history, slipped=slipped))
-
-    def _solved_steps(self, numbers: range) -> list[LinearisedContact]:
-        """Return the solutions of steps, solved again from a checkpoint if needed. Collective.
-
-        Raises:
-            ConvergenceError: a solve failed that did not fail before.
-            InputError: the file of a checkpoint cannot be read.
-        """
-        contact, steps = self._contact, self._steps[numbers.start : numbers.stop]
-        if not self._every:
-            return [step.contact for step in steps if step.contact is not None]
-        result = []
-        with contact.restored():
-            self._surfaces.return_to(self._checkpoint(numbers.start))
-            for step in steps:
-                with replaced(self._inputs, step.values):
-                    self._surfaces.begin_solve()
-                    contact.solve(step.options, None, lambda _: False)
-                    result.append(self._linearised())
-                    self._surfaces.accept(False)
-        return result
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
@@ -359,7 +250,6 @@ class ProcessTape:
         goals_of_step = self._checked_goals(goals)
         u = fem.Function(contact.linear.V)
         data = DataOfSolution(contact, self._forms_at(u), u, in_all_steps=True)
-        data.check_controls(controls)
         if self._steps and self._compliance is not self._surfaces.compliance:
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
@@ -369,20 +259,16 @@ class ProcessTape:
         self._check_places(controls)
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
-        steps, every = max(goals_of_step, default=-1) + 1, self._every or 1
-        for start in reversed(range(0, steps, every)):
-            numbers = range(start, min(start + every, steps))
-            solutions = self._solved_steps(numbers)
-            for number in reversed(numbers):
-                step, solution = self._steps[number], solutions.pop()
-                weighted = [
-                    (weight, _with_displacement(goal, step.u(), solution.u))
-                    for weight, goal in goals_of_step.get(number, [])
-                ]
-                with replaced(self._inputs, step.values):
-                    self._check_laws(step, number)
-                    data.linearise(solution)
-                    result[number], on_origin = gradient(data, weighted, controls, on_origin)
+        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
+            step = self._steps[number]
+            weighted = [
+                (weight, _with_displacement(goal, step.u(), step.contact.u))
+                for weight, goal in goals_of_step.get(number, [])
+            ]
+            with replaced(self._inputs, step.values):
+                self._check_laws(step, number)
+                data.linearise(step.contact)
+                result[number], on_origin = gradient(data, weighted, controls, on_origin)
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:

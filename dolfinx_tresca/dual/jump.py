@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import chain, pairwise
 
@@ -15,12 +15,10 @@ from scipy.sparse import csr_array, kron
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.matrices import product
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices
 from dolfinx_tresca._base.parallel import RankReductions
-from dolfinx_tresca.dual.friction_axes import FrictionDiscs, with_tangents_along_axes
-from dolfinx_tresca.dual.slip_bounds import NodalBounds
+from dolfinx_tresca._base.petsc import PetscOwner, product
+from dolfinx_tresca.dual.slip_bounds import FrictionDiscs, NodalBounds, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import (
     PairOperators,
     as_petsc,
@@ -349,4 +347,38 @@ def _scaled(values: Array, factors: Array, count: int) -> Array:
     """Return values times factors, 0 for inf times 0, padded with zeros to `count` entries."""
     result = np.zeros(count)
     np.multiply(values, factors, out=result[: len(values)], where=factors > 0.0)
+    return result
+
+
+def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
+    """Return 1 / diag(K), zero except at free displacements; owned by the caller. Collective."""
+    compliance = system.K.getDiagonal()
+    compliance.array = np.divide(
+        1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))
+    )
+    return compliance
+
+
+def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Mat:
+    """Return a new matrix with a function applied to each entry; the caller owns it. Collective."""
+    result = matrix.copy()
+    result.assemble()
+    rows, columns, values = result.getValuesCSR()
+    result.setValuesCSR(rows, columns, function(values))
+    result.assemble()
+    return result
+
+
+def local_stiffness(jump: JumpOperator) -> Array:
+    """Return 1 / diag(B diag(K)^-1 B'), (size,): force per jump of each row of B. Collective.
+
+    This is the stiffness of a node whose neighbours are fixed. In A, neighbours are not fixed:
+    diag(A) is about the inverse of this stiffness, times a factor that hardly varies over a
+    surface.
+    """
+    B = jump.matrix
+    squares = entrywise(B, np.square)
+    compliance, total = nodal_compliance(jump.system), B.createVecLeft()
+    squares.mult(compliance, total)
+    result: Array = 1.0 / np.maximum(total.array, LEAST_DIVISOR)
     return result

@@ -24,8 +24,7 @@ from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import collapse, interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.scalar_field import ScalarField
-from dolfinx_tresca.scene.vector_field import VectorField
+from dolfinx_tresca.scene.user_fields import ScalarField, VectorField
 
 #: Step of central differences, relative to the size of a Constant. The truncation error is about
 #: the square of the step; with twice the step it is four times as large.
@@ -133,11 +132,6 @@ class NodalValues:
         #: the space keeps the id valid.
         self._interpolations: dict[int, tuple[Any, PETSc.Mat]] = {}
 
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        while self._interpolations:
-            self._interpolations.popitem()[1][1].destroy()
-
     def scalars_at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar at nodes of this rank. Collective.
 
@@ -201,8 +195,6 @@ class NodalValues:
         np.add.at(of_field.array, position[nodes], weights * slopes)
         matrix.multTranspose(of_field, of_control)
         result = np.array(of_control.array)
-        for owned in (of_control, of_field):
-            owned.destroy()
         return result
 
     def pushed_forward(

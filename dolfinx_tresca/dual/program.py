@@ -15,12 +15,11 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
-from dolfinx_tresca.dual.bounds.estimate import total
-from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.mesh_error import total
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.products.operator import DualOperator
-from dolfinx_tresca.dual.response import ElasticResponse
+from dolfinx_tresca.dual.response import ElasticResponse, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.equilibrium import Equilibrium
@@ -261,7 +260,6 @@ class DualProgram:
         system.K.mult(u, force)
         inside = np.where(system.prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, system.signs * force.array))
-        force.destroy()
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.response.gradient_of(u)
         friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))

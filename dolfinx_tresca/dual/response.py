@@ -10,11 +10,99 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FULL_ACCURACY, SLACK
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY, SLACK
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.errors import InputError
+
+#: Number of multipliers whose displacements are kept: those at the start of the steps of the
+#: iteration, and at the ends of the last two steps.
+KEPT = 3
+
+
+class InitialGuess:
+    """First guesses of u = K^-1 (f - B'x) from displacements at a few multipliers x, called points.
+
+    The displacement without contact (x = 0) is kept, too. Since u is affine in x, u is known at
+    affine combinations of the points, up to the errors of the kept displacements. These
+    combinations include all x along a step if the iteration gives the start of the step
+    (`begin_at`). PETSc's `KSPGuess` (Fischer 1998) would project onto earlier right-hand sides
+    instead, which costs a product with K for each right-hand side; here the multipliers are
+    projected.
+
+    Displacements are arrays of this rank's unknowns.
+
+    Attributes:
+        load: u at x = 0.
+    """
+
+    def __init__(self, jump: JumpOperator) -> None:
+        """Begin without load: u = 0 at x = 0. Not collective."""
+        self.load: Array = np.zeros(jump.matrix.getLocalSize()[1])
+        self._inner, self._agreed = jump.reductions.inner, jump.reductions.from_first_rank
+        self._points: list[tuple[Array, Array]] = []
+
+    def forget(self) -> None:
+        """Forget all points but the displacement without contact. Not collective."""
+        self._points = []
+
+    def set_load(self, load: Array) -> None:
+        """Set the displacement without contact, for a new load. Not collective.
+
+        Of the other points, only the newest is kept. Its multipliers stay the same, and the change
+        of the displacement without contact is added to its displacement.
+
+        Args:
+            load: the new u at x = 0.
+        """
+        self._points = [(x, u + load - self.load) for x, u in self._points[-1:]]
+        self.load = load
+
+    def begin_at(self, x: Array) -> None:
+        """Compute u at multipliers x, and keep it as the start of later steps. Collective."""
+        if self._points and self._square(self._points[0][0] - x) == 0.0:
+            return
+        self._points = [(x.copy(), self.near(x)), *self._points[-1:]]
+
+    def add(self, x: Array, u: Array) -> None:
+        """Keep the displacement u at x; it replaces an earlier displacement at x. Collective.
+
+        The oldest displacement and the newest two are kept. The oldest displacement is at the start
+        of the steps if `begin_at` gave this start.
+        """
+        same = [self._square(multipliers - x) == 0.0 for multipliers, _ in self._points]
+        if any(same):
+            self._points[same.index(True)] = (x.copy(), u)
+            return
+        self._points.append((x.copy(), u))
+        if len(self._points) > KEPT:
+            self._points.pop(1)
+
+    def near(self, x: Array) -> Array:
+        """Return u at the affine combination of the points that is nearest to x. Collective.
+
+        At x = 0 the result is the displacement without contact.
+        """
+        if not self._points or self._square(x) == 0.0:
+            return self.load.copy()
+        points = list(self._points)
+        if len(points) < 2:
+            points.insert(0, (np.zeros_like(x), self.load))
+        newest, u_last = points.pop()
+        along = np.column_stack([multipliers - newest for multipliers, _ in points])
+        gram, right = self._inner(along, along), self._inner(along, x - newest)
+        length = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+        scaled = np.linalg.lstsq(gram / np.outer(length, length), right / length, rcond=None)[0]
+        factors = self._agreed(np.asarray(scaled / length, dtype=np.float64))
+        u: Array = (1.0 - float(factors.sum())) * u_last
+        for factor, (_, displacement) in zip(factors, points, strict=True):
+            u += factor * displacement
+        return u
+
+    def _square(self, x: Array) -> float:
+        return float(self._inner(x, x))
+
 
 #: Relative accuracy of the displacement without contact, in the energy norm.
 LOAD_ACCURACY = 1e-6
@@ -64,6 +152,7 @@ class ElasticResponse(ABC):
         self._jump = compliance.jump
         self._system = self._jump.system
         self.offset = self._jump.gap + slip_origin - self._jump.of_frames
+        self._u = self._jump.matrix.createVecRight()
         self._load_terms: tuple[float, Array] | None = None
 
     @classmethod
@@ -92,13 +181,11 @@ class ElasticResponse(ABC):
 
     def _compute_b(self, rtol: float) -> None:
         """Compute b from the displacement without contact, to a given accuracy. Collective."""
-        load, u = self._system.f.x.petsc_vec, self._guess.load.copy()
-        if load.norm() == 0.0:
-            u.set(0.0)  # exactly zero without load
+        load, u = self._system.f.x.petsc_vec, self._u
+        u.array = 0.0 if load.norm() == 0.0 else self._guess.load  # exactly zero without load
         self.b_error = self._solver.improve(load, u, rtol=rtol, accuracy=0.0)
-        self._guess.set_load(u)
+        self._guess.set_load(u.array.copy())
         self.b = self._jump.of_unknowns(u) - self.offset
-        u.destroy()
 
     @property
     def b_terms(self) -> Array:
@@ -177,7 +264,7 @@ class ElasticResponse(ABC):
         """Solve like `displacement`, and let the next solve start from the result. Collective."""
         error = self.displacement(x, u, accuracy)
         self._guess.forget()
-        self._guess.add(x, u.copy())
+        self._guess.add(x, u.array.copy())
         return error
 
     def error(self, x: Array, u: PETSc.Vec) -> float:
@@ -216,27 +303,22 @@ class ElasticResponse(ABC):
 
         The first call computes both, with a solve if forces act and displacements are prescribed.
         """
-        if self._load_terms is None:
-            self._load_terms = self._solve_load_terms()
-        return self._load_terms
-
-    def _solve_load_terms(self) -> tuple[float, Array]:
-        system, load = self._system, self._guess.load
-        energy = 2.0 * system.strain_energy(load)
+        if self._load_terms is not None:
+            return self._load_terms
+        system, u = self._system, self._u
+        u.array = self._guess.load
+        energy = 2.0 * system.strain_energy(u)
         if self._compliance.springs is not None:
-            energy += self._compliance.springs.energy(load)
-        energy = max(energy, 0.0)  # the energy of a rigid motion is rounding
-        if system.driven_by_forces:
-            return energy, self.b + self.offset
-        forces = system.assemble_forces()
-        if forces.x.petsc_vec.norm() == 0.0:
-            return energy, np.zeros_like(self.b)
-        u = load.duplicate()
-        u.set(0.0)
-        self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
-        jump = self._jump.of_unknowns(u)
-        u.destroy()
-        return energy, jump
+            energy += self._compliance.springs.energy(u)
+        jump = self.b + self.offset
+        if not system.driven_by_forces:
+            forces = system.assemble_forces()
+            u.set(0.0)
+            if forces.x.petsc_vec.norm() > 0.0:
+                self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
+            jump = self._jump.of_unknowns(u)
+        self._load_terms = max(energy, 0.0), jump  # the energy of a rigid motion is rounding
+        return self._load_terms
 
 
 class DirectResponse(ElasticResponse):
@@ -281,7 +363,8 @@ class IterativeResponse(ElasticResponse):
         self._is_refined = True
         self._compute_b(FULL_ACCURACY)
         # includes rounding, which the iteration does not see
-        rounding = self._solver.error(self._system.f.x.petsc_vec, self._guess.load)
+        self._u.array = self._guess.load
+        rounding = self._solver.error(self._system.f.x.petsc_vec, self._u)
         self.b_error = max(self.b_error, rounding)
 
     def gradient(
@@ -290,11 +373,12 @@ class IterativeResponse(ElasticResponse):
         """Return r = A x - b, and an estimate of its error, including rounding. Collective."""
         if origin is not None:
             self._guess.begin_at(origin)
-        u, before = self._guess.near(x), self._solver.krylov_iterations
-        error = self._improve(x, u, accuracy)
+        before = self._solver.krylov_iterations
+        self.set_known_displacement(x, self._u)
+        error = self._improve(x, self._u, accuracy)
         self._operator.products += self._solver.krylov_iterations > before
-        self._guess.add(x, u)
-        r = self.gradient_of(u)
+        self._guess.add(x, self._u.array.copy())
+        r = self.gradient_of(self._u)
         terms = np.abs(self.offset) + np.abs(self.offset - r)
         # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
         inner = self._jump.reductions.inner
@@ -320,6 +404,4 @@ class IterativeResponse(ElasticResponse):
 
     def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Set u to the displacement from which the gradient at x was computed. Collective."""
-        near = self._guess.near(x)
-        near.copy(u)
-        near.destroy()
+        u.array = self._guess.near(x)

@@ -11,10 +11,9 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import Mask
-from dolfinx_tresca._base.matrices import product, sparse_matrix
-from dolfinx_tresca._base.mixing import splitmix64
+from dolfinx_tresca._base.arrays import Mask, splitmix64
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
+from dolfinx_tresca._base.petsc import product, sparse_matrix
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.solvers.sparse_factors import eigenpairs

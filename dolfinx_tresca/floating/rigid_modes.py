@@ -11,8 +11,8 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.matrices import product
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
+from dolfinx_tresca._base.petsc import product
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.solvers.sparse_factors import eigenpairs
 from dolfinx_tresca.stiffness.solver import not_positive_definite
@@ -133,10 +133,9 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     mesh, prescribed = system.V.mesh, system.prescribed_displacements
     comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
     modes, label = bodies.rigid_modes(dim), np.repeat(bodies.label, dim)
-    with system.displacement_stiffness() as K:
-        forces, diagonal = product(K, modes), K.getDiagonal()
+    K = system.displacement_stiffness()
+    forces, diagonal = product(K, modes), K.getDiagonal()
     largest = _largest_entries(diagonal.array.reshape(-1, dim), ~prescribed, bodies, comm)
-    diagonal.destroy()
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
     weight = diags_array(np.where(prescribed, largest[label], 1.0))
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))

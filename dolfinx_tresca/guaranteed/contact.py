@@ -17,8 +17,7 @@ from dolfinx_tresca._base.arrays import (
     LocalNumbers,
     Mask,
 )
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, gather_rows
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram

@@ -18,7 +18,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.dual.bounds.estimate import with_gradient
+from dolfinx_tresca.dual.mesh_error import with_gradient
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.cells import mean_products, opposite, stress_element
 from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells

@@ -15,7 +15,7 @@ import dolfinx.la
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import exchange
 from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, opposite
 
 

@@ -34,7 +34,7 @@ from dolfinx_tresca.output.grid import (
 from dolfinx_tresca.output.vtu import DataSet, read_pvd, write_pvd, write_pvtu, write_vtu
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import ContactState
-from dolfinx_tresca.solution.resultants import Resultant
+from dolfinx_tresca.solution.forces import Resultant
 
 #: State -> its name, and its colour as red, green and blue from 0 to 1: blue for stick, orange for
 #: slip, light colours for open nodes.

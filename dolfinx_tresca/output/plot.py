@@ -17,8 +17,8 @@ from typing import Any
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.atomic_write import atomic_write
-from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.output import views

@@ -12,10 +12,8 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.lines import UNBROKEN
-from dolfinx_tresca._base.number import real
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.parallel import UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.output.table import Row, abridged
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -23,7 +21,7 @@ from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.resultants import Resultant
+from dolfinx_tresca.solution.forces import Resultant
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Quantity, Units, with_unit
 

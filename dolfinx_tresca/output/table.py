@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import TypeAlias
 
-from dolfinx_tresca._base.lines import fill
+from dolfinx_tresca._base.parallel import fill
 
 #: A name, indented if it belongs to the row above, and its value.
 Row: TypeAlias = tuple[str, str]

@@ -32,11 +32,9 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
-from dolfinx_tresca._base.assembly import assembled
-from dolfinx_tresca._base.matrices import dense_matrix
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.functions import assembled, entities_per_cell
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.vertices import entities_per_cell
+from dolfinx_tresca._base.petsc import PetscOwner, dense_matrix
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
 from dolfinx_tresca.pairing.search.facets import tabulate

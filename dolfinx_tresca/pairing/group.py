@@ -19,13 +19,11 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, real
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import geometry_degree, same_topology
-from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.number import real
-from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca._base.vertices import entities_per_cell
+from dolfinx_tresca._base.functions import entities_per_cell
+from dolfinx_tresca._base.parallel import exchange, log, reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets, joined, tabulate
 from dolfinx_tresca.pairing.search.self_contact import facet_origins

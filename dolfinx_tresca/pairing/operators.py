@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import (
     Mask,
     scaled_rows,
 )
-from dolfinx_tresca._base.matrices import sparse_matrix
+from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.group import Undeformed
 from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets

@@ -13,8 +13,14 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
-from dolfinx_tresca._base.exchange import exchange, row_of_least
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca._base.parallel import (
+    errors_on_all_ranks,
+    exchange,
+    gather_rows,
+    log,
+    reduce_array,
+    row_of_least,
+)
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import (
     Coupling,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -15,13 +14,12 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
+from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.number import integer
-from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import agreed_observer, log
 from dolfinx_tresca.contact.contact_system import ContactSystem
+from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
-from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -34,7 +32,7 @@ from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -170,14 +168,10 @@ class ContactProblem(ContactProcess):
         self.options = SolverOptions() if options is None else options
         self.units = units
         self.pairs = checked_pairs(pairs)
-        self._contact = ContactSystem(
-            LinearSystem(a, L, bcs, entity_maps, V, axisymmetric),
-            self.pairs,
-            stiffness,
-            expected_solves,
-            petsc_options,
-            petsc_options_prefix,
-        )
+        linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
+        solver = stiffness, petsc_options, petsc_options_prefix, expected_solves
+        factorisation = Factorisation(linear, self.pairs, *solver)
+        self._contact = ContactSystem(linear, self.pairs, factorisation)
         self._has_warned_of_changed_form = False
 
     @property
@@ -301,8 +295,7 @@ class ContactProblem(ContactProcess):
             c_fact=c_fact,
             geometry_accuracy=geometry_accuracy,
         )
-        agreed = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
-        observe = StallWatch(self.comm, agreed)
+        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         surfaces = self._contact.surfaces
         surfaces.begin_solve()
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
@@ -393,21 +386,11 @@ class ContactProblem(ContactProcess):
         )
 
     @contextmanager
-    def record(
-        self, *, checkpoint_every: int | None = None, folder: str | Path | None = None
-    ) -> Iterator[ProcessTape]:
+    def record(self) -> Iterator[ProcessTape]:
         """Record the load steps that are accepted inside the block, for derivatives.
 
         Not collective; each recorded `accept()` is collective, and assembles the load once more to
         check that nothing has changed since the solve.
-
-        Args:
-            checkpoint_every: number k: keep only the state of each k-th step (values on the contact
-                surfaces), and repeat the solves of all steps for derivatives; None: keep the
-                displacement of each step, and repeat no solve. With k = 1, each repeated solve
-                starts from the recorded solution of its step, and costs a product or two.
-            folder: folder for files with these states, in the format of `save_state`; None: keep
-                the states in memory.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
@@ -415,16 +398,14 @@ class ContactProblem(ContactProcess):
 
         Raises:
             ContactError: the problem records already.
-            InputError: `a` or `L` is no form of UFL, a pair has finite sliding, whose pairing
-                depends on the solution, or an argument is wrong.
+            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding, whose pairing
+                depends on the solution.
         """
         self._contact.check_not_destroyed()
         self._check_pairing_fixed()
         if self._tape is not None:
             raise ContactError("the problem records its load steps already.")
-        self._tape = tape = ProcessTape(
-            self._contact, self._solved_for, self._forms_at, checkpoint_every, folder
-        )
+        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
         try:
             yield tape
         finally:

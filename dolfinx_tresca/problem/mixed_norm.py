@@ -8,8 +8,8 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca.dual.local_stiffness import entrywise
+from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca.dual.jump import entrywise
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.stiffness.component import Component
 

@@ -10,12 +10,9 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import agreed_observer, log, reduce_array
+from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, summed_timings
-from dolfinx_tresca.contact.stall_watch import StallWatch
 from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
 from dolfinx_tresca.options import SolverOptions
@@ -101,8 +98,9 @@ class Newton:
         level: int,
     ) -> None:
         self.problem, self.options = problem, options
-        observe = agreed_observer(problem.comm, observer, "an Iteration, such as a ProgressBar")
-        self._observe = StallWatch(problem.comm, observe)
+        self._observe = agreed_observer(
+            problem.comm, observer, "an Iteration, such as a ProgressBar"
+        )
         self._iteration: Iteration | None = None  # the last observed iteration
         self.contact, self._units = contact, units
         self.steps: list[NewtonStep] = []
@@ -117,8 +115,6 @@ class Newton:
         self._sliding: FiniteSliding | None = None  # of the present part of the load
         self._flips = np.zeros(problem.owned_nodes)  # of each node in this part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
-        # change of u in the last step that was not the first step of a part of the load
-        self._last_change: Array | None = None
 
     def run(self) -> None:
         """Apply the change of load, in parts where Newton's method fails. Collective.
@@ -155,17 +151,11 @@ class Newton:
                 return
 
     def _diagnosis(self) -> str:
-        """Return where the displacement changed most, and whether the bodies are unstable.
-
-        The text is part of the message after a failure. Collective.
-        """
-        if self.stopped or self._last_change is None:
+        """Return a text for the message after a failure: what the steps show. Collective."""
+        if self.stopped or self.stuck:
             return ""
-        problem = self.problem
-        place = problem.place_of_largest(self._last_change)
-        shown = ", ".join(f"{x:.4g}" for x in place)
-        text = f". Last the displacement changed most at ({shown}) of the undeformed bodies"
-        (nodes,) = reduce_array(problem.comm, [int((self._flips >= OFTEN).sum())])
+        text = ". `newton.unbalanced` and `newton.flips` of the solution show where it fails"
+        (nodes,) = reduce_array(self.problem.comm, [int((self._flips >= OFTEN).sum())])
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if self._unstable:
@@ -175,15 +165,14 @@ class Newton:
         return text
 
     def _unstable_elements(self) -> str:
-        """Return a text on elements that are unstable since they keep their volume. Collective."""
-        names = self.problem.hardly_compressible()
-        if not names:
+        """Return a text on elements that may be unstable since they keep their volume."""
+        if self.problem.tangent.component is not None:
             return ""
         return (
-            ". Elements with displacements alone become unstable early in bodies that hardly "
-            f"change their volume: {names}. Take a pressure as a further unknown, in a mixed space "
-            "(see 'Nearly incompressible rubber' in the docs), or one point of integration for the "
-            "energy of the volume"
+            ". In bodies that hardly change their volume (Poisson's ratio from 0.45 on), elements "
+            "with displacements alone become unstable early: take a pressure as a further unknown, "
+            "in a mixed space (see 'Nearly incompressible rubber' in the docs), or one point of "
+            "integration for the energy of the volume"
         )
 
     def _equilibrium(self) -> str:
@@ -219,8 +208,6 @@ class Newton:
             # u may go back to zero
             size = problem.comm.bcast(max(problem.energy_norm(solution.w.x.array), from_start))
             change = problem.energy_norm(solution.w.x.array - before)
-            if number > 1:  # the first step moves the whole bodies
-                self._last_change = solution.w.x.array - before
             problem.u.x.array[:] = solution.w.x.array
             pressed_before, pressed = pressed, problem.surfaces.normal_forces_at_nodes() > 0.0
             if pressed_before is not None:
@@ -308,7 +295,7 @@ class Newton:
         """Return the progress of the steps, for observers. Not collective."""
         residual = self.steps[-1].residual if self.steps else math.inf
         number, fraction = len(self.steps) + (not ended), self.problem.tangent.fraction
-        return NewtonProgress(number, fraction, residual, ended, self.fraction)
+        return NewtonProgress(number, fraction, residual, ended)
 
     def _observed(self, iteration: Iteration) -> bool:
         """Show an iteration of a step's contact problem to the user's observer. Collective."""

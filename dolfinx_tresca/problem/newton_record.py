@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 

@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
@@ -26,7 +27,7 @@ from dolfinx_tresca.problem.process import ContactProcess, check_units
 from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.forms import Forms
+from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
@@ -206,13 +207,10 @@ class NonlinearContactProblem(ContactProcess):
                 raise InputError(f"symmetrize needs J as a UFL form, found {shown(J)}.")
             J = 0.5 * (J + ufl.adjoint(J))
         self._forms, self._is_symmetrized = (F, J), symmetrize
+        tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
+        solver = stiffness, petsc_options, petsc_options_prefix
         self._linearised = TangentProblem(
-            TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V),
-            on_accept,
-            pairs=self.pairs,
-            stiffness=stiffness,
-            petsc_options=petsc_options,
-            petsc_options_prefix=petsc_options_prefix,
+            tangent, on_accept, Factorisation(tangent, self.pairs, *solver)
         )
         self._contact = self._linearised.contact
         self._solves = 0

@@ -14,14 +14,16 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Mask
-from dolfinx_tresca._base.number import integer
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.arrays import Mask, integer
+from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
-from dolfinx_tresca.derivatives.controls import checked_controls, checked_directions
+from dolfinx_tresca.derivatives.change_of_data import (
+    DataOfSolution,
+    checked_controls,
+    checked_directions,
+)
 from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
 from dolfinx_tresca.derivatives.gradient_and_tangent import (
     ContactTangent,
@@ -29,7 +31,7 @@ from dolfinx_tresca.derivatives.gradient_and_tangent import (
     gradient,
     tangent_of,
 )
-from dolfinx_tresca.derivatives.linearised import EdgeState, LinearisedContact
+from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -39,9 +41,7 @@ from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forms import Forms
-from dolfinx_tresca.solution.reaction import reaction_at
-from dolfinx_tresca.solution.resultants import Resultant
+from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -352,17 +352,15 @@ class ContactProcess(PetscOwner, Tabulated):
         self,
         goal: Goal | ufl.Form,
         controls: Sequence[fem.Constant | fem.Function],
-        *,
-        at_edge: EdgeState = None,
     ) -> list[Any]:
         """Return the derivatives of a goal of the last solution with respect to controls.
 
         Collective. The derivatives are exact for the discrete problem, with each node held in its
-        contact state. Where nodes are about to change their state, the derivatives are one-sided
-        (see `at_edge`). All derivatives together cost one adjoint solve, about ten products with A,
-        however many controls there are; for nonlinear bodies, they cost one Newton step in
-        addition. Solve accurately, with `solve(rtol=1e-8)`, since derivatives are evaluated at the
-        computed solution.
+        contact state. Where nodes are about to change their state, the derivatives are one-sided;
+        the log and `NodeCounts.undecided` give the number of such nodes. All derivatives together
+        cost one adjoint solve, about ten products with A, however many controls there are; for
+        nonlinear bodies, they cost one Newton step in addition. Solve accurately, with
+        `solve(rtol=1e-8)`, since derivatives are evaluated at the computed solution.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`;
@@ -370,15 +368,9 @@ class ContactProcess(PetscOwner, Tabulated):
                 `ufl.action(L, solution.u)`.
             controls: Constants and Functions that occur in the forms, in the values of Dirichlet
                 conditions, in the gap of a pair, or in a slip bound, a coefficient of friction or
-                its limit; and Constants that a Python function reads, such as a friction curve or
-                the signed distance of an obstacle. A derivative with respect to the coordinates of
-                the mesh is not available.
-            at_edge: assumption on the nodes that are about to change their state (the log and
-                `NodeCounts.undecided` give their number). None: their state in the solution;
-                "held": they are pressed and stick; "released": they open or slip. For a single such
-                node, "held" and "released" give the derivatives on the two sides. If a control
-                presses some of several such nodes and opens others, both results may differ from
-                the derivatives on the two sides.
+                its limit, if friction is the same in all directions; and Constants that a Python
+                function reads, such as a friction curve or the signed distance of an obstacle. A
+                derivative with respect to the coordinates of the mesh is not available.
 
         Returns:
             for each control the derivatives with respect to its values [unit of the goal divided by
@@ -389,16 +381,16 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             ContactError: there is no converged solution for the present inputs; or, for nonlinear
                 bodies, the solution was accepted already.
-            InputError: the goal or a control is wrong; a control is part of a direction of
-                friction, or a Function that a Python function reads; `a` is no form of UFL, or is
-                on a mixed space; or a pair has finite sliding, whose pairing depends on the
-                solution.
+            InputError: the goal or a control is wrong; a control is part of a direction or of two
+                bounds of orthotropic friction, or a Function that a Python function reads; `a` is
+                no form of UFL, or is on a mixed space; or a pair has finite sliding, whose pairing
+                depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
         goal = self._checked_goal(goal)
         controls = checked_controls(controls)
-        data = self._data_of_solution(controls, at_edge)
+        data = self._data_of_solution()
         goals = [(1.0, self._goal_at(goal, data.u))]
         return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
 
@@ -407,8 +399,6 @@ class ContactProcess(PetscOwner, Tabulated):
         self,
         controls: Sequence[fem.Constant | fem.Function],
         directions: Sequence[Any],
-        *,
-        at_edge: EdgeState = None,
     ) -> ContactTangent:
         """Return the derivative of the last solution in a direction of controls. Collective.
 
@@ -421,7 +411,6 @@ class ContactProcess(PetscOwner, Tabulated):
             controls: see `gradient`.
             directions: for each control its change: for a Constant, values of its shape; for a
                 Function, a Function on its space.
-            at_edge: see `gradient`.
 
         Returns:
             the changes of displacement, pressure, traction, slip and gap, and of any goal.
@@ -435,7 +424,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_not_destroyed()
         controls = checked_controls(controls)
         directions = checked_directions(controls, directions)
-        data = self._data_of_solution(controls, at_edge)
+        data = self._data_of_solution()
         return tangent_of(
             data,
             self._contact.surfaces.secondary,
@@ -455,7 +444,7 @@ class ContactProcess(PetscOwner, Tabulated):
             return ufl.replace(goal, {present: u})
         return goal
 
-    def _data_of_solution(self, controls: Sequence[Any], at_edge: Any) -> DataOfSolution:
+    def _data_of_solution(self) -> DataOfSolution:
         """Return the data of the last solution, to differentiate them. Collective.
 
         The number of nodes at the edge of their state is logged.
@@ -464,15 +453,12 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: see `gradient`.
             InputError: see `gradient`.
         """
-        if at_edge not in (None, "held", "released"):
-            raise InputError(f'at_edge must be "held", "released" or None, found {shown(at_edge)}.')
         self._check_pairing_fixed()
         self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
-        contact = LinearisedContact.of_last_solve(self._contact, at_edge)
+        contact = LinearisedContact.of_last_solve(self._contact)
         contact.log_edge()
         data = DataOfSolution(self._contact, self._forms_at(contact.u), contact.u)
-        data.check_controls(controls)
         data.linearise(contact)
         return data
 

@@ -16,13 +16,12 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import collapse
-from dolfinx_tresca._base.forcing import ROUGH
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-from dolfinx_tresca.problem.compressibility import HARDLY_COMPRESSIBLE, poisson_ratios
 from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.mixed_norm import MixedNorm
 from dolfinx_tresca.problem.tangent_system import TangentSystem
@@ -56,7 +55,10 @@ class TangentProblem:
     balance: EnergyBalance
 
     def __init__(
-        self, tangent: TangentSystem, on_accept: Callable[[], None] | None, **arguments: Any
+        self,
+        tangent: TangentSystem,
+        on_accept: Callable[[], None] | None,
+        factorisation: Factorisation,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
@@ -66,7 +68,7 @@ class TangentProblem:
         Args:
             tangent: the linear system of a step. The `contact` system owns it.
             on_accept: see `NonlinearContactProblem`.
-            arguments: further arguments of `ContactSystem`.
+            factorisation: object that factors the tangent.
 
         Raises:
             InputError: an argument is wrong.
@@ -83,7 +85,7 @@ class TangentProblem:
         with self.at_unknowns(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
-            self.contact = ContactSystem(self.tangent, **arguments)
+            self.contact = ContactSystem(self.tangent, factorisation.pairs, factorisation)
         self.surfaces = self.contact.surfaces
         self.surfaces.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
@@ -414,24 +416,6 @@ class TangentProblem:
         """The number of this rank's nodes of the displacement."""
         return int(self.tangent.V.dofmap.index_map.size_local)
 
-    def hardly_compressible(self) -> str:
-        """Return a text that names bodies of displacements alone that hardly change their volume.
-
-        The text is empty if there is none, or if the form has other unknowns. Collective.
-        """
-        if self.tangent.component is not None:
-            return ""
-        self._tangent_is_plain = False
-        with self.at_unknowns(self._reference):
-            self.tangent.assemble_stiffness()
-        ratios = poisson_ratios(self.tangent, self.contact.bodies)
-        names = [
-            f"{name} (Poisson's ratio about {ratio:.2f})"
-            for name, ratio in zip(self.contact.bodies.names, ratios, strict=True)
-            if self.comm.bcast(ratio >= HARDLY_COMPRESSIBLE)
-        ]
-        return ", ".join(names)
-
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
         forces = fem.Function(self.tangent.space)
@@ -454,23 +438,6 @@ class TangentProblem:
         function.x.array[:owned] = values[dofs[:owned] // self.tangent.V.dofmap.bs]
         function.x.scatter_forward()
         return function
-
-    def place_of_largest(self, values: Array) -> Array:
-        """Return the point (dim,) [length] where a change of displacement is largest. Collective.
-
-        Args:
-            values: change of u, the values of this rank with ghosts.
-        """
-        w = fem.Function(self.tangent.space)
-        w.x.array[: len(values)] = values
-        V = self.tangent.V
-        dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-        points = V.tabulate_dof_coordinates()[:, :dim]
-        moved = self.tangent.displacement(w, w.name).x.array.reshape(-1, dim)[:owned]
-        sizes = np.linalg.norm(moved, axis=1)
-        largest = np.argsort(sizes)[-1:]
-        rows = gather_rows(self.comm, np.column_stack((sizes[largest], points[largest])))
-        return np.array(rows[np.argmax(rows[:, 0]), 1:])
 
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
 #: Number of cells along the edge of a cube, in 2D a square, that is as large as the body.

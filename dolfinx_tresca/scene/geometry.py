@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.number import integer
+from dolfinx_tresca._base.arrays import Array, integer
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file

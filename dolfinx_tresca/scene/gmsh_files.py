@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.

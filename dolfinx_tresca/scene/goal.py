@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.scalar_field import ScalarField, check_scalar_field
+from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 

@@ -16,9 +16,8 @@ from dolfinx import fem
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
-from dolfinx_tresca._base.functions import zero_like
+from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca._base.vertices import nodes_of_vertices
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.operators import PairOperators

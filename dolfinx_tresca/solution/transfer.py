@@ -12,7 +12,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
-from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.search.balls import bounding_box
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array, eye_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.sparse_factors import factored

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from dolfinx_tresca._base.forcing import FORCING
+from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point

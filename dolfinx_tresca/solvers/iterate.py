@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, ROUGH, SLACK
+from dolfinx_tresca._base.tolerances import FORCING, FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.solvers.problem import DualProblem, KnownProducts, Point
 
 

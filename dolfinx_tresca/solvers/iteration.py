@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.forcing import FORCING, ROUGH
-from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca._base.tolerances import FORCING, PATIENCE, PROGRESS, ROUGH
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper

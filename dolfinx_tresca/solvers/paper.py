@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
+from dolfinx_tresca._base.tolerances import PATIENCE, PROGRESS
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.history import History, Observe
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag, eigh
 from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.patience import MOST_STEPS
+from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, solve_or_fit
 from dolfinx_tresca.solvers.reductions import Reductions
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.forcing import FORCING
-from dolfinx_tresca._base.patience import MOST_STEPS, PATIENCE, PROGRESS
+from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS
 from dolfinx_tresca.solvers.nodal_maps import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.products import ProductStore

@@ -1,19 +1,253 @@
-"""The choice of the solver for K."""
+"""The solvers for K, a factorisation and multigrid, and the choice between them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from petsc4py import PETSc
 
-from dolfinx_tresca._base.number import integer
+from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.stiffness.cholesky import cholesky, saddle_cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.stiffness.levels import add_levels, has_levels, set_rigid_body_modes
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 from dolfinx_tresca.stiffness.system import LinearSystem
+
+PACKAGE = "pc_factor_mat_solver_type"
+ON_ONE_RANK = "cholmod"
+
+#: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
+#: the default of 20, as for a column of 300 bodies.
+SPARE_WORKSPACE = 200
+
+DEFAULTS = {
+    "ksp_type": "preonly",
+    "pc_type": "cholesky",
+    PACKAGE: "mumps",
+    # for small matrices CHOLMOD's default is LDL', which accepts negative pivots
+    "mat_cholmod_factor": "SUPERNODAL",
+    "mat_cholmod_print": 0,  # PETSc reports errors
+    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among the
+    # orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D bodies
+    "mat_mumps_icntl_7": 5,
+    "mat_mumps_icntl_14": SPARE_WORKSPACE,
+    "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
+}
+
+#: Options for saddle-point matrices: L D L' with pivots of size 1 and 2, whose signs are counted.
+SADDLE = {
+    **{name: value for name, value in DEFAULTS.items() if name != "mat_mumps_cntl_1"},
+    "mat_mumps_icntl_13": 1,  # the last front is not factored by ScaLAPACK, which counts no signs
+    "mat_mumps_icntl_24": 1,  # detect zero pivots
+}
+
+
+def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
+    """Return a solver with the Cholesky factors of K. Collective.
+
+    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If CHOLMOD
+    fails, MUMPS factors K, or gives the reason of the failure. CHOLMOD fails if PETSc is built
+    without it, if the factors have more entries than its 32-bit integers count, or if K is not
+    positive definite; in the last case it reports the first bad pivot only. The user's options may
+    choose another package.
+
+    Args:
+        K: the matrix.
+        petsc_options: PETSc options in addition to the defaults.
+        prefix: prefix of the user's options in PETSc's database; None: there is none.
+
+    Raises:
+        StiffnessError: K is not positive definite, or the factorisation failed.
+    """
+    given = {*petsc_options, *(PETSc.Options(prefix).getAll() if prefix else ())}
+    chosen = any(name == PACKAGE or name.startswith("mat_mumps_") for name in given)
+    if K.comm.size == 1 and not chosen:
+        with suppress(StiffnessError):
+            faster = DEFAULTS | {PACKAGE: ON_ONE_RANK}
+            return StiffnessSolver("cholesky", K, faster, petsc_options, prefix)
+    return StiffnessSolver("cholesky", K, DEFAULTS, petsc_options, prefix, check=_positive_pivots)
+
+
+def saddle_cholesky(
+    K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None
+) -> StiffnessSolver:
+    """Return a solver with the factors of the saddle-point matrix K = (A, B'; B, -C). Collective.
+
+    Args:
+        K: the matrix.
+        petsc_options: PETSc options in addition to the defaults.
+        prefix: prefix of the user's options in PETSc's database.
+        constraints: number of unknowns other than displacements, such as pressures. The number of
+            negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
+            then positive definite; if C is zero, A is positive definite on the vectors u with
+            B u = 0. None: the pivots are not checked.
+
+    Raises:
+        StiffnessError: K is singular, the number of negative pivots is wrong, or the factorisation
+            failed.
+    """
+
+    def check(ksp: PETSc.KSP) -> None:
+        factor = _mumps_factor(ksp)
+        if factor is None:
+            return
+        negative, zero = factor.getMumpsInfog(12), factor.getMumpsInfog(28)
+        if zero > 0:
+            raise StiffnessError(
+                f"K is singular: {zero} of {factor.getSize()[0]} pivots are zero. Either nothing "
+                "holds a body; or a pressure is not determined: if all of the boundary is clamped, "
+                "it is known up to a constant only, and spaces must be a stable pair, such as "
+                "degree 2 for u and degree 1 for p."
+            )
+        if constraints is not None and negative != constraints:
+            raise StiffnessError(
+                f"K has {negative} negative pivots, but {constraints} unknowns that are no "
+                "displacements: it is not K of a stable body with a pressure. Its form must be "
+                "a(u, v) + b(v, p) + b(u, q) - c(p, q), with c(p, p) >= 0 and a positive definite "
+                "where b(u, q) = 0 for all q. Check the signs in the form a, and the material data."
+            )
+
+    return StiffnessSolver("cholesky", K, SADDLE, petsc_options, prefix, check=check)
+
+
+def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
+    """Return the factor of MUMPS; None if options have chosen another solver.
+
+    Raises:
+        StiffnessError: the factorisation failed.
+    """
+    pc = ksp.getPC()
+    if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
+        return None
+    factor = pc.getFactorMatrix()
+    failure = factor.getMumpsInfog(1)
+    if failure < 0:
+        raise StiffnessError(
+            f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {factor.getMumpsInfog(2)} "
+            "(-10: singular, -9 or -13: out of memory; see its manual). For large models take "
+            "stiffness='multigrid'."
+        )
+    return factor
+
+
+def _positive_pivots(ksp: PETSc.KSP) -> None:
+    """Raise an error if MUMPS found negative pivots, or failed.
+
+    Raises:
+        StiffnessError: K is not positive definite, or the factorisation failed.
+    """
+    factor = _mumps_factor(ksp)
+    negative = 0 if factor is None else factor.getMumpsInfog(12)
+    if factor is not None and negative > 0:
+        raise not_positive_definite(f"{negative} of {factor.getSize()[0]} pivots are negative")
+
+
+KRYLOV = {
+    "ksp_type": "cg",
+    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
+    "ksp_rtol": 1e-10,
+    "ksp_max_it": 500,
+    "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
+}
+
+#: Smoother on one rank, symmetric block Gauss-Seidel. Errors fall in the energy norm for any
+#: positive definite K: the preconditioner is positive definite without an estimate of eigenvalues.
+GAUSS_SEIDEL = {
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_pc_type": "sor",  # treats a node's degrees of freedom together
+    "mg_levels_ksp_max_it": 1,
+}
+
+#: Smoother on several ranks. Each rank applies the Gauss-Seidel method to its own rows,
+#: M = diag(M_i). The largest eigenvalue of M^-1 K may approach the number of ranks that meet at a
+#: node, and errors grow if this eigenvalue exceeds 2 (on three and more ranks the preconditioner
+#: was seen to be indefinite). Chebyshev's polynomial, made for this largest eigenvalue, avoids the
+#: growth.
+CHEBYSHEV = {
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_pc_type": "sor",
+    "mg_levels_ksp_max_it": 1,
+    # steps that estimate the largest eigenvalue: if the estimate is too low, the smoother is
+    # indefinite. With stiffnesses that differ by 1e5, ten steps were too few
+    "mg_levels_esteig_ksp_max_it": 30,
+}
+
+#: Options that name a smoother.
+SMOOTHERS = [
+    f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
+]
+
+#: Solver on the coarsest space: two cycles of GAMG. The cycles are cheap, since K of degree 1 has a
+#: fifteenth of the entries of K of degree 2; with one cycle a solve takes a third more iterations.
+COARSEST = {
+    "mg_coarse_ksp_type": "richardson",
+    "mg_coarse_ksp_max_it": 2,
+    "mg_coarse_ksp_norm_type": "none",
+}
+
+GAMG = {
+    "pc_type": "gamg",
+    "pc_gamg_type": "agg",
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_esteig_ksp_max_it": 5,
+}
+
+
+def multigrid(
+    K: PETSc.Mat,
+    V: Any,
+    prescribed: Mask,
+    petsc_options: Mapping[str, Any],
+    prefix: str | None,
+) -> StiffnessSolver:
+    """Return a solver for K by conjugate gradients with multigrid. Collective.
+
+    The level below a space of degree 2 is the space of degree 1 on the same mesh; the levels below
+    a space on a mesh from `adapt.refine` are spaces on the coarser meshes. Errors are smoothed on
+    each of these spaces, and GAMG is applied to the matrix P'KP of the coarsest space, with the
+    interpolation P to V, or to K if there are no levels below. If the options name a `pc_type`,
+    GAMG or another, this preconditioner is applied to K; if they name a smoother, `CHEBYSHEV`
+    completes its options.
+
+    Args:
+        K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
+            and columns for prescribed values.
+        V: the space of the unknowns u.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
+        petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
+            apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
+            from the coarsest space downwards.
+        prefix: prefix of the options in PETSc's database.
+
+    Raises:
+        StiffnessError: the set-up failed.
+    """
+
+    def named(option: str) -> bool:
+        """Return whether the user gives an option, by the argument or in PETSc's database."""
+        in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
+        return option in petsc_options or in_database
+
+    smoother = GAUSS_SEIDEL if K.comm.size == 1 and not any(map(named, SMOOTHERS)) else CHEBYSHEV
+    gamg = GAMG | smoother
+    if not has_levels(V) or named("pc_type"):
+        set_rigid_body_modes(K, V)
+        return StiffnessSolver("multigrid", K, KRYLOV | gamg, petsc_options, prefix)
+    levels = {"pc_type": "mg", **COARSEST, **smoother}
+    levels.update({f"mg_coarse_{name}": value for name, value in gamg.items()})
+    below = {
+        f"mg_coarse_{name}": value
+        for name, value in petsc_options.items()
+        if name.startswith(("pc_gamg_", "mg_levels_"))
+    }
+    prepare = partial(add_levels, K=K, V=V, prescribed=prescribed)
+    return StiffnessSolver(
+        "multigrid", K, KRYLOV | levels, below | dict(petsc_options), prefix, prepare
+    )
+
 
 #: Name of a solver for K.
 ChosenMethod: TypeAlias = Literal["cholesky", "multigrid"]

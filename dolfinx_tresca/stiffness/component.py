@@ -16,17 +16,14 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.functions import zero_like
-from dolfinx_tresca._base.matrices import sparse_matrix
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.petsc import sparse_matrix
 
 
-class Component(PetscOwner):
+class Component:
     """One sub-space of a mixed space, in a numbering of its own.
 
     A node on the border of two ranks may have one owner in the sub-space, and another owner in the
     mixed space. So `of` needs ghost values.
-
-    Owns PETSc objects: call `destroy()`.
 
     Attributes:
         V: the collapsed sub-space, on which Functions can be created.
@@ -41,7 +38,7 @@ class Component(PetscOwner):
             index: index of the sub-space in the mixed space.
         """
         self._space, self._index = space, index
-        self.comm = self._space.mesh.comm
+        self.comm = space.mesh.comm
         self.V, self._dofs = collapse(space.sub(index))
         self._original = fem.Function(self.V)
         own, whole = self.V.dofmap, space.dofmap.index_map
@@ -52,10 +49,6 @@ class Component(PetscOwner):
         entries = np.ones(owned), whole.local_to_global(self._dofs[:owned]), np.arange(owned + 1)
         rows = csr_array(entries, shape=(owned, whole.size_global))
         self._parts = sparse_matrix(rows, (whole.size_local, whole.size_global), space.mesh.comm)
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        self._parts.destroy()
 
     def extract(self, w: fem.Function) -> fem.Function:
         """Return this component of a Function w on the mixed space. Not collective.
@@ -98,6 +91,4 @@ class Component(PetscOwner):
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the component's block of K, numbered like V; the caller owns it. Collective."""
         columns = self._parts.copy().transpose()
-        block = K.ptap(columns)
-        columns.destroy()
-        return block
+        return K.ptap(columns)

@@ -28,8 +28,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: A force of K against a rigid motion counts as rounding up to this multiple of the body's largest

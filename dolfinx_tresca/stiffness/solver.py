@@ -11,8 +11,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
 #: A residual counts as zero if its norm is at most this number: such numbers are close to denormal

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -19,18 +18,16 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
-from dolfinx_tresca._base.forcing import ROUGH
-from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.checks import (
+from dolfinx_tresca.stiffness.component import Component
+from dolfinx_tresca.stiffness.forms import (
     check_hoop_stiffness,
     check_meridian,
     check_signs,
     check_symmetry,
-)
-from dolfinx_tresca.stiffness.component import Component
-from dolfinx_tresca.stiffness.forms import (
     coefficients,
     compiled,
     component_index,
@@ -141,11 +138,7 @@ class LinearSystem(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
         self.K.destroy()
-        if self.component is not None:
-            self.component.destroy()
-        if self._columns is not None:
-            self._columns.destroy()
-            self._columns = None
+        self._columns = None
 
     @property
     def form_of_displacement(self) -> bool:
@@ -244,14 +237,10 @@ class LinearSystem(PetscOwner):
         rows = PETSc.IS().createStride(end - start, start, 1, comm=self.K.comm)
         prescribed = (start + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
         columns = PETSc.IS().createGeneral(prescribed, comm=self.K.comm)
-        if self._columns is not None:
-            self._columns.destroy()
         self._columns = self.K.createSubMatrix(rows, columns)
         if self._is_matrix:
             self._coupled = self._couples_prescribed()
         self.K.zeroRowsColumns(columns, 1.0)
-        rows.destroy()
-        columns.destroy()
 
     def _couples_prescribed(self) -> bool:
         """Return whether prescribed columns have nonzero entries off the diagonal. Collective."""
@@ -269,7 +258,6 @@ class LinearSystem(PetscOwner):
         given, forces = self._columns.createVecs()
         given.array = values
         self._columns.mult(given, forces)
-        given.destroy()
         return forces
 
     def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
@@ -285,12 +273,9 @@ class LinearSystem(PetscOwner):
         inside, result = u.copy(), u.duplicate()
         inside.array[self.prescribed] = 0.0
         self.K.mult(inside, result)
-        held = self.forces_of(u.array[self.prescribed])
-        result.axpy(1.0, held)
+        result.axpy(1.0, self.forces_of(u.array[self.prescribed]))
         result.aypx(-1.0, forces)
         result.array[self.prescribed] = 0.0
-        for vector in (inside, held):
-            vector.destroy()
         return result
 
     @property
@@ -308,17 +293,9 @@ class LinearSystem(PetscOwner):
         prescribed_values = self.f.x.array[: len(self.moves)][~self.moves]
         return not self.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR)
 
-    @contextmanager
-    def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
-        """Yield K, or for a mixed space the block of displacements of K. Collective."""
-        if self.component is None:
-            yield self.K
-            return
-        block = self.component.block(self.K)
-        try:
-            yield block
-        finally:
-            block.destroy()
+    def displacement_stiffness(self) -> PETSc.Mat:
+        """Return K, or for a mixed space the block of displacements of K. Collective."""
+        return self.K if self.component is None else self.component.block(self.K)
 
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
         """Return the displacement of a Function on `space`, with a new name. Not collective.
@@ -362,8 +339,6 @@ class LinearSystem(PetscOwner):
         energy = inside.dot(forces) + mirrored.dot(forces)
         inside.array = self.signs * inside.array
         energy += inside.dot(Ku)
-        for vector in (inside, Ku, forces, mirrored):
-            vector.destroy()
         return 0.5 * float(energy)
 
     def assemble_forces(self) -> fem.Function:
@@ -424,7 +399,6 @@ class LinearSystem(PetscOwner):
             forces.array = np.where(self.prescribed, 0.0, -forces.array)
             forces.array[self.prescribed] = change
             solver.improve(forces, response.x.petsc_vec, rtol=ROUGH, accuracy=0.0)
-            forces.destroy()
             response.x.scatter_forward()
         return self.displacement(response, "response")
 
@@ -448,7 +422,6 @@ class LinearSystem(PetscOwner):
                 )
         forces = self.forces_of(owned[self.prescribed])
         owned[~self.prescribed] -= forces.array[~self.prescribed]
-        forces.destroy()
         self.f.x.scatter_forward()
         self._check_load()
 

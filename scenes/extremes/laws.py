@@ -10,8 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca import ContactSolution
-from dolfinx_tresca.dual.friction_axes import with_tangents_along_axes
-from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dolfinx_tresca._base.exchange import exchange, row_of_least
+from dolfinx_tresca._base.parallel import exchange, row_of_least
 
 
 @pytest.mark.parallel

@@ -24,7 +24,7 @@ from dolfinx_tresca import (
     Tresca,
     refine,
 )
-from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.adapt.solve import checked_limit
 from dolfinx_tresca.stiffness.choice import check_choice
 from scenes.blocks import block
@@ -106,12 +106,3 @@ def test_options_store_python_numbers():
     assert type(MeanPressure((0, 0), Fraction(1, 2)).radius) is float
     assert type(NewtonOptions(np.float16(0.01)).accuracy) is float
     assert SolverOptions().accuracy == "balanced" and SolverOptions().rho_sigma is None
-
-
-def test_old_name_of_with_changes_warns(caplog):
-    """Also in the log, since DOLFINx 0.9 keeps Python's warnings from being printed."""
-    with pytest.warns(DeprecationWarning, match="use SolverOptions.with_changes"):
-        options = SolverOptions(rtol=1e-3).but(accuracy=0.1, method=None)
-    assert "SolverOptions.but is deprecated" in caplog.text
-    assert options == SolverOptions(rtol=1e-3).with_changes(accuracy=0.1)
-    assert options == SolverOptions(accuracy=0.1)

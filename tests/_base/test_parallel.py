@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
-from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import (
     each_warning_once,
     errors_on_all_ranks,
@@ -18,6 +17,7 @@ from dolfinx_tresca._base.parallel import (
     log,
     reduce_array,
 )
+from dolfinx_tresca._base.petsc import PetscOwner
 
 pytestmark = pytest.mark.parallel
 

@@ -17,7 +17,6 @@ from dolfinx import fem
 
 from dolfinx_tresca import MESHES, InputError, TaggedMesh, read_gmsh, refine
 from dolfinx_tresca._base.compat import create_submesh, geometry_dofmap
-from dolfinx_tresca.adapt.refinement import LOGARITHM_STEP, cut
 from scenes.scene import EPS
 
 
@@ -357,38 +356,3 @@ def test_cells_that_cannot_be_bisected(comm):
     tagged = TaggedMesh(mesh, none, none, {})
     with pytest.raises(InputError, match="found 6 nodes in each"):
         refine(tagged, np.ones(1))
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 2)])
-def test_errors_to_expect(comm, dim, degree):
-    """Where all cells are cut alike those of smooth displacements fall with the power of degree."""
-    if dim == 2:
-        coarse = square(comm)
-    else:
-        cube = dolfinx.mesh.create_unit_cube(comm, 2, 2, 2)
-        none = dolfinx.mesh.meshtags(cube, 2, np.zeros(0, np.int32), np.zeros(0, np.int32))
-        coarse = TaggedMesh(cube, None, none, {})
-    errors = np.where(middles(coarse)[:, 0] < 0.5, 1.0, 3.0)
-    fine, expected = cut(coarse, errors, 1.0, degree, {})
-    wanted = np.where(middles(fine)[:, 0] < 0.5, 1.0, 3.0) * 0.5 ** (degree + 0.5 * dim)
-    assert np.allclose(expected, wanted, rtol=LOGARITHM_STEP)
-    before, after = (comm.allreduce(np.sum(one**2)) for one in (errors, expected))
-    assert after == pytest.approx(before * 0.25**degree, rel=2 * LOGARITHM_STEP)
-    again, _ = cut(fine, expected, 0.3, degree, {})
-    cells = [mesh.mesh.topology.index_map(dim).size_global for mesh in (fine, again)]
-    assert cells[0] < cells[1] < 2**dim * cells[0]
-
-
-@pytest.mark.parallel
-def test_meshes_cut_twice_are_the_same_on_any_number_of_ranks(comm):
-    """What errors are expected goes along with the cells."""
-    found = []
-    for ranks in (comm, MPI.COMM_SELF):
-        tagged = square(ranks)
-        errors = near(tagged, np.array([0.3, 1.0, 0.0]))
-        for _ in range(3):
-            tagged, errors = cut(tagged, errors, 0.5, 1, {})
-        found.append(all_middles(tagged))
-    assert found[0].shape == found[1].shape
-    assert np.allclose(*found, rtol=0.0, atol=100 * EPS)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from rubbing_controls import Rubbing, along, smooth, values_of
@@ -60,12 +58,11 @@ class Process:
             for drag, press in zip(DRAG, PRESS, strict=True)
         ]
 
-    def run(self, amount=0.0, **record):
+    def run(self, amount=0.0):
         """Return goals and the work of each step (steps, goals), solutions, and the tape.
 
         Args:
             amount: by how much all controls are changed along their directions.
-            record: arguments of `record`.
         """
         problem, model = self.problem, self.model
         for control in self.controls:
@@ -74,7 +71,7 @@ class Process:
         problem.set_slip_origin(None)
         end = model.end.x.array.copy()
         values, solutions = [], []
-        with problem.record(**record) as tape:
+        with problem.record() as tape:
             for step, factor in enumerate(self.factors):
                 model.end.x.array[:] = factor * end
                 model.load.value[-1] = step * model.load.value[0]
@@ -154,39 +151,7 @@ def test_central_differences(comm, kind, law, upper):
     assert abs(summed - by_step.sum()) <= 100 * np.finfo(float).eps * np.abs(by_step).sum()
 
 
-@pytest.mark.parallel
-@pytest.mark.parametrize(("every", "in_files"), [(1, False), (2, True)])
-def test_checkpoints(comm, folder, every, in_files):
-    """Steps that are solved again have the same derivatives, of each step, goal and form."""
-    process = Process(comm, "triangle", upper=(8, 2))
-    force, L = process.model.goals[1], process.model.L
-
-    def by_step(**record):
-        """Return derivatives [control][step] by values in each step."""
-        _, solutions, tape = process.run(**record)
-        work = ufl.action(L, solutions[3].u)
-        # only one of these solutions is still there
-        goals = {1: [(-0.5, force)], 3: [(1.0, work), (2.0, force)], 4: [(1.0, force)]}
-        del solutions[4], solutions[:3]
-        steps = tape.gradient_by_step(goals, process.controls)
-        values = [[getattr(getattr(by, "x", by), "array", by) for by in step] for step in steps]
-        return list(zip(*values, strict=True))
-
-    wanted = by_step()
-    in_folder = {"folder": folder / "steps"} if in_files else {}
-    found = by_step(checkpoint_every=every, **in_folder)
-    for ours, others in zip(found, wanted, strict=True):
-        size = comm.allreduce(max(np.abs(one).max(initial=0.0) for one in others), op=MPI.MAX)
-        for one, other in zip(ours, others, strict=True):
-            assert np.abs(one - other).max(initial=0.0) <= ACCURACY * size
-    assert len(list(folder.glob("steps/*"))) == (3 if in_files else 0)
-    # the process goes on where it was
-    process.problem.solve(rtol=RTOL).raise_if_failed()
-    process.problem.accept()
-
-
-@pytest.mark.parametrize("every", [None, 1])
-def test_functions_whose_constants_change(comm, every):
+def test_functions_whose_constants_change(comm):
     """A Constant that changes from step to step is a coefficient, is read by a curve, is hidden."""
     model = Rubbing(comm, "triangle", upper=(8, 2))
     c = fem.Constant(model.end.function_space.mesh, 0.3)
@@ -196,7 +161,7 @@ def test_functions_whose_constants_change(comm, every):
     for law in (c, lambda p, v: float(c.value) + 0.0 * p, lambda p, v: hidden[0].value + 0.0 * p):
         pair = dataclasses.replace(pair, friction=Coulomb(law))
         with ContactProblem(a, L, [pair], bcs, stiffness="cholesky") as problem:
-            with problem.record(checkpoint_every=every) as tape:
+            with problem.record() as tape:
                 for c.value in (0.3, 0.2):
                     problem.solve(rtol=RTOL)
                     problem.accept()
@@ -242,13 +207,6 @@ def test_what_cannot_be_recorded(comm):
     ):
         with pytest.raises(InputError, match=message):
             tape.gradient(goals, [young])
-    for arguments, message in (
-        ({"checkpoint_every": 0}, r"checkpoint_every must be a number of load steps.*found 0"),
-        ({"checkpoint_every": "all"}, r"found 'all'"),
-        ({"folder": "steps"}, "give checkpoint_every, too"),
-    ):
-        with pytest.raises(InputError, match=message), problem.record(**arguments):
-            pass
     with pytest.raises(InputError, match=r"must be a fem\.Constant or a fem\.Function, found 3"):
         tape.gradient({0: force}, [3.0])
     with pytest.raises(InputError, match=r"controls must be a list of .* found an object of type"):
@@ -263,8 +221,8 @@ def test_what_cannot_be_recorded(comm):
             pass
 
 
-@pytest.mark.parametrize(("dim", "every"), [(2, 2), (3, None)])
-def test_places_of_obstacles(comm, dim, every):
+@pytest.mark.parametrize("dim", [2, 3])
+def test_places_of_obstacles(comm, dim):
     """The centre and radius of a ball on which a block is dragged to and fro, in all steps."""
     n, end = ((4, 3), (0.56, -2.0)) if dim == 2 else ((3, 3, 2), (0.56, 0.41, -2.0))
     scene = block(comm, n, load=(0.0, 0.0, 0.0), held=[ABOVE])
@@ -279,7 +237,7 @@ def test_places_of_obstacles(comm, dim, every):
             centre.value, radius.value = end + amount * direction, 2.0 + amount
             problem.set_slip_origin(None)
             values, states = [], []
-            with problem.record(checkpoint_every=every) as tape:
+            with problem.record() as tape:
                 for along_first in (0.02, -0.02, -0.015):
                     scene.data.held.x.array.reshape(-1, dim)[:, 0] = along_first
                     scene.data.held.x.array.reshape(-1, dim)[:, -1] = -0.05

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
-from dolfinx_tresca.dual.friction_axes import (
+from dolfinx_tresca.dual.slip_bounds import (
     FrictionDiscs,
     NodalEllipses,
     with_tangents_along_axes,

@@ -1,4 +1,4 @@
-"""The lift of given jumps: its energy, and that blocks of ranks serve as well as one factor."""
+"""The lift of given jumps: its energy, and jumps that no displacement has."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import Tresca
-from dolfinx_tresca._base.forcing import FULL_ACCURACY
-from dolfinx_tresca.dual.bounds import lift
-from dolfinx_tresca.dual.bounds.lift import Lift
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY
+from dolfinx_tresca.dual.energy_bound import Lift
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -29,19 +28,13 @@ def jump_of(scene: Scene, repeated: bool = False) -> Iterator[JumpOperator]:
             yield jump
 
 
-@pytest.fixture(params=["factored", "blocks"])
-def solver(request, monkeypatch) -> str:
-    """Let matrices of any size be solved with in one way."""
-    monkeypatch.setattr(lift, "MOST_FACTORED", np.inf if request.param == "factored" else 0)
-    return request.param
-
-
 @pytest.mark.parallel
-def test_the_energy_is_that_of_the_lift(comm, solver):
+def test_the_energy_is_that_of_the_lift(comm):
     """W = D B'z with B w = jump: |w|_K is known where z is given."""
     # a finer secondary side: rows of different ranks meet in primary nodes
     scene = patch(comm, "tetrahedron", upper=(6, 1), lower=(2, 1), friction=Tresca(0.1))
-    with jump_of(scene) as jump, Lift(jump) as lifted:
+    with jump_of(scene) as jump:
+        lifted = Lift(jump)
         z = np.random.default_rng(comm.rank).uniform(-1.0, 1.0, len(jump.stress_scale))
         K = jump.system.K
         w, Kw = K.createVecs()
@@ -59,10 +52,11 @@ def test_the_energy_is_that_of_the_lift(comm, solver):
 
 
 @pytest.mark.parallel
-def test_jumps_that_no_displacement_has(comm, solver):
+def test_jumps_that_no_displacement_has(comm):
     """Rows that are there twice, with jumps that differ."""
     scene = patch(comm, "tetrahedron", upper=(3, 1), lower=(2, 1))
-    with jump_of(scene, repeated=True) as jump, Lift(jump) as lifted:
+    with jump_of(scene, repeated=True) as jump:
+        lifted = Lift(jump)
         first, second = (normal for normal, _ in jump.slices)
         wanted = np.zeros(len(jump.stress_scale))
         wanted[first], wanted[second] = 1.0, -1.0

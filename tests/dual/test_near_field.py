@@ -9,7 +9,7 @@ import pytest
 from test_operator import local_random
 
 from dolfinx_tresca.dual.products import near_field
-from dolfinx_tresca.stiffness import coarse_space
+from dolfinx_tresca.stiffness import schwarz as coarse_space
 from scenes.assembled import dual_program
 from scenes.two_bricks import two_bricks
 

@@ -13,7 +13,7 @@ from dolfinx_tresca import Coulomb, InputError, Tresca
 from dolfinx_tresca._base import compat
 from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, SlipBounds
-from dolfinx_tresca.scene import scalar_field
+from dolfinx_tresca.scene import user_fields
 from scenes.nodal import node_function
 from scenes.patches import patch
 from scenes.scene import EPS
@@ -94,7 +94,7 @@ def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
             compiled.append(arguments)
             super().__init__(*arguments)
 
-    monkeypatch.setattr(scalar_field.fem, "Expression", Counted)
+    monkeypatch.setattr(user_fields.fem, "Expression", Counted)
     values = NodalValues(V)
     points = V.tabulate_dof_coordinates()[nodes].T
     for factor in (1.0, 2.0):

@@ -20,7 +20,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.dual.bounds.estimate import total
+from dolfinx_tresca.dual.mesh_error import total
 from dolfinx_tresca.guaranteed.bound import guaranteed_error
 from scenes.assembled import linear_solution
 from scenes.elasticity import elasticity, fixed

@@ -23,7 +23,6 @@ from dolfinx_tresca import (
     ContactForce,
     ContactPair,
     ContactState,
-    ControlVector,
     Coulomb,
     FrictionCurve,
     Frictionless,
@@ -49,8 +48,7 @@ from dolfinx_tresca import (
     Units,
     contacts,
 )
-from dolfinx_tresca._base.lines import LINE_WIDTH, UNBROKEN, fill
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN, fill, log
 from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.output.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
@@ -274,7 +272,6 @@ def test_repr_of_everything_public_is_short(comm):
             ProgressBar(comm),
             SolutionWriter("results/steps.pvd"),
             UNITS,
-            ControlVector([fem.Constant(scene.mesh, 1.0)]),
             tangent := problem.tangent([scene.data.load], [(0.0, 0.0, 1.0)]),
             *tangent.surfaces,
             contacts(bricks, friction=Coulomb(0.3)),

@@ -206,7 +206,7 @@ def test_the_file_of_a_restart_has_the_pressure(comm, folder):
     with plain.problem() as problem:
         problem.save_state(folder / f"plain_{comm.rank}.npz")
     other, problem = uniaxial(MPI.COMM_SELF, 0.3)
-    with problem, pytest.raises(InputError, match=r"has 0 unknown.* and the problem has 1"):
+    with problem, pytest.raises(InputError, match=r"with 0 .*'unknown'.* here there are 1"):
         problem.load_state(folder / f"plain_{comm.rank}.npz")
 
 
@@ -254,9 +254,8 @@ def test_what_is_refused(comm):
         rubber_with_pressure(rubber_block(comm, (2, 2), degree=2), 0.0, ("DG", 2)).problem()
 
 
-@pytest.mark.parallel(poisson=[0.49])
-@pytest.mark.parametrize("poisson", [0.49, 0.3])
-def test_unstable_elements_are_named(comm, poisson):
+@pytest.mark.parallel()
+def test_unstable_elements_are_named(comm):
     """A ball pressed into a thin layer of degree 2, until Newton's method fails."""
     domain = mesh.create_rectangle(
         comm, [(0.0, 0.0), (10.0, 1.0)], (20, 2), mesh.CellType.quadrilateral
@@ -270,7 +269,7 @@ def test_unstable_elements_are_named(comm, poisson):
     tags = mesh.meshtags(domain, 1, upper, np.ones(len(upper), np.int32))
     V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
     u, ball = fem.Function(V), RigidSphere((0.0, 9.0), 8.0)
-    energy = neo_hookean(u, *lame_constants(1.0, poisson)) * ufl.dx(degree=4)
+    energy = neo_hookean(u, *lame_constants(1.0, 0.49)) * ufl.dx(degree=4)
     F = ufl.derivative(energy, u, ufl.TestFunction(V))
     pair = ContactPair(tags, 1, ball, Frictionless())
     bcs = [fixed(V, lower), fixed(V, middle, component=0)]
@@ -281,5 +280,4 @@ def test_unstable_elements_are_named(comm, poisson):
             if solution.status is ContactStatus.NO_EQUILIBRIUM:
                 break
             problem.accept(unconverged=True)
-    named = "Poisson's ratio about 0.49" in solution.failure
-    assert named is (poisson == 0.49)
+    assert "hardly change their volume" in solution.failure and "mixed space" in solution.failure

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError, RigidPlane, Tresca
-from dolfinx_tresca.solution.resultants import Resultant
+from dolfinx_tresca.solution.forces import Resultant
 from scenes.blocks import BELOW, RIGHT, block, floor
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import StiffnessError
-from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.choice import cholesky
 from scenes.scene import EPS
 
 
@@ -40,7 +40,7 @@ HAS_CHOLMOD = PETSc.Sys.hasExternalPackage("cholmod") or PETSc.Sys.hasExternalPa
 def available(request, monkeypatch) -> bool:
     """PETSc with CHOLMOD if it has it, and one that has a package's name there which it lacks."""
     if not request.param:
-        monkeypatch.setattr("dolfinx_tresca.stiffness.cholesky.ON_ONE_RANK", "pastix")
+        monkeypatch.setattr("dolfinx_tresca.stiffness.choice.ON_ONE_RANK", "pastix")
     return request.param and HAS_CHOLMOD
 
 

@@ -17,8 +17,8 @@ from dolfinx import fem
 
 from dolfinx_tresca import TaggedMesh, refine
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.nested import is_nested, nested
+from dolfinx_tresca.stiffness.choice import multigrid
+from dolfinx_tresca.stiffness.levels import is_nested, nested
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import EPS
 from scenes.two_bricks import on_bricks, two_bricks

@@ -12,8 +12,7 @@ import pytest
 import ufl
 
 from dolfinx_tresca import StiffnessError
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.choice import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, two_bricks

@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca._base.parallel import gather_rows
-from dolfinx_tresca.dual.bounds.estimate import MOST_MATERIALS, DiscretisationError, total
+from dolfinx_tresca.dual.mesh_error import MOST_MATERIALS, DiscretisationError, total
 from scenes.assembled import linear_solution
 from scenes.clamped_square import clamped_square
 from scenes.elasticity import elasticity

@@ -18,7 +18,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca._base.forcing import SLACK
+from dolfinx_tresca._base.tolerances import SLACK
 from scenes.blocks import BELOW, LEFT, YOUNG, block, floor, rubbing_blocks
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import two_bricks

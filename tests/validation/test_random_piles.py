@@ -9,7 +9,7 @@ import pytest
 from rigid_blocks import RigidBlocks, loads_of
 
 from dolfinx_tresca import ContactStatus, InputError
-from dolfinx_tresca._base.patience import PATIENCE
+from dolfinx_tresca._base.tolerances import PATIENCE
 from scenes.pile import CELL, SEARCH, random_pile
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="each pile is one rank's")

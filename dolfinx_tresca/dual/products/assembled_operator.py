@@ -15,13 +15,13 @@ from scipy.sparse import csc_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
-from dolfinx_tresca._base.matrices import sparse_matrix
 from dolfinx_tresca._base.parallel import gather_rows
+from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.whole_model import WholeModel
-from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
+from dolfinx_tresca.stiffness.choice import SPARE_WORKSPACE
 
 #: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
 #: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half

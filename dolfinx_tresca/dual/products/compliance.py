@@ -9,12 +9,11 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.bounds.certificate import EnergyBound
-from dolfinx_tresca.dual.bounds.estimate import DiscretisationError
-from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
+from dolfinx_tresca.dual.energy_bound import EnergyBound
+from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
+from dolfinx_tresca.dual.mesh_error import DiscretisationError
 from dolfinx_tresca.dual.products.assembled_operator import (
     SurfaceCompliance,
     dense_model,
@@ -82,8 +81,6 @@ class ContactCompliance(PetscOwner):
         self.operator.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
-        if "certificate" in vars(self):
-            self.certificate.destroy()
         if "near_field" in vars(self):
             self.near_field.destroy()
         self.operator.destroy()

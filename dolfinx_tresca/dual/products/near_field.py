@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.stiffness.schwarz import Schwarz
 from dolfinx_tresca.stiffness.solver import StiffnessSolver

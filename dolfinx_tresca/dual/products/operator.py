@@ -7,8 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.matrices import dense_matrix
-from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.petsc import PetscOwner, dense_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 

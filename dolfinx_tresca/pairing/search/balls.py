@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import exchange
 from dolfinx_tresca.pairing.search.facets import (
     CREDIBLE_PART,
     FACET_ARRAYS,

@@ -15,9 +15,8 @@ import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.compat import same_topology
-from dolfinx_tresca._base.exchange import row_of_least
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca._base.vertices import entities_per_cell, numbers_in_file
+from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, row_of_least
 from dolfinx_tresca.errors import InputError, MeshError, PairingError
 from dolfinx_tresca.pairing.search.facets import (
     Facets,

@@ -1,4 +1,4 @@
-"""Forcing terms: how accurately inner problems are solved (Eisenstat and Walker 1996).
+"""Tolerances: how accurately inner problems are solved, and when an iteration is given up.
 
 Other accuracies of inner problems are multiples of the constants in this file, or have a comment at
 their definition that says why they differ.
@@ -26,3 +26,19 @@ SLACK = 1.01
 #: Relative error, in the energy norm, that is requested where only rounding errors are allowed.
 #: Doubling or halving it changes nothing: solvers stop at their own rounding first.
 FULL_ACCURACY = 1e-13
+
+
+#: An iteration makes progress if its residual is below this multiple of the least earlier residual.
+#: If the distance of the number from 1 is doubled or halved, numbers of products of
+#: benchmarks/ablation.py change by two at most.
+PROGRESS = 0.9
+
+#: Number of iterations without progress after which a contact problem counts as stalled, and after
+#: which a search for a fixed point, or Newton's method with a model of A, ends. If it is doubled,
+#: solves without a fixed point take more products, and warnings come later. Of the solves in
+#: tests/validation and tests/problem that converge, none needs a value above 23.
+PATIENCE = 25
+
+#: Limit on the steps of an inner iteration. Most inner iterations end after a few steps. In
+#: benchmarks/ablation.py, neither twice this limit nor a limit of 25 changes anything.
+MOST_STEPS = 100

@@ -1,10 +1,10 @@
-"""Scalar fields given by the user: types, checks and descriptions."""
+"""Scalar and vector fields given by the user: types, checks and descriptions."""
 
 from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +14,7 @@ from dolfinx import fem
 from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuantity
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca.errors import InputError, shown
 
 #: A scalar on the contact surface; the Constants and Functions in it may be changed in place.
@@ -118,3 +118,58 @@ def scalar_field_text(value: ScalarField) -> str:
 def _text(expression: Expr) -> str:
     """Return the text of an expression, cut off if it is long."""
     return textwrap.shorten(str(expression), 80, placeholder=" ...")
+
+
+#: A vector of three components on the contact surface; the Constants and Functions in it may be
+#: changed in place.
+VectorField: TypeAlias = (
+    "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
+)
+
+
+def check_vector_field(value: VectorField, name: str) -> None:
+    """Check the type of a vector that is a direction; numbers must be finite and not all zero.
+
+    Args:
+        value: the vector.
+        name: the name of the quantity, for error messages.
+
+    Raises:
+        InputError: the vector does not have three components, is complex, or has no value at
+            nodes; or it consists of numbers that are not finite, or are all zero.
+    """
+    if isinstance(value, fem.Constant | fem.Expression | Expr):
+        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
+        _check_vector_shape(tuple(expression.ufl_shape), name)
+        check_expression(expression, name)
+    elif not callable(value) or isinstance(value, type):
+        numbers = np.asarray(value)
+        if numbers.dtype.kind not in "iuf":
+            raise InputError(
+                f"{name} must be three numbers, a fem.Constant, fem.Function or UFL expression "
+                f"with three components, or a function of points, found {shown(value)}."
+            )
+        _check_vector_shape(numbers.shape, name)
+        if not np.isfinite(numbers).all() or not numbers.any():
+            raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")
+
+
+def _check_vector_shape(shape: tuple[int, ...], name: str) -> None:
+    """Raise InputError unless the shape is that of a vector of three components."""
+    if shape != (3,):
+        raise InputError(f"{name} must be a vector of three components, found shape {shape}.")
+
+
+def vector_field_text(value: VectorField) -> str:
+    """Return a short description of a vector field, for tables and messages."""
+    if isinstance(value, fem.Function):
+        return f"Function '{value.name}'"
+    if isinstance(value, fem.Constant):
+        return f"Constant, now {_components(value.value)}"
+    if isinstance(value, fem.Expression | Expr):
+        return "an expression"  # UFL's text has free indices, which nobody can read
+    return "a function of points" if callable(value) else _components(value)
+
+
+def _components(value: Any) -> str:
+    return f"({', '.join(f'{component:g}' for component in value)})"

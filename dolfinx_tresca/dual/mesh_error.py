@@ -21,9 +21,8 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.functions import zero_like
+from dolfinx_tresca._base.functions import entities_per_cell, zero_like
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
-from dolfinx_tresca._base.vertices import entities_per_cell
 
 #: Number of cells whose gradients are evaluated together; it limits the memory.
 CELLS_AT_ONCE = 50_000

@@ -1,1 +1,0 @@
-"""Bounds and estimates of errors of the displacement."""

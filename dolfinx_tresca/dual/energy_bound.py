@@ -1,0 +1,233 @@
+"""A bound of the iteration's error in the displacement, without a further solve with K."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator, nodal_compliance
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.stiffness.choice import cholesky, saddle_cholesky
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+#: The rows of B count as linearly dependent if the ratio |B w - jump| / |jump| (Euclidean norms) of
+#: a lift w exceeds this number. The ratio is of the order of 1 for a jump outside the range of B,
+#: and otherwise of the order of rounding.
+DEPENDENT_ROWS = 1e-6
+
+
+class Lift:
+    """The displacement w of least D^-1 norm with B w = jump: w = D B' (B D B')^-1 jump.
+
+    Here D is diag(K)^-1. `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row
+    for each row of B. It is factored by all ranks together; the analysis of MUMPS stores the
+    pattern of all rows on one rank, 1 to 2 kB a row.
+    """
+
+    def __init__(self, jump: JumpOperator) -> None:
+        """Factor B D B'. Collective.
+
+        Args:
+            jump: B, and the system with K.
+        """
+        self._system, self._B = jump.system, jump.matrix
+        self._compliance = nodal_compliance(jump.system)
+        self._jump, self._force = self._B.createVecs("left"), self._B.createVecs("right")
+        self._multipliers = self._jump.duplicate()
+        self._w, self._Kw = self._force.duplicate(), self._force.duplicate()
+        weighted = self._B.copy()
+        weighted.diagonalScale(R=self._compliance)
+        transposed = self._B.copy().transpose()
+        local = weighted.matMult(transposed)
+        local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._solver: StiffnessSolver | None
+        try:
+            self._solver = cholesky(local, {}, None)
+        except StiffnessError:  # dependent rows
+            self._solver = None
+
+    def energy_norm(self, jump: Array) -> float:
+        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
+
+        Args:
+            jump: (size,) this rank's rows of B w.
+        """
+        if self._solver is None:
+            return np.inf
+        self._jump.array = jump
+        self._solver.solve(self._jump, self._multipliers)
+        self._B.multTranspose(self._multipliers, self._force)
+        self._w.pointwiseMult(self._compliance, self._force)
+        self._B.mult(self._w, self._multipliers)
+        self._multipliers.axpy(-1.0, self._jump)
+        if not self._multipliers.norm() <= DEPENDENT_ROWS * self._jump.norm():  # or NaN
+            return np.inf
+        self._system.K.mult(self._w, self._Kw)
+        return float(np.sqrt(max(self._w.dot(self._Kw), 0.0)))
+
+
+class SaddleLift:
+    """The displacement of least energy with a given jump, and its pressure.
+
+    Both are in w, which satisfies K w + B'y = 0 and B w = jump with multipliers y.
+
+    `Lift` moves contact nodes only. In a body that cannot change its volume, moving contact nodes
+    alone costs infinite, or nearly infinite, energy. This lift has the least energy of all lifts,
+    and needs a factorisation as large as the factorisation of K.
+    """
+
+    def __init__(self, jump: JumpOperator) -> None:
+        """Factor (K, B'; B, 0). Collective.
+
+        If the factorisation fails because rows of B are linearly dependent, `energy_norm` returns
+        inf for any jump.
+
+        Args:
+            jump: B, and the system with K.
+
+        Raises:
+            StiffnessError: rows of B are linearly independent of each other, but not of the rows of
+                incompressibility in K: the contact closes in a body that cannot change its volume.
+        """
+        system = jump.system
+        K = system.K
+        free, zero = jump.matrix.createVecs()
+        zero.set(0.0)
+        free.array = system.moves
+        B = jump.matrix.copy()
+        B.diagonalScale(R=free)
+        transposed = B.copy().transpose()
+        nothing = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), nnz=1, comm=K.comm)
+        nothing.setDiagonal(zero)
+        nothing.assemble()
+        nest = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm)
+        whole = nest.copy()
+        whole.convert(PETSc.Mat.Type.AIJ)
+        whole.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._right, self._solution = whole.createVecs()
+        self._product = self._right.duplicate()
+        self._w_size = K.getLocalSize()[0]
+        self._solver: StiffnessSolver | None
+        try:
+            self._solver = saddle_cholesky(whole, {}, None, None)
+        except StiffnessError:  # dependent rows
+            self._solver = None
+        self._matrix = whole
+        if self._solver is None and _independent(jump):
+            raise StiffnessError(
+                "the contact and the conditions close in a body that cannot change its volume: its "
+                "pressure is not determined where it touches everywhere, and gaps of another "
+                "volume cannot be closed. Let it change its volume a little (Poisson's ratio "
+                "0.4999, say), or leave a part of its boundary free."
+            )
+
+    def energy_norm(self, jump: Array) -> float:
+        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
+
+        Args:
+            jump: (size,) this rank's rows of B w.
+        """
+        if self._solver is None:
+            return np.inf
+        right, solution = self._right, self._solution
+        right.set(0.0)
+        right.array[self._w_size :] = jump
+        size = right.norm()
+        self._solver.solve(right, solution)
+        energy = -float(right.dot(solution))  # w'K w = -y'B w
+        self._matrix.mult(solution, self._product)
+        self._product.axpy(-1.0, right)
+        if not self._product.norm() <= DEPENDENT_ROWS * size:  # or NaN
+            return np.inf
+        return float(np.sqrt(max(energy, 0.0)))
+
+
+def _independent(jump: JumpOperator) -> bool:
+    """Return whether the rows of B are linearly independent. Collective."""
+    rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
+    return bool(np.isfinite(Lift(jump).energy_norm(rough)))
+
+
+class EnergyBound:
+    """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
+
+    Here u* is the exact solution of the discrete problem. By weak duality, the primal energy J, the
+    dual energy D, and any displacement v without penetration satisfy
+
+        1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
+            = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2.
+
+    No term of this sum is negative, so nothing cancels. In load steps, T v stands for T v - s, the
+    slip since the last step, here and below. The displacement v is u + w. The lift w moves contact
+    nodes alone (`Lift`), such that the jump at every node takes its best value for fixed
+    neighbours: nodes that should close or stick do so. If K also has rows for a pressure, w moves
+    all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the pressure
+    eliminated. If such a K is the tangent of a Newton step, there is no bound: the factorisation
+    for `SaddleLift` would double the cost of the step.
+    """
+
+    def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
+        """Prepare the lifts w. Collective.
+
+        Args:
+            jump: B, and the system with K.
+            local_stiffness: (size,) 1 / diag(B diag(K)^-1 B'), the stiffness of a node with fixed
+                neighbours.
+        """
+        self._local_stiffness = local_stiffness
+        system = jump.system
+        self.comm = system.comm
+        self._lift: Lift | SaddleLift | None = None
+        if system.component is None:
+            self._lift = Lift(jump)
+        elif not system.is_tangent:
+            self._lift = SaddleLift(jump)
+
+    def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
+        """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
+
+        Args:
+            feasible_set: Lambda.
+            x: (size,) multipliers in Lambda.
+            r: (size,) the gradient at x, from the computed displacement u: d - N u and -T u.
+            error: a bound of the error of u, |u - K^-1 (f - B'x)|_K.
+
+        Returns:
+            the bound of |u - u*|_K; infinite if there is no bound, or if rows of B are linearly
+            dependent.
+        """
+        if self._lift is None:
+            return np.inf
+        opening, gap = self._best_nodes(feasible_set, x, r)
+        total = float(reduce_array(self.comm, gap))
+        lift = self._lift.energy_norm(r - opening)
+        return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
+
+    def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
+        """Return d - N v and -T v (size,), and this rank's nodal terms of the duality gap.
+
+        The remaining term of the gap, 1/2 |v - u|_K^2, is added in `energy_bound`. The jumps of v
+        are chosen node by node: each node gets the jump for which the duality gap is smallest if
+        its neighbours are fixed.
+        """
+        local = self._local_stiffness
+        normal, tangential = feasible_set.normal, feasible_set.tangential
+        opening = np.zeros_like(r)  # stays zero at bonded nodes
+        opening[normal] = np.maximum(r[normal] - x[normal] / local[normal], 0.0)
+        # one stiffness for all directions of a friction disc
+        stiffness = feasible_set.disc_means(local)
+        stiffness[stiffness == 0.0] = 1.0  # nodes without tangential rows
+        slip = np.zeros_like(r)
+        slip[tangential] = x[tangential] / stiffness[feasible_set.node] - r[tangential]
+        length = feasible_set.norms(slip)
+        factor = np.maximum(
+            1.0 - feasible_set.radius / (stiffness * np.maximum(length, LEAST_DIVISOR)), 0.0
+        )
+        slip[tangential] *= factor[feasible_set.node]
+        opening[tangential] = -slip[tangential]
+        friction = feasible_set.dissipation(slip) - float(x[tangential] @ slip[tangential])
+        return opening, float(x[normal] @ opening[normal]) + max(friction, 0.0)
