@@ -221,7 +221,11 @@ class ProcessTape:
             history=replace(state.history, slipped=()),
             multipliers=multipliers,
             accepted=replace(
-                state.accepted, displacement=None, multipliers=multipliers, solution=None
+                state.accepted,
+                displacement=None,
+                before=None,
+                multipliers=multipliers,
+                solution=None,
             ),
             solution=None,
         )
