@@ -52,8 +52,19 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from scenes.arch import arch
 from scenes.bent_sheet import STROKE, plastic_sheet
 from scenes.blocks import ABOVE, block
+from scenes.disc_spring import HEIGHT as CONE
+from scenes.disc_spring import disc_spring
 from scenes.pellets import HEATING, three_pellets
 from scenes.pile import random_pile
+from scenes.reported import (
+    ROLLER_WIDTH,
+    Process,
+    billet,
+    curved_beams,
+    hopping_block,
+    pipe,
+    roller,
+)
 from scenes.scene import Scene
 from scenes.shaft import greatest_moment, shaft_in_hub
 from scenes.snap_fit import WIDTH, snap_fit
@@ -339,6 +350,44 @@ def hook(meter: Meter, *, friction: float, right: str) -> None:
     meter.values = {"value": force, "right": right}
 
 
+def reported(
+    meter: Meter,
+    scene: Callable[[Comm], Process],
+    places: np.ndarray,
+    value: Callable[[np.ndarray], float],
+    right: str,
+) -> None:
+    """Move a scene of `scenes.reported` to places one after another.
+
+    Args:
+        meter: keeps the figures.
+        scene: function that makes the scene.
+        places: the places.
+        value: function from forces (places, 2) on the secondary side to the value of the row.
+        right: the right value, as text.
+    """
+    process, forces = scene(meter.comm), []
+    with process.problem:
+        for place in places[: 2 if meter.small else None]:
+            process.move(float(place))
+            solution = meter.process_step(process.problem)
+            forces.append(solution.pair_resultants[0].force)
+    meter.values = {"value": value(np.array(forces)), "right": right}
+
+
+def spring(meter: Meter, *, height: float, right: str) -> None:
+    """Press a disc spring flat, and let it return; the value is the force when it is flat [N]."""
+    cells = (10, 2) if meter.small else (40, 4)
+    problem, plate = disc_spring(meter.comm, Frictionless(), "finite", cells, height=height)
+    down = np.append(0.05 * np.arange(1, round(height / 0.05)), height)
+    forces = {}
+    with problem:
+        for deflection in [0.2, height] if meter.small else [*down, *down[-2::-1], 0.0]:
+            plate.move_to((0.0, -deflection))
+            forces[deflection] = meter.process_step(problem).pair_resultants[0].force[1]
+    meter.values = {"value": float(forces[height]), "right": right}
+
+
 def turning(meter: Meter, scene: Scene, angles: np.ndarray, nonlinear: bool) -> Iterator[Any]:
     """Turn the bodies of a scene, and yield the solution at each angle [degrees]. Collective."""
     problem = saint_venant_kirchhoff(scene) if nonlinear else scene.problem()
@@ -418,6 +467,57 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
     "hook": {
         f"snap-fit, F = {F:g}": partial(hook, friction=F, right=right)
         for F, right in ((0.0, "29.1"), (0.6, "32.8"))
+    },
+    "disc spring": {
+        "height 0.4, flat and back": partial(spring, height=CONE, right="5,245 (small sliding)")
+    },
+    "curved beams": {
+        "F = 0: largest force [N/mm]": partial(
+            reported,
+            scene=partial(curved_beams, friction=Frictionless(), cells=(40, 2)),
+            places=0.5 * np.arange(1, 64),
+            value=lambda forces: float(np.hypot(*forces.T).max()),
+            right="35.7",
+        )
+    },
+    "pipe": {
+        "crushed by 35 mm: force [N/mm]": partial(
+            reported,
+            scene=partial(pipe, cells=(32, 4)),
+            places=0.35 * np.arange(1, 51),
+            value=lambda forces: 2.0 * abs(float(forces[-1, 1])),
+            right="478",
+        )
+    },
+    "roller": {
+        "hub moved by 9.503 mm: force [N]": partial(
+            reported,
+            scene=partial(roller, cells=(40, 8)),
+            places=np.append(0.5 * np.arange(1, 20), 9.503),
+            value=lambda forces: 2.0 * ROLLER_WIDTH * float(forces[-1, 1]),
+            right="380",
+        )
+    },
+    "billet": {
+        f"F = {F:g}: force [MN]": partial(
+            reported,
+            scene=partial(billet, friction=Coulomb(F) if F else Frictionless(), cells=(12, 14)),
+            places=0.1 * np.arange(1, 91),
+            value=lambda forces: 1e-6 * abs(float(forces[-1, 1])),
+            right=right,
+        )
+        for F, right in ((0.0, "0.7645"), (0.5, "0.83"))
+    },
+    "hopping block": {
+        "F = 0.1: largest T / N": partial(
+            reported,
+            scene=hopping_block,
+            places=np.pi / 26.0 * np.arange(1, 112),
+            value=lambda forces: float(
+                np.abs(np.divide(*forces[forces[:, 0] > 0.0].T[::-1])).max(initial=0.0)
+            ),
+            right="0.1",
+        )
     },
     "gears": {name: partial(gear_pair, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
     "bearing": {

@@ -73,11 +73,13 @@ class PlasticSheet:
         problem: the contact problem.
         punch: the punch.
         u: displacement.
+        history: Functions of the metal's history.
     """
 
     problem: NonlinearContactProblem
     punch: RigidSphere
     u: fem.Function
+    history: list[fem.Function]
 
     def angle(self) -> float:
         """Return the angle between the two halves of the sheet, 15 mm at its ends. Collective."""
@@ -104,7 +106,7 @@ def plastic_sheet(comm: MPI.Comm, cells: tuple[int, int]) -> PlasticSheet:
     metal = Metal(u, YOUNG, POISSON, hardening)
     F = ufl.derivative(metal.energy, u, ufl.TestFunction(scene.V))
     problem = NonlinearContactProblem(F, u, scene.pairs, scene.bcs, on_accept=metal.accept)
-    return PlasticSheet(problem, scene.data.punch, u)
+    return PlasticSheet(problem, scene.data.punch, u, metal.history)
 
 
 def bent_sheet(

@@ -1,4 +1,7 @@
-"""Metal at large strains in plane strain: von Mises' yield condition for logarithmic strains."""
+"""Metal at large strains: von Mises' yield condition for logarithmic strains.
+
+In plane strain, or in bodies of revolution.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +41,7 @@ class Metal:
         poisson: float,
         hardening: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
         degree: int = 4,
+        axisymmetric: bool = False,
     ) -> None:
         """Define the energy of undeformed metal. Collective.
 
@@ -47,6 +51,7 @@ class Metal:
             poisson: Poisson's ratio.
             hardening: function from equivalent plastic strains to yield stresses and their slopes.
             degree: degree of the quadrature.
+            axisymmetric: whether the mesh is the meridian of a body of revolution.
         """
         domain, (mu, lam) = u.function_space.mesh, lame_constants(young, poisson)
         cell = domain.basix_cell()
@@ -67,7 +72,9 @@ class Metal:
         # logarithmic strains: their mean in the plane, half their difference, and across the plane
         in_plane = ufl.ln(ufl.det(b)) / 4
         turned = ufl.ln((mean + difference) / (mean - difference)) / 4
-        across = ufl.ln(self._across) / 2
+        r = ufl.SpatialCoordinate(domain)[0]
+        ring = 1 + u[0] / r if axisymmetric else 1
+        across = ufl.ln(self._across * ring**2) / 2
         volume = 2 * in_plane + across
         deviator = in_plane - volume / 3, across - volume / 3
         square = 2 * deviator[0] ** 2 + 2 * turned**2 + deviator[1] ** 2
@@ -75,7 +82,9 @@ class Metal:
         beyond = stress - self._limit
         flow = ufl.conditional(ufl.gt(beyond, 0), beyond / (3 * mu + self._slope), 0)
         elastic = (lam + 2 * mu / 3) / 2 * volume**2 + mu * square
-        self.energy = (elastic - flow * beyond / 2) * ufl.dx(degree=degree, domain=domain)
+        around = 2 * np.pi * r if axisymmetric else 1
+        density = (elastic - flow * beyond / 2) * around
+        self.energy = density * ufl.dx(degree=degree, domain=domain)
         # the flow scales the deviator of the strain
         kept = 1 - 3 * mu * flow / stress
         direction = (b - mean * ufl.Identity(2)) / difference
@@ -84,11 +93,16 @@ class Metal:
         back = ufl.inv(F)
         changes: dict[fem.Function, Any] = {
             self._inverse: back * (ufl.exp(2 * a) * parts) * back.T,
-            self._across: ufl.exp(2 * (volume / 3 + kept * deviator[1])),
+            self._across: ufl.exp(2 * (volume / 3 + kept * deviator[1])) / ring**2,
             self._strain: self._strain + flow,
         }
         self._changes = [(old, fem.Expression(new, points)) for old, new in changes.items()]
         self._update()
+
+    @property
+    def history(self) -> list[fem.Function]:
+        """The Functions that state files keep: those that `accept` changes, and the hardening."""
+        return [*(function for function, _ in self._changes), self._limit, self._slope]
 
     def _update(self) -> None:
         """Evaluate the hardening at the start of the next step. Not collective."""

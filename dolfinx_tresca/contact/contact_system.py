@@ -428,11 +428,11 @@ def _status_of_fields(
     """
     status = solution.status
     is_accurate = not evaluation.energy_error_bound > SLACK * solution.wanted
-    if status is ContactStatus.CONVERGED:
-        return status if is_accurate else ContactStatus.STAGNATED
-    if status is ContactStatus.STOPPED:
+    if status is ContactStatus.STOPPED or (status is ContactStatus.CONVERGED and is_accurate):
         return status
-    if is_accurate and not (options.rtol or options.balanced):
+    if status is ContactStatus.CONVERGED:
+        status = ContactStatus.STAGNATED
+    elif is_accurate and not (options.rtol or options.balanced):
         return ContactStatus.CONVERGED
     if requested != options:
         residual = NaturalResidual(dual, solution.rho)

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 import dolfinx.la
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, reduce_array
 from dolfinx_tresca.contact.step_state import StepState
@@ -32,7 +32,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Name and version of the format of the file.
-FORMAT = "dolfinx_tresca state 5"
+FORMAT = "dolfinx_tresca state 6"
 
 #: Name of the column of a table with the `surroundings` of its nodes.
 PLACES = "places"
@@ -91,11 +91,8 @@ def write_state(
         pressure = np.zeros((len(pair.nodes), 1))
         pressure[pair.normal_node, 0] = tractions[n]
         vectors = [pair.tangential_vectors(values[t]) for values in (tractions, origin)]
-        nodes, row, patch, patches = _patches(jump, pair)
-        values = np.zeros((len(nodes), patches, 1 + 2 * vectors[0].shape[1]))
-        values[row, patch] = np.hstack([pressure, *vectors])
-        columns[f"pair {k}/{PLACES}"] = places[nodes]
-        columns[f"pair {k}/values"] = values.reshape(len(nodes), patches * values.shape[2])
+        columns[f"pair {k}/{PLACES}"] = _contact_places(pair, places)
+        columns[f"pair {k}/values"] = np.hstack([pressure, *vectors])
     for name, function in functions.items():
         columns[f"{name}/{PLACES}"] = surroundings(function.function_space)
         columns[f"{name}/values"] = values_of(function)
@@ -239,12 +236,7 @@ class SavedState:
                 )
         multipliers, origin = np.zeros((2, len(jump.gap)))
         for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
-            nodes, row, patch, patches = _patches(jump, pair)
-            rows = self._rows(f"pair {k}", self._places[nodes])["values"]
-            columns = 1 + 2 * pair.tangents.shape[1]
-            if rows.shape[1] != patches * columns:
-                raise self._refusal(f"in which pair {k} has other sharp edges")
-            values = rows.reshape(len(nodes), patches, columns)[row, patch]
+            values = self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
             multipliers[n] = values[pair.normal_node, 0]
             tractions_and_slips = np.split(values[:, 1:], 2, axis=1)
             for result, vectors in zip((multipliers, origin), tractions_and_slips, strict=True):
@@ -337,19 +329,15 @@ def _laws(jump: JumpOperator) -> list[str]:
     ]
 
 
-def _patches(jump: JumpOperator, pair: PairOperators) -> tuple[LocalNumbers, Indices, Indices, int]:
-    """Return each contact node of a pair once, and where its smooth patches are. Collective.
+def _contact_places(pair: PairOperators, places: Array) -> Array:
+    """Return what identifies each contact node (n, 2 d + 1): `surroundings` and a smooth patch.
 
-    A node on a sharp edge belongs to several patches, which come one after the other.
-
-    Returns:
-        the nodes (k,); for each entry (n,) of `pair.nodes` its position among these and the number
-        of its patch; and the largest number of patches of a node on all ranks.
+    A node on a sharp edge belongs to several smooth patches of the surface, which are entries of
+    `pair.nodes` one after the other. Not collective.
     """
-    nodes, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
+    _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
     patch = np.arange(len(pair.nodes)) - start[row]
-    most = jump.comm.allreduce(int(patch.max(initial=0)) + 1, op=MPI.MAX)
-    return nodes, row, patch, most
+    return np.column_stack([places[pair.nodes], patch])
 
 
 def values_of(u: fem.Function) -> Array:

@@ -21,8 +21,11 @@ from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, St
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.newton import Newton
-from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonRecord
-from dolfinx_tresca.problem.nonlinear_solution import NonlinearContactSolution
+from dolfinx_tresca.problem.newton_record import (
+    NewtonOptions,
+    NewtonRecord,
+    NonlinearContactSolution,
+)
 from dolfinx_tresca.problem.process import ContactProcess, check_units
 from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem

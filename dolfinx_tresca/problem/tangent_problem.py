@@ -23,8 +23,7 @@ from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 from dolfinx_tresca.problem.energy_balance import EnergyBalance
-from dolfinx_tresca.problem.mixed_norm import MixedNorm
-from dolfinx_tresca.problem.tangent_system import TangentSystem
+from dolfinx_tresca.problem.tangent_system import MixedNorm, TangentSystem
 
 #: A node sticks if its traction is below this fraction of the slip bound. The margin is for bounds
 #: that depend on the pressure, and are known only to the accuracy of their fixed point.
@@ -186,6 +185,7 @@ class TangentProblem:
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return
         self._tangent_is_plain = False
+        self.tangent.added_forces = None
         added: list[PETSc.Mat] = []
         if springs > 0.0:
             added.append(self._contact_springs(springs))
@@ -205,15 +205,29 @@ class TangentProblem:
     def _contact_springs(self, factor: float) -> PETSc.Mat:
         """Return the springs B_a'C B_a, where B_a are the rows of B in contact. Collective.
 
+        The springs pull to the jumps t that contact prescribes, the gap and the slip origin: their
+        forces B_a'C (t - B_a u_k) are added to the load. So they exert no force where contact
+        holds, and do not change the solution of the step there.
+
         Args:
             factor: stiffness C of each spring, relative to the stiffness of the row's node.
         """
-        B = self.surfaces.jump.matrix.copy()
+        jump, tangent = self.surfaces.jump, self.tangent
+        u = fem.Function(tangent.space)
+        u.x.array[:] = self.u.x.array
+        u.x.array[: len(tangent.prescribed)][tangent.prescribed] = tangent.prescribed_values()
+        u.x.scatter_forward()
+        contact = jump.gap + self.surfaces.history_of_solve().origin
+        missing = contact - jump.of_unknowns(u.x.petsc_vec)
+        B = jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
         rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
-        columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
+        columns.array = np.where(tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)
         springs = B.transposeMatMult(B)
+        rows.array *= missing
+        B.multTranspose(rows, columns)
+        tangent.added_forces = np.array(columns.array)
         for owned in (B, rows, columns):
             owned.destroy()
         return springs

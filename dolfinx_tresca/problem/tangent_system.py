@@ -16,7 +16,10 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca.dual.jump import entrywise
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -27,7 +30,8 @@ class TangentSystem(LinearSystem):
     applied yet.
 
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is added
-    on both sides, so the solution of a converged iteration does not depend on this stiffness.
+    on both sides, so the solution of a converged iteration does not depend on this stiffness. Its
+    springs in the contact have forces beside, which vanish there where contact holds.
 
     A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
     at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
@@ -39,6 +43,8 @@ class TangentSystem(LinearSystem):
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
+        added_forces: forces [force] at owned degrees of freedom that are added to the load; None:
+            there are none.
         fraction: the continuation parameter t.
     """
 
@@ -89,6 +95,7 @@ class TangentSystem(LinearSystem):
         self._updated_at: Array | None = None
         self._material_changed = False
         self.added: PETSc.Mat | None = None
+        self.added_forces: Array | None = None
         self.fraction = 1.0
         self._tangent = self.K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
@@ -252,8 +259,69 @@ class TangentSystem(LinearSystem):
         self.K.mult(inside, load)
         owned = self.f.x.array[: len(free)]
         owned[:] = load.array + moved.array - self.internal_forces() + self._remaining_load
+        if self.added_forces is not None:
+            owned += self.added_forces
         owned[self.prescribed] = values
         for vector in (inside, load, moved):
             vector.destroy()
         self.f.x.scatter_forward()
         self._check_load()
+
+
+class MixedNorm(PetscOwner):
+    """|(u, p)| = sqrt(u'A u + p'S p) with S = C + diag(B diag(A)^-1 B'), of K = (A, B'; B, -C).
+
+    A, B and C are here the blocks of K, the tangent of the undeformed bodies. The energy of a later
+    tangent is not a norm: the block A of a body under pressure is positive definite only for
+    displacements that keep the volume, and a Newton step changes the volume. A and S are the blocks
+    of the usual preconditioner for K (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but
+    S is reduced to its diagonal. Without this reduction, S is approximately C plus the mass matrix
+    of the pressures divided by the shear modulus.
+
+    Owns PETSc objects: call `destroy()`.
+    """
+
+    def __init__(self, tangent: TangentSystem, component: Component) -> None:
+        """Assemble A and S at the present u. Collective.
+
+        The K of `tangent` is then without Dirichlet conditions, and must be assembled again.
+
+        Args:
+            tangent: the system with K.
+            component: the displacement in its mixed space.
+        """
+        self._component = component
+        self.comm = self._component.comm
+        tangent.update_material()
+        tangent.assemble_form()
+        K = tangent.K
+        self._A = component.block(K)
+        squares, diagonal = entrywise(K, np.square), K.getDiagonal()
+        compliance, self._S = diagonal.duplicate(), diagonal.duplicate()
+        # a displacement without stiffness couples to no pressure, unless K is singular
+        stiff = component.mask & (diagonal.array > 0.0)
+        compliance.array = np.divide(1.0, diagonal.array, out=np.zeros(len(stiff)), where=stiff)
+        squares.mult(compliance, self._S)
+        self._S.array = np.where(component.mask, 0.0, self._S.array - diagonal.array)
+        self._product: PETSc.Vec = self._A.createVecLeft()
+        for owned in (squares, diagonal, compliance):
+            owned.destroy()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        for owned in (self._A, self._S, self._product):
+            owned.destroy()
+
+    def of_function(self, w: fem.Function) -> float:
+        """Return the norm of a Function on the mixed space, whose ghosts are up to date.
+
+        Collective.
+        """
+        u = self._component.extract(w)  # owns the memory of its vector
+        self._A.mult(u.x.petsc_vec, self._product)
+        square = float(u.x.petsc_vec.dot(self._product))
+        weighted = self._S.duplicate()
+        weighted.pointwiseMult(self._S, w.x.petsc_vec)
+        square += float(weighted.dot(w.x.petsc_vec))
+        weighted.destroy()
+        return float(np.sqrt(max(square, 0.0)))
