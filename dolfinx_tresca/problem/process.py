@@ -191,6 +191,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: the problem was destroyed.
         """
         self._contact.check_not_destroyed()
+        self._contact.check_no_tools("a slip origin")
         if u is not None:
             self._contact.linear.check_displacement("the slip origin", u, " or None,")
         surfaces = self._contact.surfaces
@@ -236,6 +237,7 @@ class ContactProcess(PetscOwner, Tabulated):
                     "a step on another mesh cannot be continued with finite sliding, which counts "
                     "slip from the displacement of that step. Take accepted=False."
                 )
+            self._contact.check_no_tools("the continuation of a step on another mesh")
             solution.raise_if_failed()
             surfaces.note_obstacles()
             slips = slip_from(solution.surfaces, surfaces.jump)

@@ -53,11 +53,6 @@ class RigidMotion:
             self.rotation @ earlier.translation + self.translation,
         )
 
-    @property
-    def inverse(self) -> RigidMotion:
-        """The motion that takes points back."""
-        return RigidMotion(self.rotation.T, -self.rotation.T @ self.translation)
-
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction of the way to another motion.
 

@@ -201,15 +201,16 @@ def motions_of_pairs(
         pairs, jump.pairs, vectors, jump.slices, places, strict=True
     ):
         if isinstance(pair.primary, RigidObstacle):
-            step = RigidMotion.from_matrix(place).after(pair.primary.motion.inverse)
-            angle = float(Rotation.from_matrix(step.rotation).magnitude())
+            start, end = pair.primary.motion, RigidMotion.from_matrix(place)
+            angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
             if angle > ROTATION.noticed:
                 text = f"{pair.primary} turns by {angle:.3g} rad in a load step, of which linear "
                 text += f"theory allows {ROTATION.largest}"
                 yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
             points = np.zeros((3, len(jumps)))
             points[: jumps.shape[1]] = operators.places.T
-            jumps -= (step.applied_to(points) - points)[: jumps.shape[1]].T
+            carried = end.applied_to(start.reversed_from(points)) - points
+            jumps -= carried[: jumps.shape[1]].T
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.primary, RigidPlane):
             continue
         force = np.zeros(len(operators.nodes))

@@ -6,6 +6,7 @@ import gmsh
 import numpy as np
 import pytest
 
+import ufl
 from dolfinx import fem, mesh
 
 from dolfinx_tresca import (
@@ -107,6 +108,30 @@ def test_force_and_moment_are_in_equilibrium(comm, dim):
     contact = solution.pair_resultants[0].about(about)
     assert np.abs(contact.force - force).max() < ACCURACY
     assert np.abs(contact.moment - moment).max() < ACCURACY
+
+
+def test_the_force_of_a_whole_ring(comm):
+    """A round bar of radius 1 with Poisson's ratio 0: its stress is the force over its area."""
+    bar = mesh.create_rectangle(comm, [[0, 0], [1, 2]], [3, 5])
+    top = mesh.locate_entities_boundary(bar, 1, lambda x: x[1] > 2 - 1e-9)
+    tags = mesh.meshtags(bar, 1, top, np.full(len(top), 1, dtype=np.int32))
+    V = fem.functionspace(bar, ("Lagrange", 1, (2,)))
+    u, v, r = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(bar)[0]
+    strains = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) + u[0] * v[0] / r**2
+    clamped = fem.locate_dofs_geometrical(V, lambda x: x[1] < 1e-9)
+    plate = RigidPlane(point=(0, 2), normal=(0, -1))
+    plate.held_by(force=(0, -3.0))
+    problem = ContactProblem(
+        1000.0 * strains * 2 * np.pi * r * ufl.dx,
+        None,
+        [ContactPair(tags, 1, plate, Frictionless())],
+        [fem.dirichletbc(np.zeros(2), clamped, V)],
+        axisymmetric=True,
+    )
+    solution = problem.solve(rtol=RTOL)
+    assert solution.normal_force == pytest.approx(3.0, rel=ACCURACY)
+    sinks = solution.surface.obstacle.motion.translation
+    assert sinks == pytest.approx((0, -3.0 * 2 / (1000.0 * np.pi), 0), rel=1e-6)
 
 
 def balls(comm):
