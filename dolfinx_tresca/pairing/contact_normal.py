@@ -298,7 +298,7 @@ def _normals_across_edges(nodes: SurfaceNodes) -> Array:
         1 + np.arange(patches.max(initial=1)), patches[:, :, None]
     )
     normals = nodes.normals[entry] * (entry != corners[:, :, None])[:, :, :, None]
-    result = normals.reshape(len(corners), -1, 3)
+    result = normals.reshape(len(corners), np.prod(entry.shape[1:], dtype=int), 3)
     return np.asarray(result[:, result.any(axis=(0, 2))])
 
 
