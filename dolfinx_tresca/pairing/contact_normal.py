@@ -34,12 +34,6 @@ OPPOSED_ANGLE = 0.5
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
-#: Cosines between a facet's normal and the normals at its corners (37 and 26 degrees): below the
-#: lower one a corner is on an edge, and the facet counts as flat; above the upper one it is smooth.
-#: Between them it is a mean of both, since with a limit in place of a range the contact of soft
-#: bodies may have no solution: the ironing block's corner, where facets kink more with more force.
-EDGE_COSINE, SMOOTH_COSINE = 0.8, 0.9
-
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
 #: the surface counts as curved over the side. The height falls to zero where the sum is equal to
 #: the difference: at a kink between flat facets. (With half of this, errors of nodal normals would
@@ -67,11 +61,8 @@ def contact_normals(
     partner: Array,
     own_turn: Array,
     partner_turn: Array,
-) -> tuple[Array, Mask]:
+) -> Array:
     """Return the contact normals (n, 3) at points of the secondary side. Not collective.
-
-    The second result is whether the normals of both sides are opposed at each point, (n,), as far
-    as the angles allow by which they turn (`OPPOSED_ANGLE`).
 
     Args:
         own: (n, 3) outward unit normals of the secondary side.
@@ -83,10 +74,8 @@ def contact_normals(
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[:, None]  # of the own normal
     normals = share * own - (1.0 - share) * partner
-    angle = np.arccos(np.clip(-np.einsum("ni,ni->n", own, partner), -1.0, 1.0))
     length = np.linalg.norm(normals, axis=1)[:, None]
-    normals = np.divide(normals, length, out=own.copy(), where=length > CANCELLED)
-    return normals, np.asarray(angle <= OPPOSED_ANGLE + own_turn + partner_turn)
+    return np.asarray(np.divide(normals, length, out=own.copy(), where=length > CANCELLED))
 
 
 class SmoothSurface:
@@ -109,6 +98,9 @@ class SmoothSurface:
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans.
         turning: whether normals of this rank's facets turn, or facets have a height.
+        across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
+            facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
+            curve (2D) the body is taken to go on at right angles, as at the corner of a box.
         turns_to_ends: (n,) the `turns`, at least a right angle where the smooth surface ends [rad].
             It ends at sharp edges and at rims, in 3D only if it is curved there, so that normals at
             the rim are less accurate.
@@ -126,32 +118,31 @@ class SmoothSurface:
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)
         self._facet_normals, rim = facets.mean_normals, _rim_nodes(nodes)
-        self._normals = fitted_normals(nodes)[corner_nodes]
+        self.corner_normals = fitted_normals(nodes)[corner_nodes]
         smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        cosines = np.einsum("nci,ni->nc", self._normals, self._facet_normals)
+        cosines = np.einsum("nci,ni->nc", self.corner_normals, self._facet_normals)
         self.turns = turned_angles(cosines)
-        least = cosines.min(axis=1, initial=1.0)
-        curved = np.clip((least - EDGE_COSINE) / (SMOOTH_COSINE - EDGE_COSINE), 0.0, 1.0)
-        self._mean = (1.0 - curved)[:, None] * self._facet_normals
-        self._normals *= curved[:, None, None]
-        self.corner_normals = self._normals + self._mean[:, None]
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
-        cosines = np.where(curved[:, None] > 0.0, cosines, 1.0)
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
         size = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (HEIGHT_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
         self.nonzero = not facets.bent and bool(above.any())
-        _, number, patches = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
-        sharp = (patches > 1)[number][corner_nodes].any(axis=1)
+        self._heights *= self.nonzero
+        self.across = _normals_across_edges(nodes)
+        sharp = self.across.any(axis=(1, 2))
+        if facets.dim == 1:
+            ahead = self._corners - self._corners[:, ::-1]
+            ahead *= (rim[corner_nodes] / np.linalg.norm(ahead, axis=2))[:, :, None]
+            self.across = np.concatenate([self.across, ahead], axis=1)
         # in 3D flat slabs of one layer of cells have no facets but at the rim
-        uncertain = (self.turns > FLAT_ANGLE) | (facets.dim == 1)
-        ends = sharp | rim[corner_nodes].any(axis=1) & uncertain
+        flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
+        ends = sharp | rim[corner_nodes].any(axis=1) & ~flat
         self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
         if facets.offsets.shape[1]:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
@@ -168,7 +159,7 @@ class SmoothSurface:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
         along = self._corners[:, self._second] - self._corners[:, self._first]
         start, end = (
-            np.einsum("nci,nci->nc", self._normals[:, side], along)
+            np.einsum("nci,nci->nc", self.corner_normals[:, side], along)
             for side in (self._first, self._second)
         )
         return start, end
@@ -177,8 +168,8 @@ class SmoothSurface:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
         Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
-        surround its other corners. If there are none, the facets of a curve count as kinked, and
-        those of a surface (3D) keep their own factor.
+        surround its other corners. If there are none, the facets of a curve count as kinked. On a
+        surface (3D), such as a strip one facet wide, the least smooth facet around counts.
 
         Args:
             corner_nodes: (n, corners) nodes at the corners of each facet.
@@ -191,12 +182,12 @@ class SmoothSurface:
         result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
         at_rim = rim[corner_nodes]
         outer = at_rim.any(axis=1)
-        of_nodes = np.full(len(rim), np.inf)
-        np.minimum.at(of_nodes, corner_nodes[~outer], result[~outer, None])
-        around = np.where(at_rim, np.inf, of_nodes[corner_nodes]).min(axis=1, initial=np.inf)
-        alone = np.zeros_like(result) if self._facets.dim == 1 else result
-        around = np.where(np.isinf(around), alone, around)
-        return np.where(outer, around, result)
+        of_nodes = np.full((2, len(rim)), np.inf)
+        np.minimum.at(of_nodes[0], corner_nodes[~outer], result[~outer, None])
+        np.minimum.at(of_nodes[1], corner_nodes, result[:, None])
+        around = np.where(at_rim, np.inf, of_nodes[0, corner_nodes]).min(axis=1, initial=np.inf)
+        alone = 0.0 if self._facets.dim == 1 else of_nodes[1, corner_nodes].min(axis=1)
+        return np.where(outer, np.where(np.isinf(around), alone, around), result)
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
@@ -213,10 +204,10 @@ class SmoothSurface:
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
             along = self._corners[ends, d] - self._corners[ends, c]
             along /= np.linalg.norm(along, axis=1)[:, None]
-            both = self._normals[ends, c] + self._normals[ends, d]
+            both = self.corner_normals[ends, c] + self.corner_normals[ends, d]
             lean = np.einsum("ni,ni->n", both, along) * smooth[ends]
-            self._normals[ends, c] -= lean[:, None] * along
-        self._normals /= np.linalg.norm(self._normals, axis=2)[:, :, None]
+            self.corner_normals[ends, c] -= lean[:, None] * along
+        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
 
     def points(self, facet: Indices, x: Array) -> Array:
         """Return points (n, q, 3) of the fitted surface over facets (n,) [length].
@@ -227,8 +218,8 @@ class SmoothSurface:
         """
         points = np.einsum("qk,nki->nqi", self._facets.basis(x), self._facets.points[facet])
         hats = np.tile(self._facets.hats(x), (len(facet), 1))
-        offsets = self.fitted_offsets(np.repeat(facet, len(x)), hats)
-        return np.asarray(points + offsets.reshape(points.shape))
+        heights = self.heights(np.repeat(facet, len(x)), hats).reshape(points.shape[:2])
+        return np.asarray(points + heights[:, :, None] * self._facet_normals[facet][:, None])
 
     def heights(self, facet: Indices, hats: Array) -> Array:
         """Return the fitted heights (n,) over facets, along the outward normal [length].
@@ -237,14 +228,8 @@ class SmoothSurface:
             facet: (n,) the facet of each point.
             hats: (n, corners) values of the facet's hat functions at each point.
         """
-        if not self.nonzero:
-            return np.zeros(len(facet))
         products = hats[:, self._first] * hats[:, self._second]
         return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
-
-    def fitted_offsets(self, facet: Indices, hats: Array) -> Array:
-        """Return vectors (n, 3) to the fitted surface [length]; see `heights` for the arguments."""
-        return np.asarray(self.heights(facet, hats)[:, None] * self._facet_normals[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
@@ -258,14 +243,63 @@ class SmoothSurface:
         if facets.bent:
             normals = facets.area_vectors_at(facet, x)
         else:
-            normals = np.einsum("nc,nci->ni", hats, self._normals[facet]) + self._mean[facet]
+            normals = np.einsum("nc,nci->ni", hats, self.corner_normals[facet])
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        offsets = self.fitted_offsets(facet, hats)
+        offsets = self.heights(facet, hats)[:, None] * self._facet_normals[facet]
         exact = self._exact[facet]
         if exact.any():
             offsets[exact] = offsets_at(facets, facet[exact], x[exact])
             normals[exact] = normals_at(facets, facet[exact], x[exact])
         return offsets, normals
+
+    def may_touch(
+        self,
+        facet: Indices,
+        normals: Array,
+        partner: SmoothSurface,
+        partner_facet: Indices,
+        partner_normals: Array,
+    ) -> Mask:
+        """Return whether this surface and another one may touch at opposite points, (n,).
+
+        They may if their normals are opposed (`OPPOSED_ANGLE`). Beside a sharp edge they may also
+        if the partner is opposed to the edge, whose normals are all between those of the patches
+        that meet there. But where it is opposed to a patch across the edge, the contact is on that
+        patch: this facet only recedes from the partner.
+
+        Args:
+            facet: (n,) the facet of each point.
+            normals: (n, 3) outward unit normals at the points.
+            partner: the other surface.
+            partner_facet: (n,) the facet of each opposite point.
+            partner_normals: (n, 3) outward unit normals at the opposite points.
+        """
+        turned = self.turns[facet] + partner.turns[partner_facet]
+        least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
+        cosine = -np.einsum("ni,ni->n", normals, partner_normals)
+        at_edge, across_edge = np.zeros((2, len(facet)), dtype=np.bool_)
+        for own, facing, across in (
+            (normals, partner_normals, self.across[facet]),
+            (partner_normals, normals, partner.across[partner_facet]),
+        ):
+            opposed = -np.einsum("nki,ni->nk", across, facing)
+            parallel = cosine[:, None] * np.einsum("nki,ni->nk", across, own)
+            at_edge |= (opposed > parallel).any(axis=1)
+            across_edge |= (opposed >= least[:, None]).any(axis=1)
+        return np.asarray((cosine >= least) | at_edge & ~across_edge)
+
+
+def _normals_across_edges(nodes: SurfaceNodes) -> Array:
+    """Return the normals (n, k, 3) of the other patches at sharp corners of facets; else zero."""
+    corners, number = nodes.facet_nodes, nodes.numbers[nodes.facet_nodes]
+    ends = np.searchsorted(nodes.numbers, number, side="right")
+    patches = ends - np.searchsorted(nodes.numbers, number)
+    entry = ends[:, :, None] - np.minimum(
+        1 + np.arange(patches.max(initial=1)), patches[:, :, None]
+    )
+    normals = nodes.normals[entry] * (entry != corners[:, :, None])[:, :, :, None]
+    result = normals.reshape(len(corners), np.prod(entry.shape[1:], dtype=int), 3)
+    return np.asarray(result[:, result.any(axis=(0, 2))])
 
 
 def turned_angles(cosines: Array) -> Array:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, scaled_rows
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, scaled_rows
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
@@ -38,11 +38,9 @@ CLOSE_FIT = 0.5
 FITTED_PART = 0.25
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
-#: rounding of the coordinates times the node's area. (Integrals over overlaps are sums of
+#: rounding of the coordinates times the sum of the row. (Integrals over overlaps are sums of
 #: differences of coordinates.)
 ENTRY_ROUNDING = 8.0
-
-EPSILON = float(np.finfo(np.float64).eps)
 
 #: Least eigenvalue of the scaled mass matrix of a covered part. If an eigenvalue is smaller, the
 #: inverse of the matrix would amplify rounding, and a shift raises the eigenvalue to this value
@@ -255,7 +253,6 @@ def mortar_rows(
         across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
         jump = jump - across
     means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
-    jump, across = (drop_rounding(matrix, nodes, corners, weights) for matrix in (jump, across))
     return MortarRows(weights, jump, across, node_sums(corners, means, count))
 
 
@@ -305,7 +302,7 @@ def _regularised_dual(masses: Array) -> Array:
     weights: Array = masses.sum(axis=2)
     absent: Mask = np.logical_not(masses.any(axis=2))
     # on a sliver at the opposite corner, rounding may make the integral of a hat function negative
-    weights = np.maximum(weights, EPSILON * weights.sum(axis=1, keepdims=True))
+    weights = np.maximum(weights, ROUNDING * weights.sum(axis=1, keepdims=True))
     root = np.sqrt(np.where(absent, 1.0, weights))
     scaled = masses / (root[:, :, None] * root[:, None, :])
     scaled += absent[:, :, None] * np.eye(masses.shape[2])
@@ -338,6 +335,8 @@ def assemble_rows(
 ) -> Any:
     """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, width).
 
+    Entries that are rounding errors (`ENTRY_ROUNDING`) are left out.
+
     Args:
         nodes: the secondary nodes, one row for each.
         rows: (n, corners) indices in `nodes` of the rows of each block.
@@ -347,24 +346,13 @@ def assemble_rows(
     """
     places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (places[0].ravel(), places[1].ravel())
-    return coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
-
-
-def drop_rounding(matrix: Any, nodes: SurfaceNodes, rows: Indices, areas: Array) -> Any:
-    """Remove entries that are rounding errors from a csr matrix of `assemble_rows`.
-
-    Args:
-        matrix: (nodes, columns) integrals over the facets.
-        nodes: the secondary nodes.
-        rows: (n, corners) indices in `nodes` of the rows of each facet.
-        areas: (nodes,) covered area of each node [length^2, in 2D length].
-    """
-    rounding = np.zeros(matrix.shape[0])
-    np.maximum.at(rounding, rows, nodes.facets.rounding[:, None])
-    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    matrix.data[np.abs(matrix.data) <= ENTRY_ROUNDING * (rounding * areas)[row]] = 0.0
-    matrix.eliminate_zeros()
-    return matrix
+    result = coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
+    rounding = np.zeros(len(nodes.numbers))
+    np.maximum.at(rounding, nodes.facet_nodes, nodes.facets.rounding[:, None])
+    rounding *= ENTRY_ROUNDING * abs(result).sum(axis=1)
+    result.data[np.abs(result.data) <= np.repeat(rounding, np.diff(result.indptr))] = 0.0
+    result.eliminate_zeros()
+    return result
 
 
 def nodes_without_multiplier(

@@ -40,6 +40,13 @@ COVER_ROUNDING = 1e-8
 #: takes 1.1 or 1.4 times as long.
 NEAR = 2.0
 
+#: Distance by which the primary side may recede over a facet, relative to the radius of the facet.
+#: What is farther away than the nearest point by more than this, which is the length of a facet, is
+#: another surface behind the end of the nearest one: means over both would be wrong for either, as
+#: functions of the dual basis are negative in part. (With half of it, rounded bodies with facets of
+#: the size of their radius would lose parts of their overlap.)
+RECEDES = 2.0
+
 #: Number of pairs of facets that are integrated at once, which bounds the memory.
 PAIRS_AT_ONCE = 8_000
 
@@ -131,8 +138,6 @@ class MortarIntegrals(FacetIntegrals):
         self._may_meet = may_meet if order is None else order.may_meet
         self._pieces, self._others = Pieces.from_facets(facets), Pieces.from_facets(partners)
         self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
-        self._turns = self._surface.turns_to_ends
-        self._other_turns = self._other_surface.turns_to_ends
         self._known = any_known_surface(facets, partners)
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._others, body)
@@ -262,14 +267,17 @@ class MortarIntegrals(FacetIntegrals):
         weight = nearest_layer_weights(
             mine, pair, simplices, size, places, apart, weight, self._area
         )
-        to_surface, outward = self._surface.offsets_and_normals(own_facet, x_own)
-        to_other_surface, their_outward = self._other_surface.offsets_and_normals(
-            their_facet, x_their
+        surface, partner_surface = self._surface, self._other_surface
+        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
+        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
+        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
+        normals = contact_normals(outward, their_outward, *turns)
+        weight = weight * surface.may_touch(
+            own_facet, outward, partner_surface, their_facet, their_outward
         )
-        normals, opposed = contact_normals(
-            *(outward, their_outward), *(self._turns[own_facet], self._other_turns[their_facet])
-        )
-        weight = weight * opposed
+        nearest: Array = np.full(len(limit), np.inf)
+        np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
+        weight = weight * (np.abs(apart) - nearest[piece] <= RECEDES * pieces.radii[piece])
         seen = weight
         opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
@@ -293,19 +301,18 @@ class MortarIntegrals(FacetIntegrals):
             blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
             return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
 
-        sagitta: Array = np.zeros(len(area))
-        secondary_sagitta: Array = sagitta
+        # at the rim of one side fitted surfaces differ, though the facets coincide
+        coincide = facets_coincide(secondary, facet, primary, partner)[point_pair]
         if not self._known:
-            # at the rim of one side the fitted surfaces differ, though the facets coincide
-            differ = ~facets_coincide(secondary, facet, primary, partner)[point_pair]
-            secondary_sagitta = differ * self._surface.heights(own_facet, hats)
-            heights = self._other_surface.heights(their_facet, primary.hats(x_their))
-            sagitta = secondary_sagitta + differ * heights
-            to_other_surface[~differ], to_surface[~differ] = 0.0, 0.0
+            to_partner[coincide], to_surface[coincide] = 0.0, 0.0
+        fitted = ~(coincide | self._known)
+        heights = partner_surface.heights(their_facet, primary.hats(x_their))
+        secondary_sagitta = fitted * surface.heights(own_facet, hats)
+        sagitta = secondary_sagitta + fitted * heights
         # a vector between the surfaces: the distance of the facets minus both heights would lose
         # accuracy for closely fitting bodies, for which heights are much larger than the distance
         between = apart[:, None] * pieces.normals[piece]
-        distance = np.einsum("ni,ni->n", between + to_other_surface - to_surface, normals)
+        distance = np.einsum("ni,ni->n", between + to_partner - to_surface, normals)
         # at the corners of the simplices: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
@@ -397,25 +404,18 @@ def obstacle_integrals(
         own_turns = np.repeat(surface.turns, facets.corners)
         low, high = RESOLVED_ANGLES
         unresolved = np.clip((turns - low) / (high - low), 0.0, 1.0)[:, None]
-        normals, _ = contact_normals(outward, -exact, own_turns, turns)
+        normals = contact_normals(outward, -exact, own_turns, turns)
         normals = (unresolved * normals + (1.0 - unresolved) * exact).reshape(at_corners.shape)
     distance, height = (array.reshape(facets.nodes.shape) for array in (distance, height))
     hats, values = (facing[:, None, None] * array for array in whole_facet_integrals(facets))
     at_nodes = np.stack([distance - height, height, height], axis=2)
-    count = len(hats)
-    integrals = FacetIntegrals(
-        hats,
-        values,
-        means=np.concatenate([values @ at_nodes, hats @ normals], axis=2),
-        least=np.zeros(count),
-        full=np.ones(count, dtype=np.bool_),
-        pairs=np.zeros((0, 2), dtype=np.intp),
-        partner=np.zeros((0, *values.shape[1:])),
-    )
+    means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
+    full: Mask = np.ones(len(hats), dtype=np.bool_)
+    no_partner = np.zeros((0, 2), dtype=np.intp), values[:0]
+    integrals = FacetIntegrals(hats, values, means, np.zeros(len(hats)), full, *no_partner)
     if not moved:
         # the obstacle enters the smooth surface between nodes, which do not see it
-        on_surface, size = distance - height, np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-        near = np.flatnonzero(facing & (np.abs(on_surface).min(axis=1, initial=np.inf) <= size))
+        near, on_surface = np.flatnonzero(facing), distance - height
         points = surface.points(near, lagrange_points(facets.cell, ENTERED_DEGREE))
         with errors_on_all_ranks(comm):
             inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])

@@ -47,10 +47,6 @@ MATCHING_SQUARES = 2e-8
 #: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
 SAME_PLACE = 1e-6
 
-#: Large primes of a spatial hash, the sum of primes times integer coordinates (Teschner et al.
-#: 2003, Optimized spatial hashing for collision detection of deformable objects).
-HASH_FACTORS = np.array([73856093, 19349663, 83492791])
-
 
 def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
@@ -190,7 +186,8 @@ def _surface_nodes(
     """Return the nodes of this rank's facets on one side. Collective.
 
     The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
-    there. Coincident nodes have the same hash and are sent to the same rank, which counts them.
+    there. Coincident nodes have the same coordinates and are sent to the same rank, which counts
+    them.
     Nodes that also belong to facets with other tags, such as coincident corners of adjacent bricks,
     and surfaces that touch themselves, are not checked.
 
@@ -226,7 +223,7 @@ def _surface_nodes(
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
     entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
     places = np.round(nodes.points[own][entry] / (SAME_PLACE * smallest)).astype(np.int64)
-    places, _ = exchange(comm, places, (places @ HASH_FACTORS) % comm.size)
+    places, _ = exchange(comm, places, places.sum(axis=1) % comm.size)
     coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
     if coincident:
         log(

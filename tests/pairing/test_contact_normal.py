@@ -113,11 +113,12 @@ def test_a_chamfered_block_moves_along_a_wall(comm, folder, angle, size, sliding
 
 
 @pytest.mark.parallel
+@pytest.mark.parametrize("size", [0.5, 1.0])
 @pytest.mark.parametrize("angle", [10, 45])
 @pytest.mark.parametrize("sides", [("side", "inner"), ("inner", "side")])
-def test_a_chamfered_slab_moves_along_a_wall(comm, folder, angle, sides):
-    """As in the plane: kinks at the rim of a surface are kinks."""
-    tagged = read(comm, folder, CHAMFERED_SLAB, angle=angle)
+def test_a_chamfered_slab_moves_along_a_wall(comm, folder, size, angle, sides):
+    """As in the plane: kinks at the rim of a surface are kinks, also if there is but the rim."""
+    tagged = read(comm, folder, CHAMFERED_SLAB, angle=angle, h=size)
     V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (3,)))
     held = [
         fixed(V, tagged.facet_tags.find(tagged.tags["axis"]), (0.0, 3.0 * GAP, 0.0)),
@@ -151,21 +152,31 @@ def test_an_exact_fit_has_no_gap_at_its_rims(comm, folder, sides):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("turned", [20.0, 35.0])
-def test_a_sharp_corner_pushes_along_the_normal_of_a_flat_side(comm, folder, turned):
-    """Both smooth patches of the corner face the plate, one of them at 55 or 70 degrees."""
+@pytest.mark.parametrize(("turned", "wall"), [(20.0, 0.9), (35.0, 0.9), (20.0, 0.3)])
+def test_a_sharp_corner_pushes_along_the_normal_of_a_flat_side(comm, folder, turned, wall):
+    """Both smooth patches of the corner face the plate, one of them at 55 or 70 degrees.
+
+    This one faces a wall beside the plate, too, which the block does not touch.
+    """
     text = """
     SetFactory("OpenCASCADE");
-    DefineConstant[ angle = 20 ];
+    DefineConstant[ angle = 20, wall = 1 ];
     Rectangle(1) = {0, 0, 0, 1, 1};
     Rotate { {0, 0, 1}, {0, 0, 0}, angle * Pi / 180 } { Surface{1}; }
-    Rectangle(2) = {-2, -1, 0, 4, 1};
+    x() = {-2, 2, 2, -wall, -wall, -2}; y() = {-1, -1, 0, 0, 1, 1};
+    For i In {0:5}
+      Point(11 + i) = {x(i), y(i), 0};
+    EndFor
+    For i In {0:5}
+      Line(11 + i) = {11 + i, i < 5 ? 12 + i : 11};
+    EndFor
+    Curve Loop(2) = {11:16}; Plane Surface(2) = {2};
     Physical Surface("block") = {1}; Physical Surface("plate") = {2};
     Physical Curve("tip") = {1, 4}; Physical Curve("back") = {2, 3};
-    Physical Curve("top") = {7}; Physical Curve("bottom") = {5};
+    Physical Curve("top") = {13, 14}; Physical Curve("bottom") = {11};
     Mesh.MeshSizeMax = 0.15;
     """
-    tagged = read(comm, folder, text, angle=turned)
+    tagged = read(comm, folder, text, angle=turned, wall=wall)
     V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
     held = [
         fixed(V, tagged.facet_tags.find(tagged.tags["back"]), (0.02, -0.04)),
@@ -178,6 +189,35 @@ def test_a_sharp_corner_pushes_along_the_normal_of_a_flat_side(comm, folder, tur
         solution.raise_if_failed()
         force = solution.pair_resultants[0].force
         assert abs(force[1]) > 1.0 and abs(force[0]) <= 1e-3 * abs(force[1])
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sides", [("bottom", "steps"), ("steps", "bottom")])
+def test_a_step_far_below_is_another_surface(comm, folder, sides):
+    """A facet faces the end of one plate, near it, and another plate far below, and no force."""
+    text = """
+    SetFactory("OpenCASCADE");
+    Rectangle(1) = {-2, 0.03, 0, 4, 1}; Rectangle(2) = {-2, -1, 0, 2.2, 1};
+    Rectangle(3) = {-2, -6, 0, 4, 1};
+    Physical Surface("block") = {1}; Physical Surface("near") = {2}; Physical Surface("far") = {3};
+    Physical Curve("bottom") = {1}; Physical Curve("steps") = {7, 11};
+    Physical Curve("back") = {3}; Physical Curve("held") = {5, 9};
+    Mesh.MeshSizeMax = 0.5;
+    """
+    tagged = read(comm, folder, text)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    held = [
+        fixed(V, tagged.facet_tags.find(tagged.tags["back"]), (GAP, 0.0)),
+        fixed(V, tagged.facet_tags.find(tagged.tags["held"]), (0.0, 0.0)),
+    ]
+    tags = (tagged.tags[name] for name in sides)
+    pair = ContactPair(tagged.facet_tags, *tags, Frictionless(), sliding="finite")
+    with ContactProblem(elasticity(V, 1e3), no_load(V), [pair], held) as problem:
+        solution = problem.solve()
+        solution.raise_if_failed()
+        gap = solution.surface.initial_gap.x.array[solution.surface.weights > 0.0]
+        assert comm.allreduce(gap.min(initial=1.0), MPI.MIN) >= GAP - 1e-9
+        assert solution.normal_force == 0.0
 
 
 @pytest.mark.parallel

@@ -1,5 +1,6 @@
 """Linear bodies that turn with finite sliding: each has a frame of its own."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -299,6 +300,29 @@ def test_two_gears_keep_the_ratio_of_their_moments() -> None:
         moments = [torques(one) for one in turned_through(scene, problem, (0.0, 13.5, 27.0))]
     ratios = [-gear / pinion for pinion, gear in moments]
     assert ratios == pytest.approx([1.5] * 3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("names", "parts", "angles"),
+    [
+        (("pinion", "gear"), ("flanks", "outline"), (5.0, 6.0)),
+        (("gear", "pinion"), ("flanks", "outline"), (7.0, 8.0)),
+        (("pinion", "gear"), ("flanks",), (1.0, 2.0)),
+        (("gear", "pinion"), ("flanks",), (0.0,)),
+    ],
+)
+def test_gears_whichever_surfaces_are_paired(
+    names: tuple[str, str], parts: tuple[str, ...], angles: tuple[float, ...]
+) -> None:
+    """Whole outlines or flanks alone, from either side: the lands beside the tips carry nothing."""
+    scene = gears(MPI.COMM_WORLD)
+    sides = [[scene.tags[f"{name} {part}"] for part in parts] for name in names]
+    pair = ContactPair(scene.facet_tags, *sides, Frictionless(), sliding="finite", geometry={})
+    scene = replace(scene, pairs=[pair])
+    with scene.problem() as problem:
+        moments = [torques(solution) for solution in turned_through(scene, problem, angles)]
+    ratios = [-gear / pinion for pinion, gear in moments]
+    assert ratios == pytest.approx([1.5] * len(angles), rel=0.01)
 
 
 @pytest.mark.long

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -56,10 +54,7 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
-        """Keep the pieces of both sides, and find the primary pieces that may hide points.
-
-        Only primary pieces that are turned away from a secondary piece may hide points from it
-        (occluders). All secondary pieces may be occluders.
+        """Keep the pieces of both sides.
 
         Args:
             pieces: pieces of the secondary side.
@@ -68,22 +63,7 @@ class Visibility:
                 the same pieces; None for two surfaces.
         """
         self._pieces, self._others, self._body = pieces, partners, body
-        # `least` bounds the angles between the normals of secondary pieces and their mean. By this
-        # bound only the primary pieces in `may` can have a normal at less than a right angle to the
-        # normal of a secondary piece.
-        mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
-        least = (pieces.normals @ mean).min(initial=float(mean @ mean))
-        sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
-        may = (least <= 0.0) | (partners.normals @ mean > -sine - PARALLEL_COSINE)
-        #: indices of the primary pieces that may be turned away from a secondary piece
-        self._facing_away = np.flatnonzero(may)
-
-    @cached_property
-    def _balls(self) -> tuple[Balls, Balls]:
-        """The enclosing balls of the primary and of the secondary pieces that may be occluders."""
-        partners, away = self._others, self._facing_away
-        own = Balls(self._pieces.centres, self._pieces.radii)
-        return Balls(partners.centres[away], partners.radii[away]), own
+        self._balls = [Balls(side.centres, side.radii) for side in (partners, pieces)]
 
     def hidden(
         self,
@@ -103,8 +83,7 @@ class Visibility:
             end: (n,) height of the primary side over the plane [length].
             partner: (n,) the primary piece of each point; needed on a surface that touches itself.
         """
-        result = np.zeros(len(piece), dtype=np.bool_)
-        in_one_body = np.zeros(len(piece), dtype=np.bool_)
+        result, in_one_body = np.zeros((2, len(piece)), dtype=np.bool_)
         # the piece of the primary point, if it may be on `own`
         end_piece: Indices = np.full(len(piece), -1)
         if self._body is not None and partner is not None:
@@ -197,7 +176,7 @@ class Visibility:
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             reach + pieces.radii[targets],
         )  # fmt: skip
-        occluder, piece = occluder if own else self._facing_away[occluder], targets[target]
+        piece = targets[target]
         normal, their_normal = pieces.normals[piece], side.normals[occluder]
         cosine = np.einsum("ni,ni->n", normal, their_normal)
         if own:
