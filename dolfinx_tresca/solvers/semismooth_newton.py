@@ -46,16 +46,16 @@ PROXIMAL, SOFTER = 1e-4, 3.0
 #: 5, since the contact problems are solved by other tractions.)
 SOLVED = 1e-6
 
-#: Powers of ten of the softness (`WholeModel.softened`) of the first and of the last layer on a path
-#: to another initial guess. In the first one, nodes hardly feel each other, and Newton's method
-#: finds their states in a few steps. With -1 in place of 1, standing piles of stones are not solved
-#: (`tests/validation/test_random_piles.py`).
-SOFTEST, STIFFEST = 1, -5
+#: Paths to other initial guesses: whether a path begins at the present point, or at zero; the power
+#: of ten of the softness (`WholeModel.softened`) of its first layer; and the number of layers for
+#: each power of ten. In a soft layer, nodes hardly feel each other, and Newton's method finds their
+#: states in a few steps. Without the first path, or with 1 in place of -1, one of 200 reversals of
+#: a slender strip is not solved (`tests/validation/test_load_steps.py::test_many_reversals`);
+#: without the others, standing piles of stones (`tests/validation/test_random_piles.py`).
+PATHS = ((True, -1, 1), (False, 1, 1), (False, 1, 2), (False, 1, 4))
 
-#: Number of layers for each power of ten on the path from the present point, and on the paths from
-#: zero that follow. Without the first path, one of 200 reversals of a slender strip is not solved
-#: (`tests/validation/test_load_steps.py::test_many_reversals`); without the others, standing piles.
-LAYERS_FROM_START, LAYERS_FROM_ZERO = 1, (1, 2, 4)
+#: Power of ten of the softness of the last layer of each path.
+STIFFEST = -5
 
 
 @dataclass(frozen=True)
@@ -261,8 +261,9 @@ def solve_through_layers(
 
     On a path, each node touches through a soft layer, which becomes stiffer from problem to
     problem: each of them changes the states of a few nodes. Paths lead from the start and from
-    zero, with more and more layers. A slender sheet on a die, for example, has 71 nodes that overlap
-    at the start, and two that carry it in the end; from zero, no step reduces the residual.
+    zero, with more and more layers (`PATHS`). A slender sheet on a die, for example, has 71 nodes
+    that overlap at the start, and two that carry it in the end; no step from zero reduces the
+    residual.
 
     Args:
         newton: Newton's method, which has failed.
@@ -274,9 +275,9 @@ def solve_through_layers(
     problem, G = newton.problem, newton.problem.constraints.columns
     r = start.r - model.apply(start.x) + G @ start.c
     zero = NewtonPoint(np.zeros_like(start.x), np.zeros_like(start.c), r, np.inf)
-    paths = [(start, LAYERS_FROM_START), *((zero, number) for number in LAYERS_FROM_ZERO)]
-    for guess, number in paths:
-        powers = np.linspace(SOFTEST, STIFFEST, number * (SOFTEST - STIFFEST) + 1)
+    for is_present, softest, number in PATHS:
+        guess = start if is_present else zero
+        powers = np.linspace(softest, STIFFEST, number * (softest - STIFFEST) + 1)
         for softness in (*10.0**powers, 0.0):
             layered = SemismoothNewton(problem, model.softened(softness))
             gradient = r + layered.model.apply(guess.x) - G @ guess.c
