@@ -105,15 +105,10 @@ class WholeModel:
         values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
         return float(self._reductions.from_first_rank(values)[0])
 
-    def softened(self, softness: float) -> WholeModel:
-        """Return the model M + s diag(A) of contact on a soft layer at each node. Collective.
-
-        Args:
-            softness: s, the compliance of the layer relative to that of the node.
-        """
+    def softened(self, layer: Array) -> WholeModel:
+        """Return the model M + diag(layer) of contact on layers (size,) at nodes. Collective."""
         model = copy(self)
-        layer = self._gathered(softness * self.diagonal)
-        model._shifted = self._shifted + diags_array(layer, format="csr")
+        model._shifted = self._shifted + diags_array(self._gathered(layer), format="csr")
         return model
 
     def largest_ritz_value(self) -> float:
@@ -159,6 +154,5 @@ class WholeModel:
         """Return the matrix (n, n) of a map that couples multipliers of one node. Collective."""
         own = self._pattern.matrix(nodal).copy()  # other maps share its indices
         own.eliminate_zeros()
-        columns = own.indices + self._mine.start
-        rows = csr_array((own.data, columns, own.indptr), shape=(own.shape[0], len(self)))
-        return self._reductions.stacked(rows)
+        entries = own.data, own.indices + self._mine.start, own.indptr
+        return self._reductions.stacked(csr_array(entries, shape=(own.shape[0], len(self))))
