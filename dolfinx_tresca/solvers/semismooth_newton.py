@@ -45,16 +45,17 @@ PROXIMAL, SOFTER = 1e-4, 3.0
 #: 5, since the contact problems are solved by other tractions.)
 SOLVED = 1e-6
 
-#: Powers of ten of the softness (`WholeModel.softened`) of the first and of the last layer on a path
-#: to another initial guess. In the first one, nodes hardly feel each other, and Newton's method
-#: finds their states in a few steps. With -1 in place of 1, standing piles of stones are not solved
-#: (`tests/validation/test_random_piles.py`).
-SOFTEST, STIFFEST = 1, -5
+#: Paths to other initial guesses: whether a path begins at the present point, or at zero; whether
+#: its layers are the same at all nodes, or in proportion to diag(A); the power of ten of the
+#: softness of the first layer; and a factor on the softness of the constraints in this layer. In a
+#: soft layer, nodes hardly feel each other, and Newton's method finds their states in a few steps.
+#: Without the first path, or with 1 in place of -1, one of 200 reversals of a slender strip is not
+#: solved (`tests/validation/test_load_steps.py::test_many_reversals`); without the others, standing
+#: piles of stones (`tests/validation/test_random_piles.py`).
+PATHS = (True, False, -1, 1.0), (False, False, 1, 1.0), (False, True, 1, 1e2), (False, True, 1, 1e4)
 
-#: Number of layers for each power of ten on the path from the present point, and on the paths from
-#: zero that follow. Without the first path, one of 200 reversals of a slender strip is not solved
-#: (`tests/validation/test_load_steps.py::test_many_reversals`); without the others, standing piles.
-LAYERS_FROM_START, LAYERS_FROM_ZERO = 1, (1, 2, 4)
+#: Power of ten of the softness of the last layer of each path.
+STIFFEST = -5
 
 
 @dataclass(frozen=True)
@@ -193,23 +194,17 @@ class SemismoothNewton:
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
             dx, dc = self.step(point, softness)
-            wanted = self.wanted_residual(point, dx, dc)
-            is_whole = idle % WATCHDOG == WATCHDOG - 1
-            point = self.part_of_step(point, dx, dc, wanted, 0 if is_whole else MOST_HALVINGS)
+            # if the face did not change, soft constraints would keep a residual, and all other
+            # residuals would vanish: this is what the step promises
+            left = self.problem.constraints.residual(point.x + dx, point.c + dc)
+            promised = self.energy(np.zeros_like(dx), left)
+            wanted = PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
+            most_halvings = 0 if idle % WATCHDOG == WATCHDOG - 1 else MOST_HALVINGS
+            point = self.part_of_step(point, dx, dc, wanted, most_halvings)
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
             idle = 0 if point.residual < PROGRESS * best.residual else idle + 1
             best = min(best, point, key=lambda candidate: candidate.residual)
         return best
-
-    def wanted_residual(self, point: NewtonPoint, dx: Array, dc: Array) -> float:
-        """Return the largest residual with which a step is accepted.
-
-        If the face did not change, constraints that are soft in this step would keep a residual,
-        and all other residuals would vanish: this is what the step promises.
-        """
-        left = self.problem.constraints.residual(point.x + dx, point.c + dc)
-        promised = self.energy(np.zeros_like(dx), left)
-        return PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
 
     def part_of_step(
         self, point: NewtonPoint, dx: Array, dc: Array, wanted: float, most_halvings: int
@@ -260,8 +255,9 @@ def solve_through_layers(
 
     On a path, each node touches through a soft layer, which becomes stiffer from problem to
     problem: each of them changes the states of a few nodes. Paths lead from the start and from
-    zero, with more and more layers. A slender sheet on a die, for example, has 71 nodes that overlap
-    at the start, and two that carry it in the end; from zero, no step reduces the residual.
+    zero (`PATHS`). A slender sheet on a die, for example, has 71 nodes
+    that overlap at the start, and two that carry it in the end; no step from zero reduces the
+    residual.
 
     Args:
         newton: Newton's method, which has failed.
@@ -273,11 +269,12 @@ def solve_through_layers(
     problem, G = newton.problem, newton.problem.constraints.columns
     r = start.r - model.apply(start.x) + G @ start.c
     zero = NewtonPoint(np.zeros_like(start.x), np.zeros_like(start.c), r, np.inf)
-    paths = [(start, LAYERS_FROM_START), *((zero, number) for number in LAYERS_FROM_ZERO)]
-    for guess, number in paths:
-        powers = np.linspace(SOFTEST, STIFFEST, number * (SOFTEST - STIFFEST) + 1)
-        for softness in (*10.0**powers, 0.0):
-            layered = SemismoothNewton(problem, model.softened(softness))
+    for is_present, is_uniform, softest, softer in PATHS:
+        guess, factor = start if is_present else zero, softer
+        layer = np.full_like(start.x, model.unit) if is_uniform else model.diagonal
+        for softness in (*10.0 ** np.arange(softest, STIFFEST - 1, -1), 0.0):
+            layered = SemismoothNewton(problem, model.softened(softness * layer))
+            layered.softness, factor = factor * layered.softness, 1.0  # softer in the first layer
             gradient = r + layered.model.apply(guess.x) - G @ guess.c
             guess = layered.solve(layered.point(guess.x, guess.c, gradient), tolerance)
         best = min(best, guess, key=lambda candidate: candidate.residual)

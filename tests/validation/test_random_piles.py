@@ -88,7 +88,8 @@ def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
-# Without the convex problems as other initial guesses of Newton's method, pile 28 is missed.
+# Without paths through soft layers as other initial guesses of Newton's method, piles 28 and 267
+# are missed.
 @pytest.mark.parametrize("seed", [28, 208, 267])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
