@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
-from dataclasses import replace
 from io import StringIO
 from types import SimpleNamespace
 
@@ -87,18 +85,6 @@ def test_newtons_method_has_one_line(comm, terminal):
     assert f"Newton step {last}, residual {solution.newton.residual:7.1e}" in lines[-1]
 
 
-def test_finite_sliding_has_one_line(terminal):
-    """The contact problems of all configurations are one solve."""
-    bar = ProgressBar()
-    for configuration in (1, 2):
-        for number, reached in enumerate((1.0, 1e-5)):
-            bar(replace(at(number, reached), configuration=configuration))
-    assert "\n" not in terminal.getvalue()
-    bar(replace(at(0, 1e-5), configuration=2, ended=True))
-    assert terminal.getvalue().endswith(" s\n")
-    assert "configuration 2, iteration 1" in terminal.getvalue()
-
-
 def test_the_bar_counts_digits_and_does_not_go_back(terminal):
     bar = ProgressBar()
     for number, reached in enumerate((float("inf"), 1e-1, 1e-2, 1.0, 1e-3)):
@@ -135,46 +121,6 @@ def test_a_solve_that_cycles_says_so_once_while_it_works(comm, terminal, caplog)
     assert "load step" not in warnings_of(caplog)[0]  # there is but one
     assert f"the residual has not halved in {stall_watch.PATIENCE} iterations" == seen[first]
     assert seen[first] in terminal.getvalue()
-
-
-def test_newtons_method_without_progress_says_so_once(comm, caplog, monkeypatch):
-    """The steps that it may take without progress are counted in the whole solve."""
-    monkeypatch.setattr(stall_watch, "IDLE_NEWTON_STEPS", 0)
-    scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.1))
-    with scene.problem() as problem:
-        scene.push.value[:] = 0.02, -0.1
-        solution = problem.solve()
-        assert solution.status is ContactStatus.CONVERGED
-    (warning,) = warnings_of(caplog)
-    assert "the residual has not halved in 0 Newton steps" in warning
-
-
-def test_progress_of_newtons_method(comm):
-    """A residual that halves is progress, and a further part of the load; a smaller part is not."""
-    seen: list[str] = []
-    watch = stall_watch.StallWatch(comm, lambda iteration: bool(seen.append(iteration.stalled)))
-
-    def steps(residuals: list[float], first: int, applied: float) -> None:
-        for number, residual in enumerate(residuals, start=first):
-            newton = monitor.NewtonProgress(number, 0.5, residual, applied=applied)
-            watch(replace(at(0, 1.0), newton=newton))
-
-    most = stall_watch.IDLE_NEWTON_STEPS
-    steps([math.inf, *(0.99**k for k in range(most))], 1, 0.0)
-    assert not any(seen)
-    steps([0.49] * most, most + 2, 0.0)  # it has halved once
-    assert not any(seen)
-    steps([0.49] * most, 2 * most + 2, 0.25)  # and a quarter of the load is solved
-    assert not any(seen)
-    steps([1.0], 3 * most + 2, 0.25)
-    assert seen[-1] == f"the residual has not halved in {most} Newton steps"
-
-
-def test_many_configurations_of_finite_sliding_are_no_progress(comm, caplog):
-    watch = stall_watch.StallWatch(comm, lambda iteration: False)
-    for configuration in range(1, stall_watch.IDLE_CONFIGURATIONS + 3):
-        watch(replace(at(0, 1.0), configuration=configuration))
-        assert len(warnings_of(caplog)) == (configuration > stall_watch.IDLE_CONFIGURATIONS)
 
 
 def test_a_line_is_no_longer_than_the_terminal_is_wide(terminal, monkeypatch):
