@@ -40,7 +40,7 @@ def arch(
     One pair is for the left springing on the floor, one for the right springing, and one for all
     joints, which are found by contact of a surface with itself. Bodies are numbered from the left
     to the right. `data.joints` has the angles (voussoirs + 1,) of springings and joints from the
-    crown, ascending. `data.by_hand` has pairs for the same scene, with one pair for each joint.
+    crown, ascending.
 
     Args:
         comm: communicator of the mesh.
@@ -60,21 +60,9 @@ def arch(
     springings = [(LEFT, [0], at(joints[0])), (RIGHT, [voussoirs - 1], at(joints[-1]))]
     sides = [(k, one) for k in range(1, voussoirs) for one in (0, 1)]  # left and right of joint k
     tags = made.tags(*springings, *((JOINTS, [k - 1 + one], at(joints[k])) for k, one in sides))
-    by_hand = made.tags(
-        *springings, *((JOINTS + 2 * k + one, [k - 1 + one], at(joints[k])) for k, one in sides)
-    )
     law, floor = Coulomb(friction), RigidPlane((0.0, 0.0), (0.0, 1.0))
     feet = [ContactPair(tags, foot, floor, law) for foot in (LEFT, RIGHT)]
-    data = SimpleNamespace(
-        joints=joints,
-        by_hand=[
-            *feet,
-            *(
-                ContactPair(by_hand, JOINTS + 2 * k, JOINTS + 2 * k + 1, law)
-                for k in range(1, voussoirs)
-            ),
-        ],
-    )
+    data = SimpleNamespace(joints=joints)
     load = -WEIGHT * ufl.TestFunction(made.V)[1] * ufl.dx
     pairs = [*feet, ContactPair(tags, JOINTS, JOINTS, law)]
     return Scene(made.V, elasticity(made.V, YOUNG, POISSON), load, [], pairs, tags, data=data)

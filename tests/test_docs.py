@@ -351,48 +351,6 @@ def test_limits_of_the_choice_are_those_of_the_code():
         assert f"bodies of up to {once[3]:,} unknowns in 3D ({once[2]:,} in 2D)" in text
 
 
-def test_links_that_lead_nowhere_are_found(tmp_path):
-    pytest.importorskip("sphinx")
-    (tmp_path / "a.html").write_text(
-        '<h1 id="top"></h1><a href="#top"></a><a href="b.html#end"></a><a href="c.html"></a>'
-        '<a href="#bottom"></a><a href="https://elsewhere.org"></a>'
-        '<script src="https://elsewhere.org/x.js"></script><link rel="stylesheet" href="s.css">'
-    )
-    (tmp_path / "b.html").write_text('<p id="end"></p>')
-    assert importlib.import_module("extensions.links").faults(tmp_path) == [
-        "a.html loads https://elsewhere.org/x.js",
-        "a.html: there is no s.css",
-        "a.html: there is no c.html",
-        "a.html: nothing is called #bottom",
-    ]
-
-
-def test_docstrings_are_escaped_but_for_names_and_examples():
-    pytest.importorskip("sphinx")
-    escaped = importlib.import_module("extensions.docstrings").escaped
-    lines = ["|u|_K of `a_*` and u_ <= lambda*", ">>> a * b", "'|'", "", "|"]
-    assert escaped(lines) == [
-        r"\|u\|_K of `a_*` and u\_ <= lambda\*",
-        ">>> a * b",
-        "'|'",
-        "",
-        r"\|",
-    ]
-
-
-def test_measured_figures_are_those_of_the_table():
-    pytest.importorskip("sphinx")
-    measured = importlib.import_module("extensions.measured")
-    heads, _, code = measured.tables()["convergence"]
-    (row,) = measured.chosen("convergence", ["hexahedra"])
-    assert heads[0] == "cells"
-    assert row[0] == "hexahedra"
-    assert code.startswith("Code: ")
-    for wrong in (("convergence", ["no such row"]), ("no such table", [])):
-        with pytest.raises(ValueError, match="no "):
-            measured.chosen(*wrong)
-
-
 def test_files_that_pages_name():
     """Scripts, tools and data in commands; what docstrings refer to as well."""
     sources = (CHECKOUT / "dolfinx_tresca").rglob("*.py")

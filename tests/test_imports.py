@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import runpy
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -83,35 +81,3 @@ def test_the_versions_for_a_bug_report():
 def test_every_public_name_exists():
     for name in dolfinx_tresca.__all__:
         assert getattr(dolfinx_tresca, name).__doc__, name
-
-
-def imported(folder: Path) -> Iterator[tuple[str, str]]:
-    """Yield each file of a folder, and the first part of each name that it imports."""
-    for path in sorted(folder.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                names = [node.module or ""]
-            else:
-                continue
-            yield from ((str(path.relative_to(CHECKOUT)), name.split(".")[0]) for name in names)
-
-
-def stems(room: str) -> set[str]:
-    """Return the names by which the files of a folder are imported."""
-    return {path.stem for path in (CHECKOUT / room).rglob("*.py")}
-
-
-@pytest.mark.parametrize(
-    ("room", "others"),
-    [
-        ("demos", ("scenes", "tests", "benchmarks")),  # readers copy them
-        ("scenes", ("tests", "benchmarks", "demos")),
-        ("tests", ("benchmarks", "demos")),
-        ("benchmarks", ("tests", "demos")),
-    ],
-)
-def test_what_is_shared_is_in_scenes(room, others):
-    foreign = {name for other in others for name in (other, *stems(other))} - stems(room)
-    assert [found for found in imported(CHECKOUT / room) if found[1] in foreign] == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
 from io import StringIO
 from types import SimpleNamespace
 
@@ -83,18 +82,6 @@ def test_newtons_method_has_one_line(comm, terminal):
     assert "contact 100% |" in lines[-1]
     last = len(solution.newton.steps)
     assert f"Newton step {last}, residual {solution.newton.residual:7.1e}" in lines[-1]
-
-
-def test_finite_sliding_has_one_line(terminal):
-    """The contact problems of all configurations are one solve."""
-    bar = ProgressBar()
-    for configuration in (1, 2):
-        for number, reached in enumerate((1.0, 1e-5)):
-            bar(replace(at(number, reached), configuration=configuration))
-    assert "\n" not in terminal.getvalue()
-    bar(replace(at(0, 1e-5), configuration=2, ended=True))
-    assert terminal.getvalue().endswith(" s\n")
-    assert "configuration 2, iteration 1" in terminal.getvalue()
 
 
 def test_the_bar_counts_digits_and_does_not_go_back(terminal):

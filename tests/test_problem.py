@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-import gc
 import logging
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
 from logged import logged
 
-import dolfinx.fem.petsc
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
@@ -25,12 +20,10 @@ from dolfinx_tresca import (
     NormalForce,
     SolverOptions,
     StiffnessError,
-    Tresca,
 )
 from dolfinx_tresca.output.summary import significant
 from scenes.elasticity import elasticity
-from scenes.nodal import nodal, node_function, surface_nodes_of
-from scenes.patches import patch
+from scenes.nodal import surface_nodes_of
 from scenes.scene import EPS
 from scenes.two_bricks import SLIP_BOUND, YOUNG, bricks_problem, two_bricks
 
@@ -44,9 +37,6 @@ def agree(first, second, rtol: float = RTOL) -> None:
     assert first.counts == second.counts
     assert first.normal_force == pytest.approx(second.normal_force, rel=1e3 * rtol)
     assert first.tangential_force == pytest.approx(second.tangential_force, rel=1e3 * rtol)
-
-
-# What changes in place
 
 
 @pytest.mark.parallel
@@ -78,80 +68,6 @@ def test_solutions_scale_with_load_and_bound(comm):
         assert 0.0 < two == pytest.approx(2 * one, rel=1e3 * RTOL)
 
 
-@pytest.mark.parallel(kind=["function"])
-@pytest.mark.parametrize("kind", ["constant", "function", "expression", "callable"])
-def test_a_changed_slip_bound_is_seen(comm, kind):
-    """The same bound by any route, and its change in place."""
-    scene = two_bricks(comm, 4)
-    mesh = scene.mesh
-    factor = [1.0]
-
-    def values(x):
-        return factor[0] * SLIP_BOUND * np.ones_like(x[0])
-
-    if kind == "constant":
-        bound = fem.Constant(mesh, SLIP_BOUND)
-    elif kind == "function":
-        bound = node_function(mesh, values)
-    elif kind == "expression":
-        scale = fem.Constant(mesh, 1.0)
-        bound = scale * node_function(mesh, values)
-    else:
-        bound = values
-    pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
-    with scene.problem(pairs=[pair]) as problem, scene.problem() as usual:
-        agree(problem.solve(rtol=RTOL), usual.solve(rtol=RTOL))
-        factor[0] = 0.25
-        if kind == "constant":
-            bound.value = 0.25 * SLIP_BOUND
-        elif kind == "function":
-            bound.interpolate(values)
-        elif kind == "expression":
-            scale.value = 0.25
-        changed = problem.solve(rtol=RTOL)
-    with bricks_problem(comm, 4, slip_bound=0.25 * SLIP_BOUND) as problem:
-        agree(changed, problem.solve(rtol=RTOL))
-
-
-@pytest.mark.parallel
-def test_a_bound_that_varies_is_taken_at_the_nodes(comm):
-    """Where everything slips the traction is the bound at that node."""
-
-    def values(x):
-        return 1e-4 * (1.0 + x[0] + 2 * x[1])
-
-    with two_bricks(comm, 4).but(friction=Tresca(values)).problem() as problem:
-        solution = problem.solve(rtol=RTOL)
-    points, fields = surface_nodes_of(solution)
-    traction = np.linalg.norm(fields["traction"], axis=1)
-    g = values(points.T)
-    assert (traction <= g * (1 + 100 * EPS)).all()
-    slipping = np.linalg.norm(fields["slip"], axis=1) > 1e-8
-    assert np.allclose(traction[slipping], g[slipping], rtol=1e-6)
-    assert comm.allreduce(int(slipping.sum())) > 0
-
-
-def test_without_friction_there_is_no_traction(comm):
-    with bricks_problem(comm, 4, slip_bound=0.0) as problem:
-        solution = problem.solve(rtol=RTOL)
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.tangential_force == 0.0
-    assert np.abs(solution.traction.x.array).max(initial=0.0) == 0.0
-    assert solution.counts.stick == 0
-
-
-def test_a_huge_bound_makes_everything_stick(comm):
-    with bricks_problem(comm, 4, slip_bound=1e6) as problem:
-        solution = problem.solve(rtol=RTOL)
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.counts.stick == solution.counts.nodes
-    assert solution.counts.slip == 0
-    _, fields = surface_nodes_of(solution)
-    u = np.abs(solution.u.x.array).max()
-    u = comm.allreduce(u, op=max)
-    assert np.abs(fields["slip"]).max(initial=0.0) <= 1e-4 * u
-
-
 @pytest.mark.parallel
 def test_changed_prescribed_values_are_seen(comm):
     scene = two_bricks(comm, 4)
@@ -166,26 +82,6 @@ def test_changed_prescribed_values_are_seen(comm):
     with scene.problem(bcs=bcs) as problem:
         agree(after, problem.solve(rtol=RTOL))
     assert after.normal_force > before.normal_force
-
-
-@pytest.mark.parallel
-def test_update_stiffness(comm):
-    """A changed modulus is seen after update_stiffness(), not before."""
-    scene = two_bricks(comm, 4)
-    young = fem.Constant(scene.mesh, YOUNG)
-    with scene.problem(a=elasticity(scene.V, young)) as problem:
-        before = problem.solve(rtol=RTOL)
-        young.value = YOUNG / 10
-        agree(problem.solve(rtol=RTOL), before)
-        problem.update_stiffness()
-        after = problem.solve(rtol=RTOL)
-    with scene.problem(a=elasticity(scene.V, YOUNG / 10)) as problem:
-        agree(after, problem.solve(rtol=RTOL))
-    # stresses of a linear problem do not depend on the modulus; displacements do
-    assert after.q[-1] == pytest.approx(10 * before.q[-1], rel=10 * RTOL)
-
-
-# Warm starts
 
 
 OUTDATED = "coefficients of the form a have changed"
@@ -236,6 +132,9 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
         after = problem.solve(rtol=RTOL)
         assert len(warnings(caplog)) == (comm.rank == 0)
     assert after.normal_force > 1.01 * before.normal_force
+    if kind == "constant":
+        with scene.problem(a=elasticity(scene.V, 2.0 * YOUNG), bcs=bcs) as problem:
+            agree(after, problem.solve(rtol=RTOL))
 
 
 @pytest.mark.parallel
@@ -258,26 +157,12 @@ def test_a_second_solve_costs_less(comm):
         assert np.allclose(forgotten.multipliers, first.multipliers, rtol=1e-9, atol=1e-12)
 
 
-def test_a_tighter_solve_continues(comm):
-    with two_bricks(comm, 4).problem(stiffness="multigrid") as problem:
-        rough = problem.solve(rtol=1e-2)
-        fine = problem.solve(rtol=1e-6)
-        problem.forget()
-        whole = problem.solve(rtol=1e-6)
-    assert rough.products < whole.products
-    assert fine.products < whole.products
-    assert fine.q[-1] == pytest.approx(whole.q[-1], rel=1e-5)
-
-
 def test_methods_can_follow_each_other(comm):
     """Whatever the method, it starts from the last multipliers."""
     with bricks_problem(comm, 4) as problem:
         problem.solve(rtol=RTOL)
         for method in ("gimssn", "imssn", "mssn", "ssn", "projected_newton"):
             assert problem.solve(method=method, rtol=1e-5).iterations == 0
-
-
-# Observers
 
 
 @pytest.mark.parallel
@@ -308,11 +193,6 @@ def test_one_rank_may_stop_all(comm):
     assert solution.iterations == 0
 
 
-def test_an_observer_that_returns_nothing_stops_nothing(comm):
-    with bricks_problem(comm, 4) as problem:
-        assert problem.solve(observer=lambda at: None).status is ContactStatus.CONVERGED
-
-
 @pytest.mark.parallel
 def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
     def observer(iteration):
@@ -325,109 +205,17 @@ def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
-# The solution
-
-
-@pytest.fixture(scope="module")
-def ends():
-    """Solutions of both ends, with their scenes; kept for the fields' tests."""
-    from mpi4py import MPI
-
-    result = {}
-    for end in ("free_end_1", "free_end_2"):
-        scene = two_bricks(MPI.COMM_WORLD, 6, end=end, Offset=1e-6)
-        with scene.problem() as problem:
-            result[end] = (scene, problem.solve(rtol=RTOL))
-    return result
-
-
 @pytest.mark.parallel
 @pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
-def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
-    """K u - f, assembled without supports, is zero but at supports and contact nodes.
-
-    There it is -N'lambda_nu - T'lambda_tau: checked against the fields, with the upper brick's
-    outward normal -z.
-    """
-    scene, solution = ends[end]
-    K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.a))
-    K.assemble()
-    f = fem.Function(scene.V)
-    fem.assemble_vector(f.x.array, fem.form(scene.L))
-    f.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    f.x.scatter_forward()
-    force = fem.Function(scene.V)
-    K.mult(solution.u.x.petsc_vec, force.x.petsc_vec)
-    K.destroy()
-    force.x.array[:] -= f.x.array
-    force.x.scatter_forward()
-    rest = nodal(force).copy()
-    tags, facet_tags = scene.tags, scene.facet_tags
-    owned = len(rest)
-
-    def nodes(name):
-        found = fem.locate_dofs_topological(scene.V, 2, facet_tags.find(tags[name]))
-        return found[found < owned]
-
-    for name in ("upper_fixed", "lower_fixed"):
-        rest[nodes(name)] = 0.0
-    inside = np.ones(owned, dtype=bool)
-    for name in ("upper_contact", "lower_contact"):
-        inside[nodes(name)] = False
-    size = comm.allreduce(np.abs(f.x.array).max(), op=max)
-    rounding = 1e6 * EPS * size
-    assert np.abs(rest[inside]).max(initial=0.0) <= rounding
-
-    upper = np.zeros((owned, 3))
-    points, fields = surface_nodes_of(solution)
-    positions = scene.V.tabulate_dof_coordinates()
-    contact = nodes("upper_contact")
-    where = {tuple(np.round(positions[i], 9)): i for i in contact}
-    columns = (points, fields["weights"], fields["pressure"], fields["traction"])
-    for x, weight, p, t in zip(*columns, strict=True):
-        key = tuple(np.round(x, 9))
-        upper[where[key]] = -weight * (p * np.array([0.0, 0.0, -1.0]) + t)
-    assert np.abs(rest - upper)[contact].max(initial=0.0) <= rounding
-    # action and reaction: the free nodes of the lower brick feel the opposite
-    keys = np.concatenate(comm.allgather(positions[contact, :2]))
-    forces = np.concatenate(comm.allgather(upper[contact]))
-    lower = np.setdiff1d(nodes("lower_contact"), nodes("lower_fixed"))
-    for i in lower:
-        partner = np.linalg.norm(keys - positions[i, :2], axis=1).argmin()
-        assert np.abs(rest[i] + forces[partner]).max() <= rounding
-    assert comm.allreduce(len(lower)) == 36
-    pushed = comm.allreduce(upper.sum(axis=0))
-    assert pushed[2] == pytest.approx(solution.normal_force, rel=1e-9)
-    assert np.hypot(*pushed[:2]) == pytest.approx(solution.tangential_force, rel=1e-9)
-
-
-@pytest.mark.parallel
-def test_the_whole_load_goes_through_the_contact(comm):
-    """The upper brick may slide along z: all 3 MN but the soft spring's part press on the lower."""
-    scene = two_bricks(comm, 4)
-    sides = [scene.fixed("upper_fixed", component=k) for k in (0, 1)]
-    scene = dataclasses.replace(scene, bcs=[*sides, scene.fixed("lower_fixed")])
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    spring = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
-    spring.x.array[scene.cell_tags.find(scene.tags["upper"])] = 1.0
-    with scene.problem(a=scene.a + spring * u[2] * v[2] * ufl.dx) as problem:
+def test_energy_of_the_solution_is_what_q_says(comm, end):
+    """The dual energy is -D = q + 1/2 f'K^-1 f, the primal one J >= D, also with a gap."""
+    with bricks_problem(comm, 6, end=end, Offset=1e-6) as problem:
         solution = problem.solve(rtol=RTOL)
-        # here also the fixed nodes of the upper brick press: they can move along z
-        assert solution.counts.nodes == 4 * 5
-    held = comm.allreduce(fem.assemble_scalar(fem.form(-spring * solution.u[2] * ufl.dx)))
-    assert 0.0 < held < 0.1
-    assert solution.normal_force + held == pytest.approx(3.0, rel=1e-9)
-
-
-@pytest.mark.parallel
-def test_energy_of_the_solution_is_what_q_says(comm, ends):
-    """-D = q + 1/2 f'K^-1 f and J >= D: both ends, with a gap."""
-    for _, solution in ends.values():
-        gap = solution.primal_energy - solution.dual_energy
-        assert abs(gap) <= 1e4 * RTOL * abs(solution.dual_energy)
-        assert np.all(np.diff(solution.q) <= 1e3 * EPS * np.abs(solution.q[-1]))
-        assert solution.residuals[-1] <= RTOL
-        assert len(solution.residuals) == len(solution.q) == solution.iterations + 1
+    gap = solution.primal_energy - solution.dual_energy
+    assert abs(gap) <= 1e4 * RTOL * abs(solution.dual_energy)
+    assert np.all(np.diff(solution.q) <= 1e3 * EPS * np.abs(solution.q[-1]))
+    assert solution.residuals[-1] <= RTOL
+    assert len(solution.residuals) == len(solution.q) == solution.iterations + 1
 
 
 def test_a_gap_too_wide_leaves_no_contact(comm):
@@ -477,7 +265,7 @@ def test_printing_says_what_matters(comm):
         f"peak pressure  {significant(solution.peak_pressure, solution.local_error)}\n",
     ):
         assert part in text
-    assert len(text.splitlines()) <= 14
+    assert len(text.splitlines()) <= 15  # a line of seconds may be broken on a slow machine
     assert len(set(comm.allgather(text))) == 1
 
 
@@ -486,15 +274,6 @@ def test_only_digits_that_hold_are_printed():
     assert significant(13.4567, 1e-5) == "13.457"
     assert significant(-7.64564812e-05, 0.2) == "-8e-05"
     assert significant(0.0, 0.0) == "0"
-
-
-def test_a_failed_solve_says_so(comm):
-    with bricks_problem(comm, 4) as problem:
-        solution = problem.solve(method="gimssn", max_iterations=1, rtol=1e-9)
-    assert solution.status is ContactStatus.MAX_ITERATIONS
-    with pytest.raises(ConvergenceError, match=r"iteration limit.*1 iterations.*1e-09"):
-        solution.raise_if_failed()
-    assert "MAX_ITERATIONS" in str(solution)
 
 
 @pytest.mark.parametrize(
@@ -518,40 +297,14 @@ def test_a_solve_that_fails_is_logged(caplog, options, status, advice):
     assert status in logged(caplog) and advice in logged(caplog)
     assert ("more iterations" in logged(caplog)) == (options["rtol"] == 1e-9)
     assert " ".join(solution.failure.split()) == logged(caplog)
+    assert solution.status.name in str(solution)
+    with pytest.raises(ConvergenceError, match=status):
+        solution.raise_if_failed()
 
 
 @pytest.mark.parallel
-def test_two_pairs_act_together(comm):
-    """Each half of the faces as a pair of its own gives the same as one pair."""
-    scene = two_bricks(comm, 4)
-    mesh = scene.mesh
-    facets, values = [], []
-    for name, first in (("upper_contact", 50), ("lower_contact", 60)):
-        found = scene.facets(name)
-        middle = dolfinx.mesh.compute_midpoints(mesh, 2, found) if len(found) else np.zeros((0, 3))
-        facets.append(found)
-        values.append(first + (middle[:, 0] > 1.0))
-    facets, values = np.concatenate(facets), np.concatenate(values)
-    order = np.argsort(facets)
-    tags = dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order].astype(np.int32))
-    pairs = [
-        dataclasses.replace(scene.pair, facet_tags=tags, secondary=one, primary=other)
-        for one, other in ((50, 60), (51, 61))
-    ]
-    with scene.problem(pairs=pairs) as problem, scene.problem() as usual:
-        double, single = problem.solve(rtol=RTOL), usual.solve(rtol=RTOL)
-        assert problem.contact_nodes == usual.contact_nodes
-    assert double.status is ContactStatus.CONVERGED
-    assert double.q[-1] == pytest.approx(single.q[-1], rel=10 * RTOL)
-    for name in ("normal_force", "tangential_force"):
-        one, two = getattr(single, name), getattr(double, name)
-        assert 0.0 < two == pytest.approx(one, rel=1e3 * RTOL)
-    with pytest.raises(ContactError, match="2 pairs"):
-        _ = double.pressure
-
-
-@pytest.mark.parallel
-def test_logs_go_to_the_first_rank(comm, caplog):
+def test_logs_go_to_the_first_rank(comm, caplog, capfd):
+    """Nothing is printed."""
     with (
         caplog.at_level(logging.INFO, logger="dolfinx_tresca"),
         bricks_problem(comm, 3) as problem,
@@ -567,12 +320,6 @@ def test_logs_go_to_the_first_rank(comm, caplog):
             assert text in messages
     else:
         assert messages == ""
-
-
-@pytest.mark.parallel
-def test_nothing_is_printed(comm, capfd):
-    with bricks_problem(comm, 3) as problem:
-        problem.solve(rtol=1e-6)
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
@@ -621,18 +368,3 @@ def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
     ):
         with pytest.raises(ContactError, match="destroyed"):
             use()
-
-
-@pytest.mark.parallel
-def test_problems_that_nobody_destroys_are_freed(comm):
-    """By the next one on the mesh; a mark on K has lost a reference then."""
-    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
-    problem = scene.problem()
-    mark = PETSc.Vec().createMPI(comm.size, comm=scene.mesh.comm)
-    problem._contact.linear.K.compose("mark", mark)
-    assert mark.getRefCount() == 2
-    del problem
-    gc.collect()
-    with scene.problem():
-        assert mark.getRefCount() == 1
-    mark.destroy()

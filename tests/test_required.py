@@ -5,9 +5,7 @@ from __future__ import annotations
 from mpi4py import MPI
 from petsc4py import PETSc
 
-import dolfinx_tresca.dual.products.compliance
-from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca
-from scenes.patches import patch
+from dolfinx_tresca import ContactPair, Frictionless, RigidPlane
 from scenes.two_bricks import bricks_problem, two_bricks
 
 
@@ -68,22 +66,6 @@ def test_a_mixed_scene_has_the_sum(comm):
         assert entries(problem) == before + added  # normals along an axis: one entry in each row
 
 
-def test_an_obstacle_has_one_side(comm):
-    """Its rows hold the node alone; where nodes meet nodes there are two, else several."""
-    scene = two_bricks(comm, 4)
-    plane = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
-    facets, tag = scene.facet_tags, scene.tags["upper_contact"]
-    with scene.problem() as problem:
-        matching, rows = entries(problem), multipliers(comm, problem)
-    with scene.problem(pairs=[ContactPair(facets, tag, plane, Tresca(1.0))]) as problem:
-        obstacle = entries(problem)
-        assert multipliers(comm, problem) == rows
-    with patch(comm, "tetrahedron", friction=Tresca(1.0)).problem() as problem:
-        mortar = entries(problem) / multipliers(comm, problem)
-    assert 2 * obstacle <= matching
-    assert mortar > matching / rows
-
-
 def test_one_factorisation_for_any_number_of_solves(comm):
     """Of K, and of the small matrix of the energy bound."""
     with Factorisations() as factored, bricks_problem(comm, 4) as problem:
@@ -94,21 +76,3 @@ def test_one_factorisation_for_any_number_of_solves(comm):
         problem.update_stiffness()
         problem.solve()
         assert factored.count <= 4
-
-
-def test_the_mesh_error_is_prepared_when_it_is_asked_for(comm, monkeypatch):
-    made = []
-    original = dolfinx_tresca.dual.products.compliance.DiscretisationError
-
-    def counting(*arguments):
-        made.append(1)
-        return original(*arguments)
-
-    monkeypatch.setattr(dolfinx_tresca.dual.products.compliance, "DiscretisationError", counting)
-    with bricks_problem(comm, 3) as problem:
-        problem.solve(rtol=1e-6)
-        problem.solve(accuracy=1e-3)
-        assert made == []
-        problem.solve()
-        problem.solve()
-        assert made == [1]

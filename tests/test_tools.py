@@ -223,32 +223,6 @@ def test_a_wheel_that_cannot_be_had(tmp_path: Path, suite: str, status: int, pri
     assert done.stderr == "no wheel today\n"
 
 
-@pytest.mark.parametrize(
-    ("version", "leaking"),
-    [
-        ((3, 11, 9), None),
-        ((3, 12, 0), False),
-        ((3, 13, 0), True),
-        ((3, 13, 1), True),
-        ((3, 13, 2), False),
-        ((3, 14, 0), False),
-    ],
-)
-def test_pythons_that_go_with_wheels(
-    monkeypatch: pytest.MonkeyPatch, version: tuple[int, ...], leaking: bool | None
-) -> None:
-    monkeypatch.syspath_prepend(TOOLS)
-    goes_with_wheels = importlib.import_module("venvs").goes_with_wheels
-    monkeypatch.setattr(os, "confstr", lambda _: "glibc 2.34")
-    monkeypatch.setattr("platform.machine", lambda: "x86_64")
-    monkeypatch.setattr(sys, "version_info", (*version, "final", 0))
-    assert [asked for asked in (False, True) if goes_with_wheels(asked)] == (
-        [] if leaking is None else [leaking]
-    )
-    monkeypatch.setattr(os, "confstr", lambda _: "glibc 2.31")
-    assert not goes_with_wheels(False) and not goes_with_wheels(True)
-
-
 def test_names_of_users_are_no_commands(tmp_path: Path) -> None:
     """What root is asked to do for a user, with a name as a directory of a company may have it."""
     path = fake(
@@ -290,27 +264,3 @@ def test_a_temporary_folder_of_somebody_else(tmp_path: Path) -> None:
     assert re.fullmatch(
         r"fenicsx: cannot make the folder '.*' for you alone: set TMPDIR.*\n", done.stderr
     )
-
-
-LISTS = "Get:1 http://debian trixie InRelease\nI: downloading packages with apt...\n"
-BASE = LISTS + "0 upgraded, 2 newly installed, 0 to remove\nGet:1 a\nGet:2 b\nUnpacking a (1) ...\n"
-SCS = "Collecting scs\n  Downloading scs-3.2-cp313-x.whl (43.2 MB)\n"
-MORE = BASE + "0 upgraded, 3 newly installed, 0 to remove\nGet:1 http://debian trixie c\n"
-
-
-@pytest.mark.parametrize(
-    ("log", "step"),
-    [
-        ("", "starting"),
-        (LISTS, "reading the lists of packages"),
-        (BASE, "unpacking 1 of 2 packages"),
-        (MORE, "downloading 1 of 3 packages"),
-        (MORE + "Unpacking c (2) ...\nSetting up c (2) ...\n", "configuring 1 of 3 packages"),
-        (SCS, "downloading scs (43.2 MB)"),
-        (SCS + "Installing collected packages: scs\n", "installing what was downloaded"),
-    ],
-)  # fmt: skip
-def test_progress(tmp_path: Path, log: str, step: str) -> None:
-    (tmp_path / "log").write_text(log)
-    said = run(TOOLS / "progress", tmp_path / "log").stderr
-    assert re.fullmatch(rf"fenicsx: {re.escape(step)}, \d+ s\n", said)

@@ -287,9 +287,16 @@ DRAGGED = Drawn(
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("law", LAWS_OF_FRICTION)
-@pytest.mark.parametrize("shape", [{"n": (4, 3, 2), "semi_axes": 0.2}, {"n": (6, 3), "bore": 0.1}])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"n": (4, 3, 2), "semi_axes": 0.2},
+        {"n": (4, 3, 2), "semi_axes": 0.0},
+        {"n": (6, 3), "bore": 0.1},
+    ],
+)
 def test_ellipses_and_rings(comm, law, shape):
-    """Of each law; some nodes slip."""
+    """Nodes slip in scenes of each law: with ellipses, with one of no width, and with rings."""
     assert check(comm, replace(DRAGGED, law=law, **shape)).counts.slip > 0
 
 

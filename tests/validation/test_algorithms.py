@@ -14,23 +14,33 @@ from scenes.rubbing import BOUND, YOUNG, rubbing
 
 RTOL = 1e-8
 
+#: How an algorithm ends that does not converge.
+FAILURES = (ContactStatus.MAX_ITERATIONS, ContactStatus.STAGNATED)
+
 
 @pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("hexahedron", 1)])
 @pytest.mark.parametrize(
     "friction", [Frictionless(), Bonded(), Tresca(BOUND * YOUNG)], ids=lambda f: type(f).__name__
 )
-def test_all_find_the_same(comm, kind, degree, friction):
-    """Tractions agree within the residual times cond(A) (about 1e3 here); the energies better."""
+def test_all_find_the_same_or_say_that_they_do_not(comm, kind, degree, friction):
+    """All algorithms find the same tractions and energies, with both solvers for K.
+
+    IMSSN and MSSN are not proved to converge, and cycle in some scenes with friction.
+    """
     reference, energy = None, None
     for stiffness in ("cholesky", "multigrid"):
         scene = rubbing(comm, kind, degree, friction=friction)
         with scene.problem(stiffness=stiffness) as problem:
             for method in get_args(Method):
-                if method in ("imssn", "mssn") and isinstance(friction, Tresca):
-                    continue  # they are not proved to converge, and cycle in some of these scenes
+                may_cycle = method in ("imssn", "mssn") and isinstance(friction, Tresca)
                 problem.forget()
-                solution = problem.solve(method=method, rtol=RTOL, max_iterations=2000)
+                limit = 60 if may_cycle else 2000
+                solution = problem.solve(method=method, rtol=RTOL, max_iterations=limit)
+                if may_cycle and solution.status is not ContactStatus.CONVERGED:
+                    assert solution.status in FAILURES and solution.residuals[-1] > RTOL
+                    continue
                 assert solution.status is ContactStatus.CONVERGED, (stiffness, method)
+                assert solution.residuals[-1] <= RTOL
                 if reference is None:
                     reference, energy = solution.multipliers, solution.dual_energy
                 assert energy is not None

@@ -71,7 +71,7 @@ def everywhere(comm, solution):
 
 @pytest.mark.parallel(solved=ON_RANKS)
 def test_reactions_and_contact_forces_balance(solved):
-    """Forces and moments: of the blocks together, of each of them, and as they are reported."""
+    """Forces and moments of blocks, supports and contact balance, and are those reported."""
     scene, solution = solved
     comm, dim = scene.mesh.comm, scene.mesh.geometry.dim
     forces = nodal_forces(scene, solution.u)
@@ -122,7 +122,7 @@ def test_reactions_and_contact_forces_balance(solved):
 
 @pytest.mark.parallel(solved=ON_RANKS)
 def test_contact_and_friction_laws(solved):
-    """Signs and bounds to rounding; equations to the residual that was asked for."""
+    """Signs and bounds hold to rounding, equations to the requested residual."""
     scene, solution = solved
     comm = scene.mesh.comm
     _, weights, fields = everywhere(comm, solution)

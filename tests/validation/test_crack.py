@@ -23,8 +23,6 @@ from dolfinx_tresca import (
     PairingError,
     SolverOptions,
 )
-from dolfinx_tresca.pairing.group import PairGroup, Undeformed
-from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.patches import block, dim_of
 from scenes.rubber_block import neo_hookean
@@ -135,32 +133,9 @@ def test_a_crack_with_one_tag_is_a_crack_with_two(comm, kind, degree, shift, sca
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("height", [0.3, 1e-2, 1e-5, -1e-5, -1e-2])
-@pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
-def test_a_curved_lip_is_not_hidden_by_its_own_facets(comm, kind, height):
-    """Points on curved facets are not on the straight pieces with which lines are intersected."""
-    scene = crack(comm, kind, degree=2)
-    V, sides = scene.V, [LOWER, UPPER]
-    lip = fem.locate_dofs_topological(V, 1, scene.tags.find(UPPER))
-    r = V.tabulate_dof_coordinates()[lip, 0] - 0.5
-    u = fem.Function(V)
-    u.x.array.reshape(-1, 2)[lip, 1] = height * (0.3**2 - r**2)
-    u.x.scatter_forward()
-    free = np.zeros(V.dofmap.index_map.size_local * 2, dtype=np.bool_)
-    sums = []
-    for secondary, primary in ((sides, sides), (LOWER, UPPER), (UPPER, LOWER)):
-        pair = ContactPair(scene.tags, secondary, primary, Coulomb(0.3), sliding="finite")
-        undeformed = Undeformed.from_mesh(V, free, PairGroup.from_pairs([pair]))
-        k = pair_displaced_surfaces(V, undeformed, u.x.array.reshape(-1, 2))[0]
-        own = [k.weights.sum(), (k.weights * k.distance).sum() / height]
-        sums.append([comm.allreduce(value) for value in own])
-    assert min(np.abs(np.subtract(sums[0], by_hand)).max() for by_hand in sums[1:]) < 1e-8
-
-
-@pytest.mark.parallel
 @pytest.mark.parametrize("angle", [0.0, 0.35])
 def test_a_crack_that_moves_closes_and_just_touches_with_one_tag_as_with_two(comm, angle):
-    """Also where displacements of degree 2 bend the lips, whose bending counts on one side only."""
+    """A crack with one tag has the forces of a crack with two, open, pressed and at rest."""
     scene = crack(comm, "quadrilateral", degree=2, angle=angle)
     up = np.array([-np.sin(angle), np.cos(angle)])
     options = SolverOptions(rtol=1e-9, geometry_accuracy=1e-8)
@@ -184,7 +159,7 @@ def test_a_crack_that_moves_closes_and_just_touches_with_one_tag_as_with_two(com
 
 @pytest.mark.parametrize("slope", [0.06, 0.09, 0.5])
 def test_the_two_faces_of_a_blade_do_not_meet_at_its_edge(slope):
-    """Their facets share the node of the edge, as at a crack, but the body is between them."""
+    """Facets that share the node of an edge do not touch if the body is between them."""
     along = np.linspace(1.0, 1.15, 4)
     upper = np.column_stack([along, slope * along])
     x = np.concatenate([[[0.0, 0.0]], upper * [1.0, -1.0], upper])

@@ -38,11 +38,7 @@ def block_on_ball(comm: MPI.Comm) -> Scene:
 
 
 SCENES: dict[str, Callable[[MPI.Comm], Scene]] = {
-    **{
-        f"bricks {N}, {end}": lambda comm, N=N, end=end: two_bricks(comm, N, end=end)
-        for N in (6, 10)
-        for end in ENDS
-    },
+    **{f"bricks 10, {end}": lambda comm, end=end: two_bricks(comm, 10, end=end) for end in ENDS},
     # two nodes of 169 stick too many or too few
     "bricks 13, free_end_1": lambda comm: two_bricks(comm, 13, end="free_end_1"),
     "ball on plane": lambda comm: sphere_on_plane(comm, 0.3),
@@ -88,7 +84,7 @@ def test_what_a_reader_sees(comm, name, stiffness):
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-8])
 def test_a_residual_is_no_looser(comm, rtol):
-    """What is small against the residual at zero is large for a slender strip."""
+    """A requested residual is reached, and the energy error is no larger than by default."""
     model = strip(comm, 30)
     model.data.pull.value = 50.0
     with model.problem() as problem:

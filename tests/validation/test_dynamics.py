@@ -36,7 +36,7 @@ def memory() -> int:
     [(80, 0.5), *(pytest.param(1000, theta, marks=pytest.mark.long) for theta in (0.5, 0.6))],
 )
 def test_energy_counts_and_memory_do_not_grow(steps, theta):
-    """Thrown on a floor, rotating; it flies, hits with a corner, slides and lies."""
+    """A block that is thrown on a floor gains no energy, and steps cost the same to the end."""
     size = ([0.0, 0.0], [0.2, 0.1])
     block = mesh.create_rectangle(MPI.COMM_SELF, size, (8, 4), mesh.CellType.quadrilateral)
     bottom = mesh.locate_entities_boundary(block, 1, lambda x: np.isclose(x[1], 0.0))

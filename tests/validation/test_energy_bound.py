@@ -5,7 +5,6 @@ The reference is solved to a residual that leaves it an error of a thousandth of
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 
 from mpi4py import MPI
@@ -22,14 +21,12 @@ from dolfinx_tresca import (
     ContactStatus,
     Frictionless,
     RigidPlane,
-    RigidSphere,
     Tresca,
 )
 from dolfinx_tresca.dual.products import compliance
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.patches import KINDS
 from scenes.rubbing import BOUND, YOUNG, rubbing
-from scenes.scene import EPS
 from scenes.two_bricks import ENDS, bricks_problem, two_bricks
 
 #: The bound is no larger than this times the error. With multigrid what solves with K may have left
@@ -81,10 +78,9 @@ def test_matching_meshes(comm, end, stiffness):
 
 @pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[1])
 @pytest.mark.parametrize("friction", [Tresca(BOUND * YOUNG), Frictionless(), Bonded()])
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "degree"), [*((kind, 1) for kind in KINDS), ("triangle", 2)])
 def test_mortar(comm, kind, degree, friction):
-    """Displacements are prescribed, nothing is loaded: a part of the norm is theirs.
+    """The bound holds on meshes that do not match, where displacements are prescribed.
 
     Few multipliers are settled in so few steps that the solution may be better than one asked for;
     rounding is then what is compared.
@@ -92,17 +88,6 @@ def test_mortar(comm, kind, degree, friction):
     scene = rubbing(comm, kind, degree, upper=(4, 2), lower=(6, 3), friction=friction)
     with scene.problem() as problem:
         check(scene.a, problem, [{"accuracy": 1e-2}, {"rtol": 1e-1}])
-
-
-def test_forces_and_prescribed_displacements_together(comm):
-    scene = two_bricks(comm, 5)
-    scene = dataclasses.replace(
-        scene,
-        bcs=[scene.fixed("lower_fixed"), scene.fixed("upper_fixed", [0.0, 1e-5, -1e-5])],
-    )
-    for stiffness, sharp in (("cholesky", SHARP), ("multigrid", SHARP_INEXACT)):
-        with scene.problem(stiffness=stiffness) as problem:
-            check(scene.a, problem, ASKED, sharp)
 
 
 @pytest.mark.parametrize("method", ["gimssn", "imssn", "ssn", "mssn"])
@@ -117,52 +102,11 @@ def test_every_algorithm(comm, method):
         )
 
 
-@pytest.mark.parallel
-def test_rigid_obstacle(comm):
-    """A block under a load on a sphere."""
-    scene = block(
-        comm,
-        (8, 8, 4),
-        size=(2.0, 2.0, 1.0),
-        young=1.0,
-        poisson=0.0,
-        held=[ABOVE],
-        moved=lambda x: np.outer([1e-3, 0.0, -2e-2], np.ones(x.shape[1])),
-        friction=Tresca(1e-3),
-        obstacles=[(BELOW, RigidSphere((1.1, 1.0, -4.0), 4.0))],
-    ).but(search_distance=1.0)
-    weight = fem.Constant(scene.mesh, np.array([0.0, 1e-3, 0.0]))
-    with scene.problem(L=ufl.inner(weight, ufl.TestFunction(scene.V)) * ufl.dx) as problem:
-        check(scene.a, problem, [{"accuracy": 1e-2}, {"accuracy": 1e-4}])
-
-
-def test_less_accuracy_takes_fewer_products(comm, monkeypatch):
-    monkeypatch.setattr(compliance, "FEW", 0)  # products, and not A as a matrix
-    with bricks_problem(comm, 6) as problem:
-        products = []
-        for accuracy in (1e-1, 1e-3, 1e-6):
-            problem.forget()
-            products.append(problem.solve(accuracy=accuracy).products)
-    assert products[0] < products[1] < products[2]
-
-
-@pytest.mark.parallel
-def test_nothing_is_loaded(comm):
-    scene = two_bricks(comm, 3)
-    scene = dataclasses.replace(scene, bcs=[scene.fixed("lower_fixed"), scene.fixed("upper_fixed")])
-    with scene.problem(L=fem.Constant(scene.V.mesh, 0.0) * scene.L) as problem:
-        solution = problem.solve(accuracy=1e-3)
-    assert solution.status is ContactStatus.CONVERGED
-    assert np.isfinite(solution.energy_error_bound)
-    # the gap is what rounding in the coordinates, of up to 2, made of zero
-    assert comm.allreduce(np.abs(solution.u.x.array).max(initial=0.0), op=MPI.MAX) <= 100 * EPS
-
-
 @pytest.mark.parallel(law=["bonded"])
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 @pytest.mark.parametrize("law", ["frictionless", "bonded"])
 def test_the_contact_carries_all_loads(comm, law, stiffness, caplog):
-    """Pressed where it touches, a block does not move: there is nothing to be accurate to."""
+    """A block that does not move has a bound of zero, and the log says why."""
     ceiling = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
     friction = {"frictionless": Frictionless(), "bonded": Bonded()}[law]
     scene = block(
@@ -179,7 +123,7 @@ def test_the_contact_carries_all_loads(comm, law, stiffness, caplog):
 
 
 def test_the_stiffness_may_change(comm):
-    """The weights of the lift are those of the present K."""
+    """The bound holds after update_stiffness()."""
     scene = two_bricks(comm, 4)
     stiffer = fem.Constant(scene.V.mesh, 1.0)
     with scene.problem(a=stiffer * scene.a) as problem:
@@ -202,7 +146,7 @@ def test_the_answer_says_what_was_reached(comm, monkeypatch):
 
 @pytest.mark.parallel
 def test_repeated_constraints(comm):
-    """No bound can be had; the residual decides, unless a bound was asked for."""
+    """With repeated constraints the bound is infinite, and the residual decides."""
     scene = block(
         comm,
         (3, 3, 3),
@@ -219,14 +163,3 @@ def test_repeated_constraints(comm):
     assert twice.energy_error_bound == np.inf
     assert twice.residuals[-1] <= 1e-6
     assert relative_error(scene.a, twice.u, once.u) <= 1e-4
-
-
-def test_rounding_is_printed_as_zero(comm):
-    """Errors cannot be relative to what rounding leaves of a solution without contact."""
-    scene = two_bricks(comm, 3)
-    scene = dataclasses.replace(scene, bcs=[scene.fixed("lower_fixed"), scene.fixed("upper_fixed")])
-    with scene.problem(L=fem.Constant(scene.V.mesh, 0.0) * scene.L) as problem:
-        solution = problem.solve(accuracy=1e-3)
-    text = str(dataclasses.replace(solution, energy_error_bound=1.4, peak_pressure=7.8e-17))
-    assert "which may be zero" in text
-    assert "7.8e-17" not in text

@@ -14,11 +14,9 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca._base.parallel import gather_rows
-from dolfinx_tresca.dual.mesh_error import MOST_MATERIALS, DiscretisationError, total
+from dolfinx_tresca.dual.mesh_error import DiscretisationError, total
 from scenes.assembled import linear_solution
 from scenes.clamped_square import clamped_square
-from scenes.elasticity import elasticity
 from scenes.manufactured import blocks_scene, norm
 from scenes.patches import KINDS as CELLS
 from scenes.patches import dim_of
@@ -48,7 +46,7 @@ def test_effectivity_on_a_known_solution(comm, cell, degree):
 
 
 def test_effectivity_where_the_solution_has_singularities(comm):
-    """The two bricks, against a mesh of half the size: edges, where bodies are held and touch."""
+    """On two bricks the estimate is that of the energy that finer meshes release."""
     for end in ("free_end_1", "free_end_2"):
         energies, estimates = [], []
         for N in (3, 6, 12):
@@ -66,7 +64,7 @@ def test_effectivity_where_the_solution_has_singularities(comm):
 
 @pytest.mark.parametrize("poisson", [0.3, 0.49])
 def test_effectivity_at_singular_corners(poisson):
-    """Galerkin orthogonality: what a mesh has too much in energy is its error, squared."""
+    """At singular corners the estimate is 0.7 to 1.5 times the error, as promised."""
     comm = MPI.COMM_SELF
     a, u, exact = clamped_square(comm, "quadrilateral", 24, 2, poisson, grading=4.0)
     left = total(DiscretisationError(a, u.function_space).cell_errors(u))
@@ -102,7 +100,7 @@ def rod(comm, cells, ratio, degree, kind="triangle"):
 
 @pytest.mark.parallel
 def test_materials_inside_a_body_have_gradients_of_their_own(comm):
-    """A common mean would differ from both, by a part of the jump, however fine the mesh."""
+    """The estimate is right where the stiffness jumps by a thousand inside a body."""
     for degree in (1, 2):
         for cells in (8, 64):
             a, V, u, error = rod(comm, cells, 1e3, degree)
@@ -125,7 +123,7 @@ def test_degree_2_along_one_direction():
 )
 @pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
 def test_effectivity_in_bodies_of_revolution(kind, degree, hole, promised):
-    """A disc whose axis belongs to it, and a thin hole: cells near the axis are of one material.
+    """The estimate is right in a disc whose axis belongs to it, and at a thin hole.
 
     The cell at the hole is three times as long as the hole is wide, so that less is promised.
     """
@@ -152,39 +150,8 @@ def test_effectivity_in_bodies_of_revolution(kind, degree, hole, promised):
     assert low <= total(estimator.cell_errors(found)) / error <= high
 
 
-@pytest.mark.parallel
-def test_a_gradual_material_is_one(comm):
-    """Told apart are no more than there are; random ones are few groups."""
-    mesh = dolfinx.mesh.create_unit_square(comm, 16, 16)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    v, w = ufl.TrialFunction(V), ufl.TestFunction(V)
-    stretch = ufl.inner(ufl.grad(v), ufl.grad(w))
-    x, _ = ufl.SpatialCoordinate(mesh)
-    cells = np.arange(mesh.topology.index_map(2).size_global)
-    scattered = fem.Function(fem.functionspace(mesh, ("DG", 0)))
-    own = slice(*mesh.topology.index_map(2).local_range)
-    scattered.x.array[: own.stop - own.start] = 10.0 ** (cells[own] % 12)
-    scattered.x.scatter_forward()
-    for young, count in ((ufl.exp(5 * x), 1), (1 + 9 * ufl.conditional(x < 0.5, 0.0, 1.0), 2),
-                         (scattered, MOST_MATERIALS)):  # fmt: skip
-        estimator = DiscretisationError(young * stretch * ufl.dx, V)
-        assert len(np.unique(gather_rows(comm, estimator._materials))) == count
-
-
-@pytest.mark.parallel
-def test_linear_displacements_have_no_error(comm):
-    """Their gradient is constant, also across the boundary between ranks."""
-    mesh = dolfinx.mesh.create_unit_cube(comm, 3, 3, 3)
-    for degree in (1, 2):
-        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-        u = fem.Function(V)
-        u.interpolate(lambda x: np.stack([x[1], 2.0 * x[0] - x[2], x[0] + x[2]]))
-        cells = DiscretisationError(elasticity(V, 1.0), V).cell_errors(u)
-        assert np.abs(cells.x.array).max() <= 1e-13
-
-
 def test_springs_and_coefficients(comm):
-    """Only cell integrals of gradients count; material functions are seen in their cells."""
+    """Springs do not change the estimate, and coefficients of the form do."""
     mesh = dolfinx.mesh.create_unit_square(comm, 4, 4)
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     u = fem.Function(V)

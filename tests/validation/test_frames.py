@@ -23,8 +23,7 @@ NEARLY_SAME = 1e-7
 
 # cells, degree, distortion of the meshes, tolerance
 SCENES = [
-    *[(kind, degree, 0.3, SAME) for kind in KINDS[:3] for degree in (1, 2)],
-    *[("hexahedron", degree, 0.0, SAME) for degree in (1, 2)],
+    *[(kind, degree, 0.3, SAME) for kind, degree in zip(KINDS[:3], (2, 1, 1), strict=True)],
     ("hexahedron", 1, 0.3, NEARLY_SAME),
 ]
 
@@ -84,7 +83,7 @@ def fields_of(scene, solution, turn, shift, scale):
 @pytest.mark.parallel(kind=["quadrilateral", "tetrahedron"], degree=[1])
 @pytest.mark.parametrize("kind, degree, distort, same", SCENES)
 def test_the_frame_of_reference_does_not_matter(comm, kind, degree, distort, same):
-    """Turned, moved, mirrored, in other units: the same fields and, but for one, iterations."""
+    """Scenes that are turned, moved, mirrored or in other units have the same fields."""
     shape = {"upper": (4, 2), "lower": (6, 2), "distort": distort}
     dim = len(turn_of(kind))
     usual = {"turn": np.eye(dim), "shift": (0.0, 0.0, 0.0), "scale": 1.0}

@@ -80,7 +80,7 @@ def pressures(comm, turn: np.ndarray, solution):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("divisions", [1, 2, 3])
 def test_a_groove_passes_a_constant_pressure_on_each_face(comm, kind, divisions):
-    """Meshes that match and that do not; nodes of the edge have a row for each face."""
+    """Each face of a groove has its pressure, also on meshes that do not match."""
     _, turn, a, L, bcs, tags = block_in_groove(comm, kind, divisions)
     with ContactProblem(a, L, [ContactPair(tags, 1, 2, Frictionless())], bcs=bcs) as problem:
         solution = problem.solve(rtol=RTOL)
@@ -96,7 +96,7 @@ def test_a_groove_passes_a_constant_pressure_on_each_face(comm, kind, divisions)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("bound", [0.1, 10.0])
 def test_friction_in_a_groove_ends_well(comm, kind, bound):
-    """With the default accuracy, which needs rows that do not depend on each other."""
+    """Friction in a groove converges with the default accuracy."""
     _, _, a, L, bcs, tags = block_in_groove(comm, kind, 2)
     with ContactProblem(a, L, [ContactPair(tags, 1, 2, Tresca(bound))], bcs=bcs) as problem:
         solution = problem.solve()
@@ -108,7 +108,7 @@ def test_friction_in_a_groove_ends_well(comm, kind, bound):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [Frictionless(), Tresca(0.1)])
 def test_a_corner_of_a_rigid_box(comm, kind, law):
-    """A node of the edge has one wall's normal; facets of the other rest on their other nodes."""
+    """Both walls of a corner carry their loads, though a node of the edge has one normal."""
     _, turn, a, L, bcs, tags = block_in_groove(comm, kind, 3)
     dim = len(turn)
 

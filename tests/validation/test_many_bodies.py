@@ -23,7 +23,6 @@ from dolfinx_tresca import (
     MechanismError,
     RigidPlane,
 )
-from dolfinx_tresca.solvers.whole_model import WholeModel
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
@@ -91,35 +90,6 @@ def test_a_loose_block_on_a_tall_column(comm):
             problem.solve()
 
 
-def below_courses(loads):
-    """Return the forces (n, 2) below each course that balance loads (n, 2) on the courses."""
-    return -np.cumsum(loads[::-1], axis=0)[::-1]
-
-
-@pytest.mark.parallel(loose=[1])
-@pytest.mark.parametrize("loose", [0, 1, 10])
-def test_a_wall_that_is_pushed_at_the_top(comm, loose):
-    """Each course carries what is above it; loose stones beside it, without weight, nothing."""
-    courses = 3
-    scene = wall(comm, 2, courses, loose=loose, divisions=(2, 1))
-    data = scene.data
-    loads = np.zeros((courses, 2))
-    loads[:, 1] = -np.bincount(data.course, data.weights)
-    loads[-1, 0] = 0.2 * loads[-1, 1]
-    data.push.value = -loads[-1, 0] / HEIGHT
-    with scene.problem() as problem:
-        solution = problem.solve(rtol=1e-6)
-    solution.raise_if_failed()
-    forces = np.array([one.force for one in solution.pair_resultants])
-    size = -loads[:, 1].sum()
-    assert np.allclose(forces[:courses], below_courses(loads), rtol=0.0, atol=1e-9 * size)
-    heads = forces[courses:]
-    pairs = np.flatnonzero(np.diff(data.course) == 0)
-    touches_loose = data.is_loose[pairs]
-    assert np.allclose(heads[touches_loose], 0.0, rtol=0.0, atol=1e-9 * size)
-    assert (heads[~touches_loose, 0] >= -1e-9 * size).all()
-
-
 @pytest.mark.parametrize("loose", [1, 10])
 def test_loose_stones_that_nothing_holds_are_named(comm, loose):
     """Bodies are numbered from the left, so the loose stones are the first ones."""
@@ -136,7 +106,7 @@ def test_loose_stones_that_nothing_holds_are_named(comm, loose):
 
 @pytest.mark.parametrize(
     ("blocks", "width", "tips"),
-    [(1, 0.25, False), (4, 0.08, True), (3, 0.25, False), (40, 0.08, True), (40, 0.25, False)],
+    [(1, 0.25, False), (4, 0.08, True), (3, 0.25, False), (20, 0.08, True), (20, 0.25, False)],
 )
 def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
     """What is above a joint is pushed off it by F W, and tipped by W b / (2 h) at a height h."""
@@ -263,24 +233,3 @@ def test_a_wall_of_a_thousand_bricks():
     on_floor = solution.pair_resultants[0].force
     weight = scene.data.weights.sum()
     assert on_floor == pytest.approx([0.0, weight], abs=1e5 * EPS * weight)
-
-
-@pytest.mark.long
-def test_a_push_of_a_thousand_bricks_needs_few_newton_steps(monkeypatch):
-    """Newton's method finds both solutions from where it begins, without other initial guesses."""
-    solved = []
-    solve_between = WholeModel.solve_between
-
-    def counted(*arguments):
-        solved.append(1)
-        return solve_between(*arguments)
-
-    monkeypatch.setattr(WholeModel, "solve_between", counted)
-    scene = wall(MPI.COMM_SELF, 20, 50, friction=Coulomb(0.4))
-    course = scene.data.weights.sum() / 50
-    with scene.problem() as problem:
-        for part in (0.0, 0.3):
-            scene.data.push.value = part * course / HEIGHT
-            problem.solve(rtol=1e-6).raise_if_failed()
-            problem.accept()
-    assert len(solved) <= 150

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from mpi4py import MPI
 
 import numpy as np
@@ -11,16 +9,13 @@ import pytest
 from scipy.linalg import null_space
 from scipy.optimize import lsq_linear
 
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, Frictionless, RigidPlane, StiffnessError, Tresca
 from scenes.assembled import on_one_rank
 from scenes.blocks import ABOVE, BELOW, BOUND, LEFT, RIGHT, YOUNG, block
-from scenes.elasticity import lame_constants
 from scenes.pressures import strain_energy, with_mean_pressure, with_pressure
 from scenes.rubbing import rubbing
-from scenes.scene import EPS
 
 #: Residual of what is compared, and the error it leaves.
 TIGHT, ACCURACY = 1e-12, 1e-8
@@ -43,7 +38,7 @@ def matches(found, expected, tolerance=ACCURACY) -> None:
 @pytest.mark.parallel(poisson=[0.4999])
 @pytest.mark.parametrize("poisson", [0.3, 0.4999])
 def test_a_pressure_that_could_be_eliminated(comm, poisson):
-    """Two bodies, mortar, load steps and moved surfaces: the same as of displacements alone."""
+    """Mixed elements have the answer of displacements alone, with load steps and moved surfaces."""
     scene = rubbing(comm, "triangle", 2, upper=(4, 1), lower=(3, 1), friction=Tresca(0.8))
     plain = with_mean_pressure(scene, YOUNG, poisson)
     mixed = with_pressure(scene, YOUNG, poisson, ("DG", 0))
@@ -58,47 +53,6 @@ def test_a_pressure_that_could_be_eliminated(comm, poisson):
         matches(other.solve(rtol=TIGHT), one.solve(rtol=TIGHT), 10 * ACCURACY)
 
 
-def swollen(scene, young, poisson, pressures):
-    """A scene whose material wants to grow: as a load of the pressure, or of the displacement."""
-    growth, lame = (
-        fem.Constant(scene.mesh, value) for value in (2e-3, lame_constants(young, poisson)[1])
-    )
-    if pressures:
-        _, q = ufl.TestFunctions(scene.V)
-        return dataclasses.replace(scene, L=scene.L + growth * q * ufl.dx)
-    v = ufl.TestFunction(scene.V)
-    return dataclasses.replace(scene, L=scene.L + lame * growth * ufl.div(v) * ufl.dx)
-
-
-@pytest.mark.parametrize("load", ["force", "motion", "growth", "all"])
-def test_energies(comm, load):
-    """Energies are those of the displacement alone, whatever loads the body."""
-    moved = (lambda x: 2e-3 * np.array([x[0], x[1] - 2])) if load in ("motion", "all") else None
-    force = (0.3, 0.0, -1.0) if load in ("force", "all") else (0.0, 0.0, 0.0)
-    scene = block(comm, (2, 2), degree=2, load=force, held=(LEFT,), moved=moved)
-    plain = with_mean_pressure(scene, YOUNG, 0.45)
-    mixed = with_pressure(scene, YOUNG, 0.45, ("DG", 0))
-    if load in ("growth", "all"):
-        plain, mixed = (swollen(one, YOUNG, 0.45, one is mixed) for one in (plain, mixed))
-    with plain.problem() as one, mixed.problem() as other:
-        expected, found = one.solve(rtol=TIGHT), other.solve(rtol=TIGHT)
-        matches(found, expected)
-        assert found.counts.contact > 0
-        if load == "force":
-            for name in ("primal_energy", "dual_energy"):
-                assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=ACCURACY)
-        assert found.primal_energy == pytest.approx(found.dual_energy, rel=ACCURACY)
-        solved = other._contact.solved
-        dual, x = solved.dual, solved.multipliers
-        norm = np.sqrt(2 * integral(strain_energy(found.w, YOUNG, 0.45)))
-        assert dual.norm_of(found.w) == pytest.approx(norm, rel=1e6 * EPS)
-        r = dual.response.gradient_of(found.w.x.petsc_vec)
-        assert dual.response.energy_norm(x, r) == pytest.approx(norm, rel=ACCURACY)
-        if load in ("force", "motion"):
-            dual = one._contact.solved.dual
-            assert dual.norm_of(expected.u) == pytest.approx(norm, rel=ACCURACY)
-
-
 def integral(form) -> float:
     """Over all ranks."""
     value = fem.assemble_scalar(fem.form(form))
@@ -108,7 +62,7 @@ def integral(form) -> float:
 @pytest.mark.parallel(poisson=[0.5])
 @pytest.mark.parametrize("poisson", [0.4999, 0.5])
 def test_the_bound_of_the_error_is_one(comm, poisson):
-    """In the norm of displacements that keep their volume, as far as the material does."""
+    """The bound holds in the norm of displacements that keep their volume."""
     scene = with_pressure(rubbing(comm, "triangle", 2, upper=(4, 1), lower=(5, 1)), YOUNG, poisson)
     with scene.problem() as problem:
         exact = problem.solve(rtol=TIGHT)
@@ -128,7 +82,7 @@ def test_the_bound_of_the_error_is_one(comm, poisson):
 @pytest.mark.parallel(dim=[2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_block_that_is_free_to_grow_sideways(comm, dim):
-    """Incompressible, pressed by a rigid motion of its top: a uniform state, which is exact."""
+    """An incompressible block that is pressed has the exact uniform state."""
     strain, side = 1e-3, 1e-3 / (dim - 1)
     shape = np.array([side] * (dim - 1) + [-strain])
 
@@ -156,7 +110,7 @@ def test_a_block_that_is_free_to_grow_sideways(comm, dim):
 @pytest.mark.parallel(poisson=[0.5])
 @pytest.mark.parametrize("poisson", [0.4, 0.5])
 def test_a_confined_block(comm, poisson):
-    """Pressed between walls, one of which it may leave: nu / (1 - nu) of the load."""
+    """The wall beside a pressed block carries nu / (1 - nu) of the load."""
     wall = RigidPlane(point=(1, 0, 0), normal=(-1, 0, 0))
     scene = block(
         comm, (3, 2), degree=2, load=(0, 0, -2.0), across=(LEFT, BELOW), friction=Frictionless(),
@@ -174,7 +128,7 @@ def test_a_confined_block(comm, poisson):
 
 @pytest.mark.parallel
 def test_a_body_that_is_closed_in(comm):
-    """What cannot change its volume, and may move into the contact only."""
+    """A body that cannot change its volume is refused if supports close it in."""
     wall = RigidPlane(point=(0.999, 0, 0), normal=(-1, 0, 0))
     scene = block(
         comm, (2, 2), degree=2, load=(0, 0, 0), across=(LEFT, BELOW, ABOVE),
@@ -191,7 +145,7 @@ def test_a_body_that_is_closed_in(comm):
 
 
 def test_an_independent_solver(comm):
-    """Incompressible displacements by a dense basis, multipliers by bounded least squares."""
+    """Multipliers of an incompressible body are those of bounded least squares."""
 
     def moved(x):
         return np.array([4e-4 + 0 * x[0], -2e-3 * (1 - 2.2 * x[0])])

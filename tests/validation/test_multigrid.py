@@ -1,4 +1,4 @@
-"""Multigrid where it is hard for it: flat cells, nearly incompressible bodies, contrasts."""
+"""Multigrid where it is hard for it: nearly incompressible bodies, contrasts, what just touches."""
 
 from __future__ import annotations
 
@@ -18,16 +18,12 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca._base.tolerances import SLACK
 from scenes.blocks import BELOW, LEFT, YOUNG, block, floor, rubbing_blocks
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import two_bricks
 
 #: Residual of a reference, and the relative error in the energy norm that it may leave.
 TIGHT, REFERENCE = 1e-10, 1e-6
-
-#: A plate of cells 3.75 times as wide as high.
-FLAT = (3.0, 3.0, 0.4)
 
 
 def plate(comm: MPI.Comm, size: tuple[float, ...] = (1.0, 1.0, 1.0), **arguments: Any) -> Scene:
@@ -41,28 +37,6 @@ def reference(model: Scene) -> ContactSolution:
         solution = problem.solve(rtol=TIGHT)
     assert solution.status is ContactStatus.CONVERGED
     return solution
-
-
-@pytest.mark.parametrize("asked", [{"accuracy": 1e-2}, {"rtol": 1e-6}])
-def test_flat_cells(comm, asked):
-    model = plate(comm, FLAT, n=(8, 8, 4))
-    products = {}
-    for stiffness in ("cholesky", "multigrid"):
-        with model.problem(stiffness=stiffness) as problem:
-            solution = problem.solve(**asked)
-        assert solution.status is ContactStatus.CONVERGED
-        products[stiffness] = solution.products
-    assert products["multigrid"] <= 2 * products["cholesky"]
-
-
-@pytest.mark.parametrize("accuracy", [1e-1, 1e-2, 1e-3])
-def test_the_bound_is_no_larger_than_the_judged_one(comm, accuracy):
-    """As that of another displacement for the same multipliers may be."""
-    judged = []
-    with plate(comm, FLAT, n=(8, 8, 4)).problem(stiffness="multigrid") as problem:
-        solution = problem.solve(accuracy=accuracy, observer=lambda one: judged.append(one.reached))
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.energy_error_bound <= SLACK * judged[-1]
 
 
 def contrast(ratio: float):
@@ -94,7 +68,7 @@ def test_poor_preconditioners(comm, size, arguments):
 
 @pytest.mark.parametrize("ratio", [1e6, 1e9, 1e12])
 def test_layers_of_any_contrast(comm, ratio):
-    """Where rounding spoils the hierarchy no answer is called right that is not."""
+    """Where rounding spoils the hierarchy no wrong answer is called CONVERGED."""
     model = plate(comm, n=(6, 6, 4), young=lambda x: np.where(x[2] % 0.5 < 0.25, 1.0, ratio))
     exact = reference(model)
     try:
@@ -164,7 +138,7 @@ def test_what_just_does_not_touch(comm, friction, gap):
 
 
 def test_rough_products_do_not_hide_a_fixed_point():
-    """Where friction depends on the pressure, and the pairs of rough products lead nowhere."""
+    """Friction that depends on the pressure converges with multigrid."""
     law = Tresca(1.0, only_in_contact=True)
     model = rubbing_blocks(
         MPI.COMM_SELF, "hexahedron", upper=(4, 2), lower=(3, 2), young=(1e4, 1.0), friction=law

@@ -9,7 +9,6 @@ import pytest
 from rigid_blocks import RigidBlocks, loads_of
 
 from dolfinx_tresca import ContactStatus, InputError
-from dolfinx_tresca._base.tolerances import PATIENCE
 from scenes.pile import CELL, SEARCH, random_pile
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="each pile is one rank's")
@@ -82,28 +81,17 @@ def outcome(programmes: list[RigidBlocks], loads: np.ndarray) -> str:
     return "falls" if left[-1] >= UNBALANCED else "near the limit"
 
 
-# Four that stand, of 1 to 11 stones; two that fall, two with motions that nothing resists.
-@pytest.mark.parametrize("seed", [18, 22, 23, 26, 5, 13, 19, 32])
+# One that stands, one that falls, one with motions that nothing resists.
+@pytest.mark.parametrize("seed", [22, 5, 19])
 def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
 # Without paths through soft layers as other initial guesses of Newton's method, piles 28 and 267
 # are missed.
-@pytest.mark.parametrize("seed", [28, 208, 267])
+@pytest.mark.parametrize("seed", [28, 267])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
-
-
-@pytest.mark.long
-def test_a_search_that_repeats_itself_ends():
-    """A pile whose fixed point is not found: iterations soon repeat the same points.
-
-    A solve that goes on until its patience ends takes `PATIENCE` iterations more.
-    """
-    with random_pile(2008).scene().problem() as problem:
-        solution = problem.solve(rtol=RTOL)
-    assert solution.iterations <= PATIENCE // 2
 
 
 @pytest.mark.long

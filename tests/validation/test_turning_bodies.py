@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactPair,
@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     RigidPlane,
     StiffnessError,
 )
+from scenes.boxes import Body, boxes, near
 from scenes.scene import Scene
 from scenes.turning import RATIO, bearing, gears, rolled, torques
 from scenes.turning import saint_venant_kirchhoff as nonlinear_problem
@@ -60,66 +61,45 @@ def turned(angle: float, axis: int = 2) -> Any:
     return displacement
 
 
-def sector() -> Any:
-    """Return a mesh of 150 degrees of a ring of radii 6 and 10, with tags of its two arcs."""
-    ring = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [[6.0, -np.radians(75.0)], [10.0, np.radians(75.0)]],
-        [5, 60],
-        cell_type=mesh.CellType.quadrilateral,
+def sector() -> tuple[Any, Any]:
+    """Return the space on 150 degrees of a ring of radii 6 and 10, and tags of its two arcs."""
+    ring = Body(
+        (5, 60),
+        [(6.0, 10.0), (-np.radians(75.0), np.radians(75.0))],
+        move=lambda x: x[:, :1] * np.column_stack([np.sin(x[:, 1]), np.cos(x[:, 1])]),
     )
-    arcs = [
-        mesh.locate_entities_boundary(ring, 1, lambda x, r=r: abs(x[0] - r) < 1e-9) for r in (10, 6)
-    ]
-    radius, angle = ring.geometry.x[:, 0].copy(), ring.geometry.x[:, 1].copy()
-    ring.geometry.x[:, 0], ring.geometry.x[:, 1] = radius * np.sin(angle), radius * np.cos(angle)
-    return ring, tagged(ring, arcs)
+    made = boxes(MPI.COMM_WORLD, "quadrilateral", [ring])
+    return made.V, made.tags((OUTSIDE, [0], near(0, 10.0)), (HELD, [0], near(0, 6.0)))
 
 
-def tagged(domain: Any, groups: Any) -> Any:
-    facets = np.concatenate(groups)
-    values = np.repeat(np.arange(1, len(groups) + 1, dtype=np.int32), [len(one) for one in groups])
-    order = np.argsort(facets)
-    return mesh.meshtags(domain, domain.topology.dim - 1, facets[order], values[order])
+def disc(length: float = 0.0) -> tuple[Any, Any]:
+    """Return the space on a disc or a cylinder, and tags of its round side and of one end."""
 
+    def rounded(x: np.ndarray) -> np.ndarray:
+        square, size = x[:, :2], np.abs(x[:, :2]).max(axis=1)
+        # equal angles along each side of the square: the mesh has the symmetry of a quarter turn
+        angle = np.where(
+            np.abs(square[:, 0]) >= np.abs(square[:, 1]),
+            np.arctan2(0.0, square[:, 0])
+            + np.pi / 4 * square[:, 1] / np.where(square[:, 0], square[:, 0], 1.0),
+            np.sign(square[:, 1]) * np.pi / 2
+            - np.pi / 4 * square[:, 0] / np.where(square[:, 1], square[:, 1], 1.0),
+        )
+        # a square at the centre, a circle at the rim
+        share = size[:, None]
+        circle = share * np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.hstack([share * circle + (1.0 - share) * 0.8 * square, x[:, 2:]])
 
-def disc(length: float = 0.0, radius: float = 1.0) -> Any:
-    """Return the mesh of a disc, or of a cylinder, and tags of its round side and one end."""
-    kinds = mesh.CellType.quadrilateral, mesh.CellType.hexahedron
-    if length:
-        corners = [[-1.0, -1.0, 0.0], [1.0, 1.0, length]]
-        domain = mesh.create_box(MPI.COMM_WORLD, corners, [8, 8, 4], cell_type=kinds[1])
-    else:
-        corners = [[-1.0, -1.0], [1.0, 1.0]]
-        domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [CELLS] * 2, cell_type=kinds[0])
-    dim = domain.topology.dim
-    side = mesh.locate_entities_boundary(
-        domain, dim - 1, lambda x: np.maximum(abs(x[0]), abs(x[1])) > 1.0 - 1e-9
-    )
-    end = mesh.locate_entities_boundary(domain, dim - 1, lambda x: x[2] > length - 1e-9)
-    x = domain.geometry.x
-    square = x[:, :2].copy()
-    size = np.abs(square).max(axis=1)
-    # equal angles along each side of the square: the mesh has the symmetry of a quarter turn
-    angle = np.where(
-        np.abs(square[:, 0]) >= np.abs(square[:, 1]),
-        np.arctan2(0.0, square[:, 0])
-        + np.pi / 4 * square[:, 1] / np.where(square[:, 0], square[:, 0], 1.0),
-        np.sign(square[:, 1]) * np.pi / 2
-        - np.pi / 4 * square[:, 0] / np.where(square[:, 1], square[:, 1], 1.0),
-    )
-    size = size * radius
-    # a square at the centre, a circle at the rim
-    circle = size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    share = (size / radius)[:, None]
-    x[:, :2] = share * circle + (1.0 - share) * 0.8 * radius * square
-    return domain, tagged(domain, [side, end] if length else [side])
+    box = [(-1.0, 1.0), (-1.0, 1.0), *([(0.0, length)] if length else [])]
+    kind, divisions = ("hexahedron", (8, 4)) if length else ("quadrilateral", (CELLS, CELLS))
+    made = boxes(MPI.COMM_WORLD, kind, [Body(divisions, box, move=rounded)])
+    marks = [(OUTSIDE, [0], lambda x: np.abs(x[:, :2]).max(axis=1) > 1.0 - 1e-9)]
+    return made.V, made.tags(*marks, *([(HELD, [0], near(2, length))] if length else []))
 
 
 def sector_problem(kind: type, law: Any = None, form: Any = linear_form, load: Any = None) -> Any:
     """Return a sector under a plane, its prescribed displacement, and the rows of its solves."""
-    ring, tags = sector()
-    V = fem.functionspace(ring, ("Lagrange", 1, (2,)))
+    V, tags = sector()
     held, u = fem.Function(V), fem.Function(V)
     bcs = [fem.dirichletbc(held, fem.locate_dofs_topological(V, 1, tags.find(HELD)))]
     plane = RigidPlane(point=(0.0, 9.995), normal=(0.0, -1.0))
@@ -165,28 +145,6 @@ def test_a_sector_that_turns_back_has_the_same_energy_and_forces() -> None:
     assert abs(exact.normal_force / np.linalg.norm(forces[3]) - 1.0) < 0.005
 
 
-@pytest.mark.parallel
-def test_a_process_goes_on_from_a_file_with_its_frames(folder: Path) -> None:
-    path = folder / "state.npz"
-    forces = []
-    (whole, held), (later, held_later) = (
-        sector_problem(ContactProblem, Coulomb(0.3)) for _ in "ab"
-    )
-    with whole, later:
-        for angle in (0.0, 0.1, 0.2):
-            turn(held, angle)
-            whole.solve(rtol=1e-9, geometry_accuracy=1e-8).raise_if_failed()
-            whole.accept()
-        whole.save_state(path)
-        later.load_state(path)
-        for problem, values in ((whole, held), (later, held_later)):
-            turn(values, 0.3)
-            solution = problem.solve(rtol=1e-9, geometry_accuracy=1e-8)
-            solution.raise_if_failed()
-            forces.append(solution.pair_resultants[0].force)
-    assert np.allclose(*forces, rtol=1e-6)
-
-
 @pytest.mark.parametrize("held_by", ["springs", "stresses"])
 def test_bodies_without_a_frame_leave_linear_theory(held_by: str) -> None:
     def with_springs(V: Any) -> Any:
@@ -222,8 +180,7 @@ def test_a_spring_that_comes_later_is_refused() -> None:
 
 @pytest.mark.parallel
 def test_a_disc_rolls_by_a_quarter_turn() -> None:
-    domain, tags = disc()
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    V, tags = disc()
     below = RigidPlane(point=(0.0, -0.999), normal=(0.0, 1.0))
     above = RigidPlane(point=(0.0, 0.999), normal=(0.0, -1.0))
     pairs = [
@@ -241,7 +198,7 @@ def test_a_disc_rolls_by_a_quarter_turn() -> None:
     owned = V.dofmap.index_map.size_local
     points = V.tabulate_dof_coordinates()[:owned, :2]
     x = points + solution.u.x.array.reshape(-1, 2)[:owned]
-    sums = domain.comm.allreduce(np.array([*x.sum(axis=0), owned]))
+    sums = V.mesh.comm.allreduce(np.array([*x.sum(axis=0), owned]))
     centre = sums[:2] / sums[2]
     assert np.allclose(centre, [np.pi / 2, 0.0], atol=2e-4)
     rotated = np.column_stack([points[:, 1], -points[:, 0]])
@@ -252,8 +209,7 @@ def test_a_disc_rolls_by_a_quarter_turn() -> None:
 
 @pytest.mark.parallel
 def test_a_shaft_carries_its_moment_at_its_deformed_place() -> None:
-    domain, tags = disc(length=4.0)
-    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+    V, tags = disc(length=4.0)
     results = {}
     for kind in (ContactProblem, NonlinearContactProblem):
         held, u = fem.Function(V), fem.Function(V)

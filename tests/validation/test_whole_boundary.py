@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from rotations import rotation
@@ -9,13 +11,14 @@ from rotations import rotation
 from dolfinx_tresca import (
     ContactPair,
     Frictionless,
+    PairingError,
     RigidCylinder,
     RigidObstacle,
     RigidPlane,
     RigidSphere,
     Tresca,
 )
-from scenes.boxes import Body, boxes, same
+from scenes.boxes import Body, boxes, near, same
 from scenes.patches import KINDS, dim_of
 from scenes.scene import EPS
 
@@ -23,10 +26,6 @@ from scenes.scene import EPS
 ROUNDING = 1e5 * EPS
 
 SECONDARY, PRIMARY = 1, 2
-
-
-def at(axis: int, value: float):
-    return lambda x: np.abs(x[:, axis] - value) < 1e-9
 
 
 def sides(dim: int, low: float, high: float):
@@ -61,11 +60,11 @@ def obstacles(dim: int, turn: np.ndarray):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_before_an_obstacle_only_the_facets_that_face_it_count(comm, kind, degree):
-    """The bottom of a block alone, with its sides, and all of its boundary."""
+    """Tags of the bottom alone, of its sides and of all facets give the same pairing."""
     dim = dim_of(kind)
     turn = rotation(4, dim)
     block = boxes(comm, kind, [Body((2, 2), box(dim, 0.0, 1.0))], degree, turn=turn)
-    bottom = at(dim - 1, 0.0)
+    bottom = near(dim - 1, 0.0)
     round_ = sides(dim, 0.0, 1.0)
     for obstacle in obstacles(dim, turn):
         results = [
@@ -83,29 +82,29 @@ def test_before_an_obstacle_only_the_facets_that_face_it_count(comm, kind, degre
                 assert comm.allreduce(other.weights.sum()) > 1.0 + ROUNDING
 
 
+#: Gap, extent of the upper block, and cells along a side of the lower and of the upper block.
 STACKS = {
-    "apart": (0.05, (0.0, 1.0)),
-    "touching": (0.0, (0.0, 1.0)),
-    "overlapping": (-0.03, (0.0, 1.0)),
-    "shifted": (0.0, (0.25, 1.25)),
-    "shifted into each other": (-0.03, (0.3, 1.3)),
-    "smaller": (0.0, (0.25, 0.75)),
+    "apart": (0.05, (0.0, 1.0), (2, 3)),
+    "touching": (0.0, (0.0, 1.0), (4, 4)),
+    "overlapping": (-0.03, (0.0, 1.0), (2, 3)),
+    "shifted": (0.0, (0.25, 1.25), (4, 4)),
+    "shifted into each other": (-0.03, (0.3, 1.3), (2, 3)),
+    "smaller": (0.0, (0.25, 0.75), (4, 4)),
 }
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", STACKS)
-@pytest.mark.parametrize("divisions", [(4, 4), (2, 3)])
-def test_stacked_blocks(comm, kind, name, divisions):
-    """Faces, faces and sides, whole boundaries; either side as the secondary one."""
+def test_stacked_blocks(comm, kind, name):
+    """Tags of faces, of faces and sides, and of whole boundaries give the same pairing."""
     dim = dim_of(kind)
+    gap, across, divisions = STACKS[name]
     if dim == 3 and divisions == (4, 4):
         divisions = (2, 2)
-    gap, across = STACKS[name]
     lower = Body((divisions[0], 1), box(dim, 0.0, 1.0))
     upper = Body((divisions[1], 1), box(dim, 1.0 + gap, 2.0 + gap, *across))
     stack = boxes(comm, kind, [lower, upper], turn=rotation(4, dim))
-    faces = (at(dim - 1, 1.0), at(dim - 1, 1.0 + gap))
+    faces = (near(dim - 1, 1.0), near(dim - 1, 1.0 + gap))
     rims = (sides(dim, 0.0, 1.0), sides(dim, *across))
     for one, other in ((0, 1), (1, 0)):
         results = []
@@ -126,37 +125,15 @@ def test_stacked_blocks(comm, kind, name, divisions):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_layers_between_layers(comm, kind):
-    """Two thin plates wholly in the secondary tag, the plate between them in the primary one."""
-    dim = dim_of(kind)
-    h = 0.04
-    plates = [Body((n, 1), box(dim, i * h, (i + 1) * h)) for i, n in enumerate((2, 3, 2))]
-    stack = boxes(comm, kind, plates, turn=rotation(4, dim))
-    low, high = at(dim - 1, h), at(dim - 1, 2 * h)
-    clean = stack.tags(
-        (SECONDARY, [0], low), (SECONDARY, [2], high),
-        (PRIMARY, [1], lambda x: low(x) | high(x)),
-    )  # fmt: skip
-    whole = stack.tags((SECONDARY, [0, 2], None), (PRIMARY, [1], None))
-    for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
-        results = [
-            stack.operators(ContactPair(tags, one, other, Frictionless()))
-            for tags in (clean, whole)
-        ]
-        same(comm, *results, ROUNDING)
-        assert comm.allreduce(results[0].weights.sum()) == pytest.approx(2.0, rel=ROUNDING)
-
-
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("divisions", [(2, 2), (2, 3)])
 def test_nothing_pairs_through_a_plate_that_touches_both(comm, kind, divisions):
-    """Two plates on each other in one tag: only the lower one touches the block below."""
+    """Of two plates in one tag only the lower one touches the block below."""
     dim = dim_of(kind)
     h = 0.05
     bodies = [Body((divisions[0], 1), box(dim, -1.0, 0.0))]
     bodies += [Body((divisions[1], 1), box(dim, i * h, (i + 1) * h)) for i in range(2)]
     stack = boxes(comm, kind, bodies, turn=rotation(4, dim))
-    touching = at(dim - 1, 0.0)
+    touching = near(dim - 1, 0.0)
     clean = stack.tags((SECONDARY, [1], touching), (PRIMARY, [0], touching))
     whole = stack.tags((SECONDARY, [1, 2], None), (PRIMARY, [0], None))
     for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
@@ -178,7 +155,7 @@ def bent_round(radius: float, dim: int):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("fit", [0.0, 0.01, -0.01])
 def test_a_ring_on_a_ring(comm, kind, fit):
-    """Whole boundaries: with clearance, without, and shrunk on, so that the surfaces cross."""
+    """Whole boundaries of rings give the pairing of clean tags, with and without clearance."""
     dim = dim_of(kind)
     n = 16 if dim == 2 else 8
     radius = 1.0
@@ -186,7 +163,7 @@ def test_a_ring_on_a_ring(comm, kind, fit):
     inner = Body((1, n), [(-0.3, 0.0), *along], move=bent_round(radius, dim))
     outer = Body((1, n + 1), [(fit, 0.3), *along], move=bent_round(radius, dim))
     rings = boxes(comm, kind, [inner, outer], turn=rotation(4, dim))
-    clean = (at(0, 0.0), at(0, fit))
+    clean = (near(0, 0.0), near(0, fit))
     for one, other in ((0, 1), (1, 0)):
         tags = [
             rings.tags(
@@ -204,7 +181,7 @@ def test_a_ring_on_a_ring(comm, kind, fit):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_legs_of_a_u(comm, kind):
-    """Self-contact: each leg with all its facets; only the inner faces see each other."""
+    """Legs of one body with all their facets meet with their inner faces only."""
     dim = dim_of(kind)
 
     def is_u(x: np.ndarray) -> np.ndarray:
@@ -216,10 +193,24 @@ def test_the_legs_of_a_u(comm, kind):
     def leg(left: bool):
         return lambda x: (x[:, dim - 1] > 1 / 3 + 1e-9) & ((x[:, 0] < 0.5) == left)
 
-    inner = [lambda x, v=v: at(0, v)(x) & (x[:, dim - 1] > 1 / 3 + 1e-9) for v in (0.2, 0.8)]
+    inner = [lambda x, v=v: near(0, v)(x) & (x[:, dim - 1] > 1 / 3 + 1e-9) for v in (0.2, 0.8)]
     clean = u.tags((SECONDARY, [0], inner[0]), (PRIMARY, [0], inner[1]))
     whole = u.tags((SECONDARY, [0], leg(True)), (PRIMARY, [0], leg(False)))
     pairs = [ContactPair(tags, SECONDARY, PRIMARY, Tresca(0.1)) for tags in (clean, whole)]
     results = [u.operators(pair) for pair in pairs]
     same(comm, *results, ROUNDING)
     assert np.abs(results[0].gap - 0.6).max(initial=0.0) <= ROUNDING
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("shift", "match"), [(1e-11, True), (1e-6, False)])
+def test_nodes_match_to_rounding_or_not_at_all(comm, kind, shift, match):
+    """Meshes that are shifted by rounding match; others are refused by the pairing of nodes."""
+    dim = dim_of(kind)
+    lower = Body((2, 1), [(0.0, 1.0)] * (dim - 1) + [(-1.0, 0.0)])
+    upper = Body((2, 1), [(shift, 1.0 + shift)] * (dim - 1) + [(0.0, 1.0)])
+    both = boxes(comm, kind, [lower, upper], turn=rotation(6, dim))
+    tags = both.tags((SECONDARY, [1], near(-1, 0.0)), (PRIMARY, [0], near(-1, 0.0)))
+    error = nullcontext() if match else pytest.raises(PairingError, match="do not match")
+    with error:
+        both.operators(ContactPair(tags, SECONDARY, PRIMARY, Tresca(1.0), "nodes"))

@@ -1,0 +1,199 @@
+"""Scenes whose forces follow from statics: a wedge, a belt round a drum, strips, an exact touch."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    ContactStatus,
+    Coulomb,
+    RigidPlane,
+    RigidSphere,
+)
+from scenes.blocks import LEFT, RIGHT, YOUNG, block
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity, fixed, no_load
+from scenes.scene import Scene
+from scenes.strips import FRICTION, LENGTH, PRESSURE, two_strips
+
+#: Half of the angle of the wedge, the force that drives it in, and the requested residual.
+SLOPE, FORCE, RTOL = np.arctan(0.1), 10.0, 1e-8
+
+
+def wedge(comm: MPI.Comm, friction: float) -> Scene:
+    """Return a square whose right side is one of the wedge's."""
+    scene = block(
+        comm,
+        (2, 2),
+        load=(0.0, 0.0, 0.0),
+        across=(LEFT,),
+        obstacles=[(RIGHT, RigidPlane((1, 0), (-np.cos(SLOPE), np.sin(SLOPE))))],
+        friction=Coulomb(friction),
+        boxes=True,
+    )
+    x = scene.mesh.geometry.x
+    x[:, 0] *= 1.0 + x[:, 1] * np.tan(SLOPE)
+    return scene
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(("friction", "asked"), [(0.3, {"rtol": RTOL}), (0.05, {})])
+def test_what_is_left_of_a_wedge_without_load(comm, friction, asked):
+    """Without a load no pressure anywhere is a solution as well, but none that a process leads to.
+
+    So is it with loads that are nearly nothing. It takes cos(a) (F - tan(a)) of the normal force, a
+    fifth, to bring the wedge out.
+    """
+    scene = wedge(comm, friction)
+    width = 1.0 + np.tan(SLOPE)
+    locks = friction > np.tan(SLOPE)
+    with scene.problem() as problem:
+        for load in (FORCE, 1e-9 * FORCE, 0.0, *([-0.25 * FORCE] if locks else [])):
+            scene.data.load.value[1] = -load / width
+            solution = problem.solve(**asked)
+            solution.raise_if_failed()
+            problem.accept()
+            normal, upwards = solution.normal_force, solution.pair_resultants[0].force[1]
+            tolerance = (RTOL if asked else 1e-2) * FORCE
+            assert upwards == pytest.approx(load, abs=tolerance)
+            if load == FORCE:
+                slips = FORCE / (np.sin(SLOPE) + friction * np.cos(SLOPE))
+                assert normal == pytest.approx(slips, rel=RTOL if asked else 1e-2)
+                driven = normal
+            elif locks:
+                assert normal > 0.5 * driven
+                assert solution.counts.contact_stick > 0
+            else:
+                assert normal < 1e-6 * driven
+
+
+#: Coefficient, angle of contact, cells along it, thickness of the belt over the drum's radius.
+BELT_FRICTION, ANGLE, CELLS, THICKNESS = 0.3, np.pi, 24, 0.05
+
+#: Force on the free end, which goes to the right at the top.
+FREE_FORCE = 0.1
+
+
+def test_slip_spreads_over_a_belt():
+    """The forces of a belt are those of Euler and Eytelwein, before and after its slip has turned.
+
+    The drum takes the moment of friction about its axis. Newton's method alone ended without a
+    fixed point when the end was first pulled.
+    """
+    scene = block(
+        MPI.COMM_SELF,
+        (CELLS, 1),
+        size=(ANGLE, THICKNESS),
+        load=(0.0, 0.0, 0.0),
+        poisson=0.0,
+        pull=FREE_FORCE / THICKNESS,
+        boxes=True,
+    )
+    x = scene.mesh.geometry.x
+    along, radius = x[:, 0].copy(), 1.0 + x[:, 1]
+    x[:, 0], x[:, 1] = -radius * np.sin(along), -radius * np.cos(along)
+    part, _ = scene.V.sub(0).collapse()
+    end = fem.Function(part)  # turns round the axis with the drum
+    held = fem.locate_dofs_topological((scene.V.sub(0), part), 1, scene.facet_tags.find(LEFT))
+    pair = dataclasses.replace(
+        scene.pair, primary=RigidSphere((0, 0), 1.0), friction=Coulomb(BELT_FRICTION)
+    )
+    middle = 1.0 + 0.5 * THICKNESS
+    spread = ANGLE / CELLS
+    # nothing rubs at the end that is held, which has half a cell
+    exponent = BELT_FRICTION * (ANGLE - 0.5 * spread) / middle
+    stretch = FREE_FORCE / (THICKNESS * YOUNG * BELT_FRICTION) * np.expm1(exponent)
+    logarithms = []
+    with scene.problem(pairs=[pair], bcs=[fem.dirichletbc(end, held, scene.V.sub(0))]) as problem:
+        for pull in (0.0, 0.2, 0.5, 1.5):
+            end.interpolate(lambda x, pull=pull: -pull * stretch * x[1])
+            solution = problem.solve(rtol=RTOL)
+            solution.raise_if_failed()
+            problem.accept()
+            (moment,) = solution.resultants((0, 0))[0].moment
+            logarithms.append(np.log1p(-moment / middle / FREE_FORCE))
+    # the trapezoidal rule
+    tolerance = exponent * spread**2
+    assert abs(logarithms[0] + exponent) < tolerance
+    assert (np.diff(logarithms) > 0.0).all()
+    assert abs(logarithms[-1] - exponent) < tolerance
+
+
+@pytest.mark.parallel(cells=[100])
+@pytest.mark.parametrize(("cells", "degree"), [(100, 2), (400, 1)])
+def test_strips_that_stick(comm, cells, degree):
+    """Strips that stick have the pressures of bonded ones, and of the load.
+
+    Slender bodies bend a million times as much as their surfaces are pressed in, so that pressures
+    have larger errors than the residual.
+    """
+    found = []
+    for law in (Coulomb(FRICTION), Bonded()):
+        with two_strips(comm, cells, degree, law).problem() as problem:
+            solution = problem.solve(rtol=1e-11)
+        solution.raise_if_failed()
+        found.append((solution.normal_force, solution.pressure.x.array.copy()))
+        far = solution.surface.points[:, 0] > 0.5 * LENGTH
+        near = solution.surface.weights > 0.0
+        assert solution.surface.pressure.x.array[far & near] == pytest.approx(PRESSURE, 1e-2)
+    assert found[0][0] == pytest.approx(found[1][0], rel=1e-4)
+    assert np.abs(found[0][1] - found[1][1]).max(initial=0.0) <= 5e-3 * PRESSURE
+
+
+def test_strips_that_are_bent_and_let_go(comm):
+    """The joint carries the load that the clamped end does not, at each of three steps."""
+    scene = two_strips(comm, 100, 2)
+    with scene.problem() as problem:
+        for value in (0.8, 0.4, 0.0):
+            scene.data.shear.value = value
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            assert solution.normal_force == pytest.approx(PRESSURE * LENGTH, rel=0.02)
+
+
+#: Distance of the blocks, and how far one is pressed in.
+GAP, DEPTH = 0.5, 1e-3
+
+
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+@pytest.mark.parametrize("number", [1, 2])
+def test_an_exact_touch_has_converged(comm, number, sliding):
+    """Forces of blocks that just touch are zero to rounding."""
+    angle = 0.35
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    bodies = [
+        Body((8, 4), [(0.0, 1.0), (0.0, 0.5)]),
+        Body((8, 4), [(0.0, 1.0), (0.5 + GAP, 1.0 + GAP)]),
+    ]
+    made = boxes(comm, "triangle", bodies, turn=turn)
+    tags = made.tags(
+        (1, [0], lambda x: np.isclose(x[:, 1], 0.5)),
+        (2, [1], lambda x: np.isclose(x[:, 1], 0.5 + GAP)),
+        (3, [0], lambda x: np.isclose(x[:, 1], 0.0)),
+        (4, [1], lambda x: np.isclose(x[:, 1], 1.0 + GAP)),
+    )
+    push = fem.Constant(made.mesh, np.zeros(2))
+    bcs = [fixed(made.V, tags.find(3)), fixed(made.V, tags.find(4), push)]
+    sides = (1, 2) if number == 2 else ([1, 2], [1, 2])
+    pair = ContactPair(tags, *sides, Coulomb(0.3), sliding=sliding)
+    forces = []
+    with ContactProblem(elasticity(made.V, 1.0, 0.3), no_load(made.V), [pair], bcs) as problem:
+        for depth in (0.0, DEPTH, 0.0):
+            push.value[:] = -(GAP + depth) * turn[:, 1]
+            solution = problem.solve()
+            assert solution.status is ContactStatus.CONVERGED
+            problem.accept()
+            forces.append(solution.normal_force)
+    assert forces[1] > 0.5 * DEPTH
+    assert max(forces[0], forces[2]) <= 1e-8 * forces[1]
