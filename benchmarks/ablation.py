@@ -328,10 +328,9 @@ PARTS: dict[str, Patches] = {
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
     "shift of A": [(whole_model, "SHIFT", 0.0)],
-    "halved steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
-    "whole steps where halved ones make no progress": [(semismooth_newton, "WATCHDOG", 10**9)],
+    "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "paths through soft layers": [(semismooth_newton, "PATHS", ())],
+    "other initial guesses": [(semismooth_newton, "OTHER_GUESSES", ())],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -358,7 +357,7 @@ PARTS: dict[str, Patches] = {
 CONSTANTS = {
     "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS WATCHDOG "
+    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS WATCHDOG "
     "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
     "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",

@@ -114,6 +114,10 @@ class FeasibleSet:
         """Return the function (s, v) -> s: slip bounds do not change with steps s."""
         return lambda step, v: step
 
+    def dilation(self, x: Array, r: Array) -> Array:
+        """Return zeros (size,): slip bounds do not grow with pressures."""
+        return np.zeros(self.size)
+
     def sums(self, v: Array) -> Array:
         """Return the sum of the tangential entries of v in each disc, (n_discs,) or (n_discs, k).
 

@@ -251,6 +251,18 @@ class FrictionCones(FeasibleSet):
             by_pressure, by_slip = coefficient + pressed * of_pressure, pressed * of_slip
         return np.where(grows, by_pressure, 0.0), np.where(grows, by_slip, 0.0)
 
+    def dilation(self, x: Array, r: Array) -> Array:
+        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) gradient at x; its tangential part is minus the slip.
+        """
+        result, has = np.zeros_like(x), self.normal_of >= 0
+        opening = self._slopes(self._pressures(x))[0] * self.norms(r)
+        result[self.normal_of[has]] = opening[has]
+        return result
+
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
         pressure = self._pressures(x)

@@ -179,8 +179,7 @@ class ModelNewton:
         self.find_constraint_multipliers()
         if self.options.rtol:
             iterate.finest = FORCING * self.history.residual_error
-        is_solved = self.first_target is not None and self.first_target.is_solved
-        if residual.norm_at(iterate.point) > residual.scale and not is_solved:
+        if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not self.has_given_bounds:
                 residual.count(iterate.r + problem.b)
             else:

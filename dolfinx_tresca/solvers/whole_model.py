@@ -105,10 +105,15 @@ class WholeModel:
         values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
         return float(self._reductions.from_first_rank(values)[0])
 
-    def softened(self, layer: Array) -> WholeModel:
-        """Return the model M + diag(layer) of contact on layers (size,) at nodes. Collective."""
+    def softened(self, softness: float) -> WholeModel:
+        """Return the model A + s diag(A) of contact on a soft layer at each node. Collective.
+
+        Args:
+            softness: s, the compliance of the layer relative to that of the node.
+        """
+        layer = diags_array(self._gathered(softness * self.diagonal), format="csr")
         model = copy(self)
-        model._shifted = self._shifted + diags_array(self._gathered(layer), format="csr")
+        model._shifted = self._matrix + layer
         return model
 
     def largest_ritz_value(self) -> float:
@@ -124,23 +129,21 @@ class WholeModel:
         equations have a solution even if the constraints have none.
         """
         unit, n, k = self.unit, len(self), len(missing)
-        T, R, G = self._whole(maps.test), self._whole(maps.added), self._reductions.stacked(G)
+        T, R = self._whole(maps.test), self._whole(maps.added)
+        matrix, G = (T @ self._shifted + R) / unit, self._reductions.stacked(G)
         right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
-        if issparse(self._shifted):
+        if issparse(matrix):
             soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-            matrix = (T @ self._shifted + R) / unit
             blocks = [[matrix, -(T @ G)], [G.T, soft]] if k else [[matrix]]
             solution = self._solve(csr_array(block_array(blocks)), right)
         else:
-            # all other steps are zero: their equations have one term, without a right-hand side
-            moving = np.flatnonzero((np.diff(T.indptr) > 0) | (np.diff(R.indptr) > 1))
-            T, R, m = T[moving], R[moving], len(moving)
-            equations = np.zeros((m + k, m + k))
-            equations[:m, :m] = ((T @ self._shifted)[:, moving] + R[:, moving].toarray()) / unit
-            equations[:m, m:], equations[m:, :m] = -dense(T @ G), dense(G)[moving].T
-            equations[m:, m:] = unit * dense(softness) + LEAST_SOFTNESS * np.eye(k)
-            solution, kept = np.zeros(n + k), np.append(moving, n + np.arange(k))
-            solution[kept] = solve_or_fit(equations, right[kept])
+            equations, G = np.zeros((n + k, n + k)), dense(G)
+            equations[:n, :n], equations[:n, n:], equations[n:, :n] = matrix, -(T @ G), G.T
+            equations[n:, n:] = unit * dense(softness) + LEAST_SOFTNESS * np.eye(k)
+            moving = np.count_nonzero(equations, axis=1) > 1
+            moving[n:] = True
+            solution = np.zeros(n + k)
+            solution[moving] = solve_or_fit(equations[np.ix_(moving, moving)], right[moving])
         solution = self._reductions.from_first_rank(solution)
         return solution[self._mine], unit * solution[n:]
 
@@ -152,7 +155,7 @@ class WholeModel:
 
     def _whole(self, nodal: Callable[[Array], Array]) -> csr_array:
         """Return the matrix (n, n) of a map that couples multipliers of one node. Collective."""
-        own = self._pattern.matrix(nodal).copy()  # other maps share its indices
-        own.eliminate_zeros()
-        entries = own.data, own.indices + self._mine.start, own.indptr
-        return self._reductions.stacked(csr_array(entries, shape=(own.shape[0], len(self))))
+        own = self._pattern.matrix(nodal)
+        columns = own.indices + self._mine.start
+        rows = csr_array((own.data, columns, own.indptr), shape=(own.shape[0], len(self)))
+        return self._reductions.stacked(rows)

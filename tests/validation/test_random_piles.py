@@ -87,9 +87,8 @@ def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
-# Without paths through soft layers as other initial guesses of Newton's method, piles 28 and 267
-# are missed.
-@pytest.mark.parametrize("seed", [28, 267])
+# Without the convex problems as other initial guesses of Newton's method, pile 28 is missed.
+@pytest.mark.parametrize("seed", [28])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
 
