@@ -21,8 +21,7 @@ from dolfinx_tresca.scene.user_fields import (
     VectorField,
     check_scalar_field,
     check_vector_field,
-    scalar_field_text,
-    vector_field_text,
+    field_text,
 )
 
 #: Step of difference quotients, relative to pressure or slip. With a tenth or ten times this step
@@ -408,16 +407,16 @@ class Coulomb(DryFriction):
         return BoundTerms(self.adhesion, fixed, limit, self.direction, curve)
 
     def __repr__(self) -> str:
-        more = "" if self.limit is None else f", limit={scalar_field_text(self.limit)}"
+        more = "" if self.limit is None else f", limit={field_text(self.limit)}"
         if real(self.adhesion) != 0.0:
-            more += f", adhesion={scalar_field_text(self.adhesion)}"
+            more += f", adhesion={field_text(self.adhesion)}"
         return f"Coulomb({_arguments_text(self.coefficient, more, self.direction)})"
 
     def __str__(self) -> str:
-        more = "" if self.limit is None else f", slip bound at most {scalar_field_text(self.limit)}"
+        more = "" if self.limit is None else f", slip bound at most {field_text(self.limit)}"
         if real(self.adhesion) != 0.0:
             more += "," if self.limit is None else " beside the"
-            more += f" adhesion {scalar_field_text(self.adhesion)}"
+            more += f" adhesion {field_text(self.adhesion)}"
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
@@ -435,7 +434,7 @@ def _check_bound(
         if direction is not None:
             raise InputError(
                 f"a direction needs two values of {name}, along it and across it, found one: "
-                f"{scalar_field_text(bound)}."
+                f"{field_text(bound)}."
             )
         return
     if len(bound) != 2:
@@ -457,8 +456,8 @@ def _arguments_text(
 ) -> str:
     """Return the text of a law's arguments: the bound, the text `between`, and the direction."""
     if isinstance(bound, tuple) and direction is not None:
-        pair = ", ".join(scalar_field_text(value) for value in bound)
-        return f"({pair}){between}, direction={vector_field_text(direction)}"
+        pair = ", ".join(field_text(value) for value in bound)
+        return f"({pair}){between}, direction={field_text(direction)}"
     return f"{_bound_text(bound, direction)}{between}"
 
 
@@ -467,9 +466,9 @@ def _bound_text(bound: Bound | FrictionCurve, direction: VectorField | None) -> 
     if curve_of(bound) is not None:
         return "a function of pressure and slip"
     if isinstance(bound, tuple) and direction is not None:
-        along, across = (scalar_field_text(value) for value in bound)
-        return f"along {vector_field_text(direction)} and across: {along} and {across}"
-    return scalar_field_text(cast(ScalarField, bound))
+        along, across = (field_text(value) for value in bound)
+        return f"along {field_text(direction)} and across: {along} and {across}"
+    return field_text(cast(ScalarField, bound))
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,12 @@ ScalarField: TypeAlias = (
     "float | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
 
+#: A vector of three components on the contact surface; the Constants and Functions in it may be
+#: changed in place.
+VectorField: TypeAlias = (
+    "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
+)
+
 _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
 
@@ -102,29 +108,29 @@ def check_expression(expression: Expr, name: str) -> None:
             )
 
 
-def scalar_field_text(value: ScalarField) -> str:
-    """Return a short description of a scalar field, for tables and messages."""
+def field_text(value: ScalarField | VectorField) -> str:
+    """Return a short description of a field, for tables and messages."""
     if isinstance(value, fem.Function):
         return f"Function '{value.name}'"
     if isinstance(value, fem.Constant):
-        return f"Constant, now {float(value.value):g}"
-    if isinstance(value, Expr):
-        return _text(value)
+        return f"Constant, now {_numbers_text(value.value)}"
     if isinstance(value, fem.Expression):
-        return _text(value.ufl_expression)
-    return "a function of points" if callable(value) else f"{float(value):g}"
+        value = value.ufl_expression
+    if isinstance(value, Expr):  # UFL's text of vectors has free indices, which nobody can read
+        return _text(value) if value.ufl_shape == () else "an expression"
+    return "a function of points" if callable(value) else _numbers_text(value)
+
+
+def _numbers_text(value: Any) -> str:
+    """Return the text of a number, or of the components of a vector."""
+    if np.ndim(value) == 0:
+        return f"{float(value):g}"
+    return f"({', '.join(f'{component:g}' for component in value)})"
 
 
 def _text(expression: Expr) -> str:
     """Return the text of an expression, cut off if it is long."""
     return textwrap.shorten(str(expression), 80, placeholder=" ...")
-
-
-#: A vector of three components on the contact surface; the Constants and Functions in it may be
-#: changed in place.
-VectorField: TypeAlias = (
-    "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
-)
 
 
 def check_vector_field(value: VectorField, name: str) -> None:
@@ -158,18 +164,3 @@ def _check_vector_shape(shape: tuple[int, ...], name: str) -> None:
     """Raise InputError unless the shape is that of a vector of three components."""
     if shape != (3,):
         raise InputError(f"{name} must be a vector of three components, found shape {shape}.")
-
-
-def vector_field_text(value: VectorField) -> str:
-    """Return a short description of a vector field, for tables and messages."""
-    if isinstance(value, fem.Function):
-        return f"Function '{value.name}'"
-    if isinstance(value, fem.Constant):
-        return f"Constant, now {_components(value.value)}"
-    if isinstance(value, fem.Expression | Expr):
-        return "an expression"  # UFL's text has free indices, which nobody can read
-    return "a function of points" if callable(value) else _components(value)
-
-
-def _components(value: Any) -> str:
-    return f"({', '.join(f'{component:g}' for component in value)})"

@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.mesh_error import total
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields, contact_states
+from dolfinx_tresca.solution.fields import Surface, SurfaceFields, contact_states
 from dolfinx_tresca.solution.forces import (
     Resultant,
     centre_of_forces,
@@ -187,15 +187,23 @@ def evaluate(
     for acts, surface in zip(B.by_pair, surfaces, strict=True):
         operators, nodes = acts.operators, acts.nodes
         since = operators.tangential_vectors(increment[acts.tangential])
-        slips_of = SlipFields(
-            total=before[nodes, :-1] + since,
-            increment=since if dual.history.begun else None,
-            path=before[nodes, -1] + step[nodes, -1],
-        )
         tractions = stress[acts.normal], stress[acts.tangential]
-        fields.append(
-            surface.fields(operators, u, *tractions, closing[nodes], slips_of, state[nodes])
-        )
+        pressure = np.zeros(len(nodes))
+        pressure[operators.normal_node] = tractions[0]
+        values = {
+            "pressure": pressure,
+            "gap": operators.gap - closing[nodes],
+            "initial_gap": operators.gap,
+            "state": state[nodes],
+            "normal": operators.normals,
+        }
+        if reduce_array(comm, len(operators.tangent_node)) > 0:
+            values["traction"] = operators.tangential_vectors(tractions[1])
+            values["slip"] = before[nodes, :-1] + since
+            values["slip_path"] = before[nodes, -1] + step[nodes, -1]
+            if dual.history.begun:
+                values["slip_increment"] = since
+        fields.append(surface.fields(operators, u, values))
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))

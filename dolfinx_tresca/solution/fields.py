@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -17,7 +17,6 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
-from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -190,22 +189,6 @@ class SurfaceFields:
 
 
 @dataclass(frozen=True)
-class SlipFields:
-    """The slip at the nodes of a pair.
-
-    Attributes:
-        total: (n, d) sums of the slip vectors of all steps [length].
-        increment: (n, d) slip vectors of this step [length]; None in the first step, where they
-            equal `total`.
-        path: (n,) lengths of the slip paths of the nodes [length].
-    """
-
-    total: Array
-    increment: Array | None
-    path: Array
-
-
-@dataclass(frozen=True)
 class Surface:
     """The mesh of a pair's secondary side, and its map to the nodes of V; built once.
 
@@ -262,21 +245,20 @@ class Surface:
         name: str,
         nodes: LocalNumbers,
         values: Array,
-        outside: float = 0.0,
-        kind: type[fem.Function] = fem.Function,
     ) -> fem.Function:
         """Return a Function on the surface, scalar or vector, of degree 1. Collective.
 
         Args:
             name: name of the Function.
             nodes: (n,) local numbers, in V, of nodes that this rank owns.
-            values: (n,) or (n, d) values at these nodes.
-            outside: value at all other nodes of the surface.
-            kind: class of the Function.
+            values: (n,) or (n, d) values at these nodes. All other nodes have the value zero, or
+                the state OUTSIDE.
         """
+        is_state = name == "state"
+        kind = IntegerFunction if is_state else fem.Function
         dim = self.mesh.geometry.dim
         whole = self.work.x.array.reshape(-1, dim)
-        whole[:] = outside
+        whole[:] = ContactState.OUTSIDE if is_state else 0.0
         whole[nodes] = values if values.ndim == 2 else values[:, None]
         self.work.x.scatter_forward()
         function = zero_like(self.vector if values.ndim == 2 else self.scalar, name, kind)
@@ -320,56 +302,33 @@ class Surface:
         return function
 
     def fields(
-        self,
-        operators: PairOperators,
-        u: fem.Function,
-        pressure: Array,
-        traction: Array,
-        closing: Array,
-        slips: SlipFields,
-        state: Array,
+        self, operators: PairOperators, u: fem.Function, values: Mapping[str, Array]
     ) -> SurfaceFields:
         """Return the fields of a solution. Collective.
 
         Args:
             operators: operators of the pair.
             u: displacement [length], with ghosts.
-            pressure: (n_normal,) pressures [stress].
-            traction: (n_tangential,) tangential multipliers [stress].
-            closing: (n,) jumps of the displacement along the normals [length].
-            slips: slip at the nodes.
-            state: (n,) values of `ContactState`.
+            values: name of each further field in `SurfaceFields` -> its values (n,) or (n, d) at
+                the nodes of the pair. Fields of friction, and the slip of a first step, may be
+                absent.
         """
-        nodes, count = operators.nodes, len(operators.nodes)
-        pressures = np.zeros(count)
-        pressures[operators.normal_node] = pressure
-        vectors, primary = operators.tangential_vectors, self.pair.primary
-        # unlike allreduce of mpi4py, this makes no communicator for the mesh
-        has_friction = reduce_array(self.mesh.comm, len(operators.tangent_node)) > 0
-        slip = slip_increment = slip_path = None
-        if has_friction:
-            slip = slip_increment = self.function("slip", nodes, slips.total)
-            if slips.increment is not None:
-                slip_increment = self.function("slip_increment", nodes, slips.increment)
-            slip_path = self.function("slip_path", nodes, slips.path)
+        functions: dict[str, Any] = dict.fromkeys(("traction", "slip", "slip_path"))
+        functions |= {
+            name: self.function(name, operators.nodes, array) for name, array in values.items()
+        }
+        functions.setdefault("slip_increment", functions["slip"])
+        primary = self.pair.primary
         return SurfaceFields(
             name=str(self.pair),
             mesh=self.mesh,
-            pressure=self.function("pressure", nodes, pressures),
-            traction=self.function("traction", nodes, vectors(traction)) if has_friction else None,
-            slip=slip,
-            slip_increment=slip_increment,
-            slip_path=slip_path,
-            gap=self.function("gap", nodes, operators.gap - closing),
-            initial_gap=self.function("initial_gap", nodes, operators.gap),
-            state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
             displacement=self.displacement(u),
-            normal=self.function("normal", nodes, operators.normals),
-            weights=self.weights(nodes, operators.weights),
+            weights=self.weights(operators.nodes, operators.weights),
             obstacle=copy(primary) if isinstance(primary, RigidObstacle) else None,
             slides_far=self.pair.sliding == "finite",
             entity_maps=self.entity_maps,
             _on_both_sides=lambda function: self.on_both_sides(operators, function),
+            **functions,
         )
 
 

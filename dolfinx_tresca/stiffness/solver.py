@@ -161,18 +161,6 @@ class StiffnessSolver(PetscOwner):
         """Relative error in the energy norm at which `solve` stops, for iterative solvers."""
         return float(self._ksp.getTolerances()[0])
 
-    def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Solve K u = f, to the accuracy in the solver's options. Collective.
-
-        Returns:
-            the remaining error, as `improve` returns it.
-
-        Raises:
-            ContactError: the solver was destroyed.
-            StiffnessError: the iteration broke down.
-        """
-        return self._solve(f, u)
-
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
         """Solve K U = F for the columns of dense matrices. Collective.
 
@@ -210,12 +198,12 @@ class StiffnessSolver(PetscOwner):
         """
         self.check_ready()
         if self.exact:
-            return self._solve(f, u)
+            return self.solve(f, u)
         tolerances = self._ksp.getTolerances()
         self._ksp.setInitialGuessNonzero(self._scale_guess(u, f))
         self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, ZERO_NORM))
         try:
-            return self._solve(f, u)
+            return self.solve(f, u)
         finally:
             self._ksp.setTolerances(*tolerances)
             self._ksp.setInitialGuessNonzero(False)
@@ -237,8 +225,11 @@ class StiffnessSolver(PetscOwner):
         u.scale(factor)
         return factor != 0.0
 
-    def _solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Solve with the present tolerances and return the remaining error. Collective.
+    def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
+        """Solve K u = f, to the accuracy in the solver's options. Collective.
+
+        Returns:
+            the remaining error, as `improve` returns it.
 
         Raises:
             ContactError: the solver was destroyed.
