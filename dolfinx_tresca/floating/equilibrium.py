@@ -143,8 +143,10 @@ class FloatingBodies:
 
     def describe(self, components: Array) -> str:
         """Return in words the tools, or else the body, that move in motions. Collective."""
+        if self.tools is None:
+            return self.modes.describe(components)
         k = len(self.modes)
-        if self.tools is None or not self.modes.comm.bcast(bool(components[k:].any())):
+        if not self.modes.comm.bcast(bool(components[k:].any())):
             return self.modes.describe(components[:k])
         return str(self.modes.comm.bcast(self.tools.names(components[k:])))
 
