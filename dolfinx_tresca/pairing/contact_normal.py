@@ -294,9 +294,8 @@ def _normals_across_edges(nodes: SurfaceNodes) -> Array:
     corners, number = nodes.facet_nodes, nodes.numbers[nodes.facet_nodes]
     ends = np.searchsorted(nodes.numbers, number, side="right")
     patches = ends - np.searchsorted(nodes.numbers, number)
-    entry = ends[:, :, None] - np.minimum(
-        1 + np.arange(patches.max(initial=1)), patches[:, :, None]
-    )
+    place = np.arange(1, 1 + patches.max(initial=1))
+    entry = ends[:, :, None] - np.minimum(place, patches[:, :, None])
     normals = nodes.normals[entry] * (entry != corners[:, :, None])[:, :, :, None]
     result = normals.reshape(len(corners), np.prod(entry.shape[1:], dtype=int), 3)
     return np.asarray(result[:, result.any(axis=(0, 2))])
