@@ -348,7 +348,7 @@ def test_values_that_are_no_slip_bounds(scene, value, text):
     def change(bound):
         constant.value = everywhere.x.array[:] = bound
         at_one_node.interpolate(
-            lambda x: np.where((abs(x[0]) < 1e-9) & (abs(x[1]) < 1e-9) & (x[2] == 1), bound, 0.1)
+            lambda x: np.where(np.isclose(x.T, (0, 0, 1)).all(axis=1), bound, 0.1)
         )
 
     for bound, number in ((constant, ""), (1.0 * everywhere, ""), (at_one_node, " *.*1 of the")):

@@ -42,7 +42,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
         steps: the solutions of earlier load steps.
         picture: `PIL.Image.Image` of the solution.
     """
-    image, script = io.BytesIO(), getattr(sys.modules["__main__"], "__file__", None)
+    image, script = io.BytesIO(), getattr(sys.modules["__main__"], "__file__", "")
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
     sections = {
@@ -55,7 +55,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     texts = {
         "Warnings": "\n\n".join(RECENT_WARNINGS),
         "Versions": environment(),
-        "Script": Path(script).read_text(encoding="utf-8") if script else "",
+        "Script": Path(script).read_text(encoding="utf-8") if Path(script).is_file() else "",
     }
     sections |= {title: f"<pre>{escape(text)}</pre>" for title, text in texts.items() if text}
     body = [f"<h2>{title}</h2>\n<div>{html}</div>" for title, html in sections.items() if html]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import sys
 from html.parser import HTMLParser
 
 import pytest
@@ -56,7 +57,10 @@ def pressed(comm, **held):
     )  # fmt: skip
 
 
-def test_a_report_of_two_steps(comm, tmp_path):
+def test_a_report_of_two_steps(comm, tmp_path, monkeypatch):
+    script = tmp_path / "script.py"
+    script.write_text("problem.solve()")
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", str(script), raising=False)
     path = comm.bcast(tmp_path) / "new folder" / "result.html"
     problem = pressed(comm, force=(0, 0, -3.0), free=("z",)).problem(units=Units("mm", "MPa", "N"))
     before = problem.solve()
@@ -74,7 +78,7 @@ def test_a_report_of_two_steps(comm, tmp_path):
     picture = base64.b64decode(tags.sources[0][22:])
     assert picture.startswith(b"\x89PNG") and len(picture) > 10_000
     assert not re.search(r"https?://|@import|url\(", text)
-    for words in ("CONVERGED", "rigid obstacles", "PETSc", "coefficient of friction 0.3"):
+    for words in ("CONVERGED", "rigid obstacles", "PETSc", "friction 0.3", "problem.solve()"):
         assert any(words in data for data in tags.texts), words
     solution.report(path)
     assert "Load steps" not in Tags(path.read_text()).headings
