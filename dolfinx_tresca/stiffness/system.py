@@ -120,9 +120,6 @@ class LinearSystem(PetscOwner):
         self._coupled = True
         self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.space, name="f")
-        # now, while all ranks have the vectors of earlier problems: after an error they may free
-        # them at different times, and PETSc would wait for ranks that keep its communicator
-        self._load: PETSc.Vec = self.f.x.petsc_vec
         dofmap = self.space.dofmap
         self.prescribed = np.zeros(
             dofmap.index_map.size_local * dofmap.index_map_bs, dtype=np.bool_
