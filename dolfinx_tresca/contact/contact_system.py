@@ -376,7 +376,6 @@ class ContactSystem(PetscOwner):
             history,
             curves,
             inputs,
-            options,
             moved,
             motions,
         )

@@ -330,7 +330,7 @@ def _laws(jump: JumpOperator) -> list[str]:
 
 
 def _contact_places(pair: PairOperators, places: Array) -> Array:
-    """Return what identifies each contact node (n, 2 d + 1): `surroundings` and a smooth patch.
+    """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch.
 
     A node on a sharp edge belongs to several smooth patches of the surface, which are entries of
     `pair.nodes` one after the other. Not collective.

@@ -17,7 +17,6 @@ from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError
-from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 from dolfinx_tresca.status import ContactStatus
@@ -63,7 +62,6 @@ class StepSolution:
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
-        options: options of the contact algorithm.
         moved: (pairs,) whether the pair's obstacle moves in this load step.
         motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
     """
@@ -75,7 +73,6 @@ class StepSolution:
     history: SlipHistory
     curves: list[CurveAtNodes]
     inputs: list[Array]
-    options: SolverOptions
     moved: Mask
     motions: Array
 

@@ -277,7 +277,8 @@ class RigidObstacle:
         Not collective. Contact forces and the given forces are in equilibrium along all free
         motions; the others stay as `move_to` prescribes them. A solve finds small motions from the
         obstacle's present place, and `accept()` leaves the obstacle where it is then, so that it
-        may go far in many load steps. `ContactSolution.motions` says where it is.
+        may go far in many load steps. Its place in a solution is the `obstacle.motion` of a surface
+        in `ContactSolution.surfaces`.
 
         Args:
             force: vector of 2 or 3 components [force]; in 2D per unit of thickness.
