@@ -340,9 +340,7 @@ class ContactSystem(PetscOwner):
             if tools is not None and options.method != "projected_newton":
                 raise InputError("forces on obstacles and bolts need method='projected_newton'.")
             try:
-                dual = DualProgram.from_bounds(
-                    surfaces.compliance, surfaces.guess, bounds, history, tools
-                )
+                dual = DualProgram(surfaces.compliance, surfaces.guess, bounds, history, tools)
             except MechanismError as error:
                 error.motion = _with_unit_maximum(error.motion, self.linear.V)
                 raise
