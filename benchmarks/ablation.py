@@ -60,10 +60,10 @@ from dolfinx_tresca.solvers import (
     semismooth_newton,
     whole_model,
 )
-from dolfinx_tresca.solvers.balance import Balance, balance
+from dolfinx_tresca.solvers.constraints import Balance, balance
+from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes import dense
 from scenes.elasticity import elasticity
 from scenes.random_blocks import RandomBlocks
@@ -373,8 +373,8 @@ CONSTANTS = {
     "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
-    "solvers.nodal_maps": "LEAST_SOFTNESS",
-    "solvers.balance": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
+    "solvers.linear_algebra": "LEAST_SOFTNESS",
+    "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
     "dual.products.compliance": "FEW",
     "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",

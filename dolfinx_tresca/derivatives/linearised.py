@@ -45,8 +45,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps, NodalPattern
-from dolfinx_tresca.solvers.reductions import norm
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern, norm
 
 #: Relative error of the multipliers of a tangent or adjoint in the energy norm, for derivatives.
 #: `ACCURACY` is for a K that is factored; `ITERATIVE_ACCURACY` is for an iterative solver for K,

@@ -16,12 +16,10 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.floating.tools import Tools
-from dolfinx_tresca.solvers.balance import balance
-from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.constraints import EqualityConstraints, balance
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.linear_algebra import Reductions, eigenpairs, is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
-from dolfinx_tresca.solvers.reductions import Reductions
-from dolfinx_tresca.solvers.sparse_factors import eigenpairs, is_positive_definite
 
 #: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
 UNBALANCED_PART = 1e-8

@@ -11,10 +11,11 @@ from dolfinx_tresca._base.tolerances import FORCING, PATIENCE, PROGRESS, ROUGH
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
-from dolfinx_tresca.solvers.balance import balance
+from dolfinx_tresca.solvers.constraints import balance
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.history import History, Observe
 from dolfinx_tresca.solvers.iterate import InexactIterate, Iterate, Step
+from dolfinx_tresca.solvers.linear_algebra import norm
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
@@ -23,8 +24,6 @@ from dolfinx_tresca.solvers.problem import (
     Point,
 )
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
-from dolfinx_tresca.solvers.reductions import norm
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.solvers.semismooth_newton import ModelSolution, solve_model
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus

@@ -13,11 +13,10 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.tolerances import PATIENCE, PROGRESS
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.history import History, Observe
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
+from dolfinx_tresca.solvers.linear_algebra import norm
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
-from dolfinx_tresca.solvers.reductions import norm
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.status import ContactStatus
 
 #: Inner residual of "exact" solves, divided by the outer residual at the start.

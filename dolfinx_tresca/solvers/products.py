@@ -10,8 +10,12 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.tolerances import MOST_STEPS
-from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, solve_or_fit
-from dolfinx_tresca.solvers.reductions import Reductions
+from dolfinx_tresca.solvers.linear_algebra import (
+    LEAST_SOFTNESS,
+    NodalMaps,
+    Reductions,
+    solve_or_fit,
+)
 
 
 class BlockBFGSModel:

@@ -8,10 +8,10 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps
+from dolfinx_tresca.solvers.convergence import NaturalResidual
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.solvers.whole_model import WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the

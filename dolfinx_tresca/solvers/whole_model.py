@@ -11,8 +11,13 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, isspars
 from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix, dense
-from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, NodalPattern, solve_or_fit
-from dolfinx_tresca.solvers.reductions import Reductions
+from dolfinx_tresca.solvers.linear_algebra import (
+    LEAST_SOFTNESS,
+    NodalMaps,
+    NodalPattern,
+    Reductions,
+    solve_or_fit,
+)
 
 #: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose
 #: neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million times

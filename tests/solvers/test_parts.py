@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from dolfinx_tresca import SolverOptions
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
-from dolfinx_tresca.solvers.history import History
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.paper import (
     adaptive_precision,
     conjugate_gradients,
@@ -20,7 +20,6 @@ from dolfinx_tresca.solvers.paper import (
 )
 from dolfinx_tresca.solvers.problem import Point
 from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 
