@@ -54,7 +54,6 @@ from dolfinx_tresca import (
 from dolfinx_tresca.dual.products import compliance
 from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.solvers import (
-    iterate,
     iteration,
     products,
     semismooth_newton,
@@ -315,7 +314,7 @@ def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> None:
     begin_at(state, np.zeros_like(start))
 
 
-def without_gradient_steps(state: iteration.ModelNewton, step: iterate.Step) -> iterate.Step:
+def without_gradient_steps(state: iteration.ModelNewton, step: iteration.Step) -> iteration.Step:
     """Return the best part of the Newton step, without a gradient projection step."""
     return state.minimiser_between(state.iterate.zero_step(), step)
 
@@ -328,7 +327,7 @@ def first_rho(residual: NaturalResidual, rho: float) -> None:
 set_rho = NaturalResidual.set_rho
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
 COMPLIANCE = compliance.ContactCompliance
-INEXACT, NEWTON, STORE = iterate.InexactIterate, iteration.ModelNewton, products.ProductStore
+INEXACT, NEWTON, STORE = iteration.InexactIterate, iteration.ModelNewton, products.ProductStore
 
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {

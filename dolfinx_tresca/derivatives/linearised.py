@@ -131,7 +131,7 @@ class LinearisedContact:
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
         lam = cones.section(x)
         face = lam.face(target)
-        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
+        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face.slip)[1].any())
         if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "

@@ -219,7 +219,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     for _ in range(most):
         product = problem.operator.apply(x)
         store.add(x, product)
-        before, value = value, store.largest_ritz_value()
+        before, value = value, store.largest_ritz_value
         if value <= (1.0 + rtol) * before:
             break
         x = np.asarray(product / norm(problem, product))

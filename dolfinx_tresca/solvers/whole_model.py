@@ -102,7 +102,8 @@ class WholeModel:
         return np.asarray(self._shifted[self._mine] @ self._gathered(x))
 
     @cached_property
-    def _largest_eigenvalue(self) -> float:
+    def largest_ritz_value(self) -> float:
+        """The largest eigenvalue of A. Collective at the first access."""
         matrix = self._matrix
         if matrix.shape[0] <= 2:
             return float(np.linalg.eigvalsh(dense(matrix))[-1])
@@ -120,10 +121,6 @@ class WholeModel:
         model = copy(self)
         model._shifted = self._matrix + layer
         return model
-
-    def largest_ritz_value(self) -> float:
-        """Return the largest eigenvalue of A. Collective."""
-        return self._largest_eigenvalue
 
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
