@@ -132,7 +132,7 @@ class LinearisedContact:
         lam = cones.section(x)
         face = lam.face(target)
         follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face.slip)[1].any())
-        if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
+        if reduce_array(dual.jump.comm, float(follows)) > 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."

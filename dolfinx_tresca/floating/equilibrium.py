@@ -183,7 +183,8 @@ class FloatingBodies:
         if tools is not None:
             owners = [self.modes.bodies.number + motion.pairs[0] for motion in tools.motions]
             bodies = np.append(bodies, owners)
-        carrying = scaled_rows(self.jumps, feasible_set.carrying.astype(np.float64))
+        carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
+        carrying = scaled_rows(self.jumps, carries.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
         length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
         # compared for each body by itself, since jumps depend on the size and the mesh of a body

@@ -65,18 +65,13 @@ class EqualityConstraints:
         """The absolute values of G."""
         return abs(self.columns)
 
-    @cached_property
-    def _rows(self) -> csr_array:
-        """G', which SciPy would otherwise transpose at every product."""
-        return csr_array(self.columns.T)
-
     def along(self, x: Array) -> Array:
         """Return G'x (k,)."""
-        return self.reductions.total(self._rows @ x) if len(self) else np.empty(0)
+        return self.reductions.total(self.columns.T @ x) if len(self) else np.empty(0)
 
     def along_absolute(self, x: Array) -> Array:
         """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
-        return self.reductions.total(abs(self._rows) @ x)
+        return self.reductions.total(self.absolute.T @ x)
 
     def hessian(self, derivative: Callable[[Array], Array]) -> csr_array:
         """Return G'D G, (k, k), the same on all ranks.

@@ -213,11 +213,6 @@ class History:
         self.q: list[float] = []
         self.errors: list[float] = []
 
-    @property
-    def error(self) -> float:
-        """The natural residual of the newest iterate, not divided by its scale."""
-        return self.errors[-1]
-
     def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
         """Record an iterate; return the status if the iteration ends here, else None. Collective.
 

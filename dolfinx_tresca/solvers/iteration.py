@@ -31,7 +31,7 @@ from dolfinx_tresca.solvers.problem import (
     Point,
 )
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
-from dolfinx_tresca.solvers.semismooth_newton import ModelSolution, solve_model
+from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus
 
@@ -45,9 +45,6 @@ SLOW = 8
 #: A is also computed if Newton's method does not solve the model in this number of consecutive
 #: iterations. (Two strips of 400 cells that stick along their joint take 12 iterations without.)
 MISSES = 2
-
-#: Factor that makes slip bounds practically infinite.
-LARGE = 1e100
 
 
 def solve(
@@ -293,11 +290,7 @@ class ModelNewton:
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
-    store: KnownProducts
-    residual: NaturalResidual
-    history: History
-    iterate: Iterate
-    first_target: ModelSolution | None = None
+    first_target: NewtonPoint | None = None
     deficit: FrictionDeficit | None = None
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
@@ -316,7 +309,7 @@ class ModelNewton:
             iterate.move(self.accepted(target))
             if iterate.learned:
                 continue
-            if not self.residual.norm_at(iterate.point) < PROGRESS * self.history.error:
+            if not self.residual.norm_at(iterate.point) < PROGRESS * self.history.errors[-1]:
                 iterate.increase_accuracy()
         solution = self.history.solution(iterate.point, status, iterate.error)
         return dataclasses.replace(solution, deficit=self.deficit)
@@ -405,11 +398,11 @@ class ModelNewton:
             iterate.refine(history.tolerable_error(iterate.point) if done else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
-        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error
+        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.errors[-1]
         stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
-        is_limited = residual.is_limited_by_rounding(history.error)
+        is_limited = residual.is_limited_by_rounding(history.errors[-1])
         is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():
@@ -435,14 +428,14 @@ class ModelNewton:
         self.iterate.learned = True
         return True
 
-    def target(self) -> ModelSolution:
+    def target(self) -> NewtonPoint:
         """Return a solution with the model in place of A."""
         tolerance = self.options.r_tol * self.residual.norm_at(self.iterate.point)
         target = solve_model(self.problem, self.iterate.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
         return target
 
-    def accepted(self, target: ModelSolution) -> Step:
+    def accepted(self, target: NewtonPoint) -> Step:
         """Return the step to take from the present point, given the solution of the model."""
         step = self.iterate.step(target.x - self.iterate.x, target.c)
         if (rho := self.proposed_rho()) < self.residual.rho:
@@ -463,7 +456,7 @@ class ModelNewton:
         size = norm(self.problem, iterate.x) * norm(self.problem, iterate.r)
         if -promised <= PRODUCT_ROUNDING * size:
             # changes of q are rounding, changes of the gradient are not: the residual decides
-            if residual.norm_at(iterate.point_after(whole)) < self.history.error:
+            if residual.norm_at(iterate.point_after(whole)) < self.history.errors[-1]:
                 return whole
             iterate.increase_accuracy()
             return iterate.zero_step()
@@ -514,7 +507,5 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
         return None
     motion = balanced.shift / np.linalg.norm(balanced.shift)
     slip = constraints.columns @ motion
-    friction = section.project(LARGE * slip)
-    friction[section.normal] = 0.0
-    available = float(problem.inner(friction, slip))
-    return FrictionDeficit(motion, float(constraints.values @ motion), available)
+    friction = float(problem.reductions.total(np.array(section.dissipation(slip))))
+    return FrictionDeficit(motion, float(constraints.values @ motion), friction)

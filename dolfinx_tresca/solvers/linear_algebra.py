@@ -37,9 +37,6 @@ class Reductions(InnerProduct, Protocol):
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; on the other ranks, x may differ by rounding."""
 
-    def minimum_over_ranks(self, value: float) -> float:
-        """Return the minimum of a value over all ranks."""
-
 
 def norm(space: InnerProduct, v: Array) -> float:
     """Return the Euclidean norm of v (size,) over all ranks. Collective."""

@@ -133,15 +133,13 @@ class WholeModel:
         unit, n, k = self.unit, len(self), len(missing)
         T, R = self._whole(maps.test), self._whole(maps.added)
         matrix, G = (T @ self._shifted + R) / unit, self._reductions.stacked(G)
+        soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
         right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         if issparse(matrix):
-            soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-            blocks = [[matrix, -(T @ G)], [G.T, soft]] if k else [[matrix]]
-            solution = self._solve(csr_array(block_array(blocks)), right)
+            equations = block_array([[matrix, -(T @ G)], [G.T, soft]]) if k else matrix
+            solution = self._solve(csr_array(equations), right)
         else:
-            equations, G = np.zeros((n + k, n + k)), dense(G)
-            equations[:n, :n], equations[:n, n:], equations[n:, :n] = matrix, -(T @ G), G.T
-            equations[n:, n:] = unit * dense(softness) + LEAST_SOFTNESS * np.eye(k)
+            equations = np.block([[matrix, -dense(T @ G)], [dense(G).T, dense(soft)]])
             moving = np.count_nonzero(equations, axis=1) > 1
             moving[n:] = True
             solution = np.zeros(n + k)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.solvers.iteration import InexactIterate
-from dolfinx_tresca.solvers.paper import error_of_product
 from dolfinx_tresca.solvers.products import LASTING_ERROR, ProductStore
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
@@ -199,16 +198,6 @@ def test_the_product_of_a_start_is_kept():
     norm = np.sqrt(missing @ np.linalg.solve(problem.A, missing))
     assert norm <= 1.1 * error
     assert error <= 1.1 * max(problem.asked)
-
-
-def test_the_error_of_a_product_is_a_part_of_its_length(monkeypatch):
-    """In the energy norm, sqrt(x'A x), and that of b comes on top."""
-    problem = random_problem(2, 6, 1.0)
-    monkeypatch.setattr(DenseProblem, "product_error", 0.01)
-    monkeypatch.setattr(DenseProblem, "b_error", 0.5)
-    x = np.random.default_rng(3).standard_normal(len(problem.b))
-    found = error_of_product(problem, x, problem.A @ x - problem.b)
-    assert found == pytest.approx(0.01 * np.sqrt(x @ problem.A @ x) + 0.5, rel=100 * EPS)
 
 
 def test_the_error_of_a_gradient_from_known_products_has_that_of_b(monkeypatch):
