@@ -10,7 +10,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, product
 from dolfinx_tresca.dual.energy_bound import EnergyBound
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.dual.mesh_error import DiscretisationError
@@ -110,7 +110,7 @@ class ContactCompliance(PetscOwner):
         if self.springs is None:
             return None
         U, stiffness = self.springs.response(self.jump.system.K, self.operator.solver)
-        jumps = self.jump.of_columns(U)
+        jumps = product(self.jump.matrix, U)
         return FloatingBodies(self.springs.modes, U, stiffness, jumps, self.jump.row_nodes)
 
     @cached_property
