@@ -248,7 +248,8 @@ class ContactSurfaces(PetscOwner):
                         "surfaces that cannot touch give no pair."
                     )
         if self.comm.allreduce(any(changed), op=MPI.LOR):
-            self.jump.add_gaps(gaps)
+            operators = zip(self.jump.pairs, gaps, strict=True)
+            self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
             self._drop_operators()
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:

@@ -47,11 +47,10 @@ from dolfinx_tresca.solution.scene_checks import (
     motions_of_pairs,
     reason_outside,
 )
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, pressed_values
-from dolfinx_tresca.solvers.history import History
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution, Point
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -340,9 +339,7 @@ class ContactSystem(PetscOwner):
             if tools is not None and options.method != "projected_newton":
                 raise InputError("forces on obstacles and bolts need method='projected_newton'.")
             try:
-                dual = DualProgram.from_bounds(
-                    surfaces.compliance, surfaces.guess, bounds, history, tools
-                )
+                dual = DualProgram(surfaces.compliance, surfaces.guess, bounds, history, tools)
             except MechanismError as error:
                 error.motion = _with_unit_maximum(error.motion, self.linear.V)
                 raise

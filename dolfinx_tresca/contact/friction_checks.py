@@ -45,7 +45,7 @@ def check_curves(
     arguments = cones.curve_arguments(x)
     for curve in arguments:
         slip_bounds.check_curve(*curve)
-    hint_at_weakening(dual.jump.comm, cones, x, dual.known_products().largest_ritz_value())
+    hint_at_weakening(dual.jump.comm, cones, x, dual.known_products().largest_ritz_value)
     return arguments
 
 

@@ -45,8 +45,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps, NodalPattern
-from dolfinx_tresca.solvers.reductions import norm
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern, norm
 
 #: Relative error of the multipliers of a tangent or adjoint in the energy norm, for derivatives.
 #: `ACCURACY` is for a K that is factored; `ITERATIVE_ACCURACY` is for an iterative solver for K,
@@ -132,8 +131,8 @@ class LinearisedContact:
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
         lam = cones.section(x)
         face = lam.face(target)
-        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
-        if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
+        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face.slip)[1].any())
+        if reduce_array(dual.jump.comm, float(follows)) > 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."

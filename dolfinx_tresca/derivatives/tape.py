@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 from weakref import ref
@@ -154,8 +155,9 @@ class ProcessTape:
         self._compliance = self._surfaces.compliance if same else None
         solution = LinearisedContact.of_last_solve(contact)
         # without the sum of slips at all nodes, which takes as much memory as u
-        history = replace(solution.dual.history, slipped=())
-        solution = replace(solution, dual=replace(solution.dual, history=history))
+        dual = copy(solution.dual)
+        dual.history = replace(dual.history, slipped=())
+        solution = replace(solution, dual=dual)
         yield
         self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)

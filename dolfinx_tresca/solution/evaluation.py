@@ -29,8 +29,8 @@ from dolfinx_tresca.solution.forces import (
     resultants_on,
     shares_of_bodies,
 )
+from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.history import energy_norm, relative_error
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 
 
