@@ -22,7 +22,7 @@ from dolfinx_tresca._base.parallel import (
     reduce_array,
     timed,
 )
-from dolfinx_tresca._base.petsc import PetscOwner, free_unused
+from dolfinx_tresca._base.petsc import PetscOwner, free_unused, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.factorisation import Factorisation
@@ -94,6 +94,8 @@ class ContactSystem(PetscOwner):
         self.comm = self.linear.comm
         self._destroyed = False
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
+        for space in (linear.space, linear.V):
+            keep_inner_communicator(space.dofmap.index_map.comm)
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
             self.surfaces = ContactSurfaces(linear, pairs, stiffness)
