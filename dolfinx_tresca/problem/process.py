@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 import ufl
@@ -138,7 +139,9 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Accepted load steps stay: the slip still counts from the last accepted step. Not collective.
         """
-        self._contact.forget()
+        surfaces = self._contact.surfaces
+        surfaces.state = surfaces.state.started_at(np.zeros_like(surfaces.state.multipliers))
+        surfaces.compliance.forget()
 
     @collective(comm_of_self)
     def accept(self, *, unconverged: bool = False) -> None:
@@ -165,14 +168,8 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             surfaces = self._contact.surfaces
-            self._advance_material(surfaces.state.acceptable(unconverged).fields.w)
+            self._contact.advance_material(surfaces.state.acceptable(unconverged).fields.w)
             surfaces.accept(unconverged)
-
-    def _advance_material(self, u: fem.Function) -> None:
-        """Advance the history of the material, if it has one, to the state at u. Collective.
-
-        If that fails, the step is not accepted.
-        """
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
@@ -391,7 +388,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
-        goal = self._checked_goal(goal)
+        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         controls = checked_controls(controls)
         data = self._data_of_solution()
         goals = [(1.0, self._goal_at(goal, data.u))]
@@ -433,16 +430,17 @@ class ContactProcess(PetscOwner, Tabulated):
             self._contact.surfaces.secondary,
             controls,
             directions,
-            lambda goal: self._goal_at(self._checked_goal(goal), data.u),
+            lambda goal: self._goal_at(goal, data.u),
         )
 
-    def _checked_goal(self, goal: Any) -> Goal | ufl.Form:
-        """Check a goal and return it; see `checked_form_or_goal`. Not collective."""
-        return checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
+    def _goal_at(self, goal: Any, u: fem.Function) -> Goal | ufl.Form:
+        """Return a checked goal in which u replaces the `u` of a nonlinear problem. Not collective.
 
-    def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
-        """Return a goal in which u replaces the `u` of a nonlinear problem. Not collective."""
+        Raises:
+            InputError: the goal is wrong.
+        """
         present = self._contact.surfaces.unknowns
+        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         if isinstance(goal, ufl.Form) and present is not None:
             return ufl.replace(goal, {present: u})
         return goal
