@@ -27,7 +27,7 @@ LEFT = 0.15  #: inches between the left end of a panel and its title
 HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
 CURVE_COLOUR = "#c8102e"  #: colour of a contact curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
-OPEN_COLOUR = "#dcdcdc"  #: colour of open surfaces, and of the background of open parts of a curve
+OPEN_COLOUR = "#e2e2e2"  #: colour of open surfaces, and of the background of open parts of a curve
 
 #: A range of colours ends below its largest value if this value is more than `PEAK` times the value
 #: at the percentile `PEAK_PERCENTILE`: otherwise most values would have one colour. With twice
