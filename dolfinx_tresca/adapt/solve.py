@@ -217,8 +217,10 @@ def solve_adaptively(
                 else:
                     tagged_mesh = distributed(tagged_mesh, cells, snap)
             if status not in (None, AdaptiveStatus.FAILED):  # now with the options of the problem
-                local = max(options.local_accuracy, min(LOCAL_PART * level.error, MOST_LOCAL))
-                solution = problem.solve(**({"local_accuracy": local} if options.balanced else {}))
+                local = options.local_accuracy
+                if options.balanced:
+                    local = max(local, min(LOCAL_PART * level.error, MOST_LOCAL))
+                solution = problem.solve(local_accuracy=local)
                 products = level.products + solution.products
                 level = replace(level, solution=solution, products=products)
         levels.append(replace(level, seconds=_seconds(comm, start)))
