@@ -20,15 +20,13 @@ from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.change_of_data import (
-    DataOfSolution,
-    checked_controls,
-    checked_directions,
-)
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
 from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
 from dolfinx_tresca.derivatives.gradient_and_tangent import (
     ContactTangent,
     as_derivatives,
+    checked_controls,
+    checked_directions,
     gradient,
     tangent_of,
 )
@@ -375,8 +373,8 @@ class ContactProcess(PetscOwner, Tabulated):
         Returns:
             for each control the derivatives with respect to its values [unit of the goal divided by
             the unit of the control]: for a Constant, an array of its shape; for a Function, a
-            Function on its space. If nothing depends on the control, the derivatives are zero, and
-            the log says so.
+            Function on its space. If all derivatives with respect to a control are zero, the log
+            says so.
 
         Raises:
             ContactError: there is no converged solution for the present inputs; or, for nonlinear
