@@ -4,16 +4,16 @@
         --picture docs/published.png
     tools/fenicsx python3 benchmarks/published.py --cases plate --sizes 64
 
-Each case is a JSON file in `benchmarks/published_cases` and its script; the second line solves a
-case on one mesh, whose size is the argument that the case names. From mesh to mesh cells are
-refined by a constant factor r, so a value changes twice. The observed order of convergence is the
-logarithm, to the base r, of the first change divided by the last change. The error of the value on
-the finest mesh is estimated as the last change divided by r^q - 1, where the order q is the
-observed order, limited to the range from 0.5 to the order of theory (W. L. Oberkampf and C. J. Roy,
-Verification and Validation in Scientific Computing, 2010, section 8.6). The last change may be
-small by chance: if the change that follows from the first change and the order of theory is larger,
-that change is used instead. If the changes have different signs, the error is the larger change.
-Changes below the residual of the solves count as zero.
+Each case is a JSON file in `yardstick/cases` and a script in `benchmarks/published_cases`; the
+second line solves a case on one mesh, whose size is the argument that the case names. From mesh to
+mesh cells are refined by a constant factor r, so a value changes twice. The observed order of
+convergence is the logarithm, to the base r, of the first change divided by the last change. The
+error of the value on the finest mesh is estimated as the last change divided by r^q - 1, where the
+order q is the observed order, limited to the range from 0.5 to the order of theory (W. L. Oberkampf
+and C. J. Roy, Verification and Validation in Scientific Computing, 2010, section 8.6). The last
+change may be small by chance: if the change that follows from the first change and the order of
+theory is larger, that change is used instead. If the changes have different signs, the error is the
+larger change. Changes below the residual of the solves count as zero.
 """
 
 from __future__ import annotations

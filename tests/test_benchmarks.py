@@ -258,6 +258,31 @@ def test_pictures_of_kept_measurements(tmp_path, monkeypatch, name):
     assert picture.stat().st_size > 10_000
 
 
+def test_yardstick(tmp_path, monkeypatch, capsys):
+    """The checker finds the distances of our own table, and refuses what no case has."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS.with_name("yardstick")))
+    check, published = importlib.import_module("check"), importlib.import_module("published")
+    files = {path.stem for path in check.CASES.glob("*.json")}
+    assert files == set(published.NAMES)
+    ours = BENCHMARKS / "data" / "published.json"
+    measured = {(row["case"], row["quantity"]): row for row in check.measured(ours)}
+    for row in published.quantities(kept(ours)):
+        assert measured[row["case"], row["quantity"]]["off"] == pytest.approx(row["off"], abs=1e-6)
+    getfem = check.CASES.with_name("answers") / "getfem.json"
+    monkeypatch.setattr(sys, "argv", ["check.py", str(getfem)])
+    check.main()
+    assert "GetFEM 5.4.2: ironing: horizontal force at t = 1.5 [N]" in capsys.readouterr().out
+    for row, message in (
+        ({"case": "iron", "quantity": "a", "value": 1.0}, "no case iron"),
+        ({"case": "punch", "quantity": "a", "value": 1.0}, "no quantity 'a', but: pressure in"),
+        ({"case": "punch", "quantity": "a", "value": float("nan")}, "punch: a: nan"),
+    ):
+        wrong = tmp_path / "wrong.json"
+        wrong.write_text(json.dumps({"rows": [row | {"size": 1.0}]}))
+        with pytest.raises(ValueError, match=message):
+            check.measured(wrong)
+
+
 def test_tradeoff(tmp_path, monkeypatch):
     """Meshes of all kinds, and parts of the mesh's error, on a few cells."""
     tradeoff = importlib.import_module("tradeoff")

@@ -69,8 +69,8 @@ class Traffic(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Count a round."""
         sent, ranks = cast(tuple[int, int], record.args)
-        self.bytes += sent
-        self.messages += ranks
+        self.bytes += int(sent)  # numpy's integers are not written to JSON
+        self.messages += int(ranks)
         self.rounds += 1
 
 

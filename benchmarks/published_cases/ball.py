@@ -1,12 +1,4 @@
-"""An elastic ball on a rigid plane, as a body of revolution: Hertz.
-
-K. L. Johnson, Contact Mechanics, section 4.2; the compliance far from the contact is an estimate of
-Tatara 1991. The ball is pressed by 0.144 mm, and by 1/256 of this distance, which makes the contact
-1/16 as wide: the theory holds for small contacts. The theory neglects tangential displacements,
-which change the gap on the inclined parts of the contact, relatively by about pressure / modulus;
-with Poisson's ratio 0.48 tangential displacements are very small. Hertz's values are values for the
-computed force.
-"""
+"""Solve the ball on a plane."""
 
 from __future__ import annotations
 

@@ -1,12 +1,4 @@
-"""Fretting fatigue: partial slip between two cylinders, one of which is under tension.
-
-D. Nowell and D. A. Hills, Mechanics of fretting fatigue tests, Int. J. Mech. Sci. 29, 1987. Two
-equal cylinders are pressed together; then a shift and a tension sigma in the lower one grow
-together. The stick zone is as wide as without the tension (Cattaneo and Mindlin), but moves by
-sigma a / (4 mu p0), as long as it stays inside the contact. The middle and the width of the stick
-zone are computed from mu p minus the traction, which in theory is half an ellipse over the stick
-zone.
-"""
+"""Solve partial slip of two cylinders, one of them under tension."""
 
 from __future__ import annotations
 

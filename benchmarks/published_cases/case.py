@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import runpy
 import sys
 import tempfile
@@ -32,8 +33,8 @@ from scenes.elasticity import by_body, elasticity, no_load
 from scenes.nodal import gathered, nodal, surface_nodes_of
 from scenes.scene import Scene
 
-FOLDER = Path(__file__).parent
-DEMOS = FOLDER.parents[1] / "demos"
+CHECKOUT = Path(__file__).parents[2]
+CASES, DEMOS = CHECKOUT / "yardstick" / "cases", CHECKOUT / "demos"
 
 #: A rigid plane below bodies that rest on the height 0, in 2D.
 GROUND = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
@@ -105,7 +106,7 @@ def bodies(
         degree: degree of the displacement.
         parameters: parameters of the file.
     """
-    read = read_gmsh(FOLDER / file, comm, **parameters)
+    read = read_gmsh(CASES / file, comm, **parameters)
     V = fem.functionspace(read.mesh, ("Lagrange", degree, (2,)))
     modulus = by_body(read, young) if isinstance(young, dict) else young
     return Scene(
@@ -230,13 +231,12 @@ class Result:
 class Case:
     """A published case: a JSON file that any program can read, and our solve.
 
-    The file of a case has these fields, but for `solve`, and often published values and `marks`.
+    `yardstick/README.md` describes the file, which has these fields, but for `solve`, and further
+    ones. Some scripts compute a curve, a `resolution` or `marks` in place of those of the file.
 
     Attributes:
         title: title in tables and pictures.
-        published: quantity -> published value; in the file a number, a range {"low", "high"}, the
-            values of several programs (the arguments of `by_group`), or null: the script computes
-            the value of a formula.
+        published: quantity -> published value.
         source: whether the values come from a formula, from other programs, or from tests of
             specimens.
         argument: meaning of the size of a mesh.
@@ -267,24 +267,29 @@ class Case:
         cls,
         script: str,
         solve: Callable[[MPI.Comm, float], Result],
-        *formulas: float | Published,
+        *formulas: float,
         **fields: Any,
     ) -> Case:
         """Return the case of a script.
 
         Args:
-            script: path of the script; the JSON file is beside it.
+            script: path of the script, whose name is that of the JSON file.
             solve: see `solve`.
-            formulas: values in place of the nulls of the file, in their order.
+            formulas: values of the first quantities by the script's formulas, which are compared
+                with those of the file.
             fields: further fields, in place of those of the file.
+
+        Raises:
+            ValueError: the file has another value than the formula.
         """
-        data = json.loads(Path(script).with_suffix(".json").read_text())
-        computed = iter(formulas)
-        published = {
-            quantity: from_json(next(computed) if value is None else value)
-            for quantity, value in data.pop("published").items()
-        }
-        return cls(solve=solve, published=published, **{**data, **fields})
+        data = json.loads((CASES / Path(script).name).with_suffix(".json").read_text())
+        published = data.pop("published")
+        for (quantity, value), computed in zip(published.items(), formulas, strict=False):
+            if not math.isclose(value, computed, rel_tol=1e-6):
+                raise ValueError(f"{data['title']}: {quantity}: {value}, by the formula {computed}")
+        published = {quantity: from_json(value) for quantity, value in published.items()}
+        used = {name: data[name] for name in data.keys() & cls.__dataclass_fields__.keys()}
+        return cls(solve=solve, published=published, **{**used, **fields})
 
     def named(self, *values: float) -> dict[str, float]:
         """Return the values of the quantities, which are given in their order."""
@@ -293,8 +298,6 @@ class Case:
 
 def from_json(value: Any) -> Published:
     """Return a published value of a JSON file."""
-    if isinstance(value, Published):
-        return value
     if not isinstance(value, dict):
         return exactly(value)
     return by_group(**value) if "values" in value else between(**value)

@@ -1,10 +1,4 @@
-"""Two cylinders of different radii that cross at a right angle: Hertz's ellipse.
-
-K. L. Johnson, Contact Mechanics, section 4.2. One is elastic, a quarter of a block with a
-cylindrical top; the other is rigid. The radii are so large that linear theory holds. The semi-axes
-are computed from the second moments of the pressure, and the peak from half an ellipsoid that is
-fitted to the inner half of the contact. Values of theory are values for the computed force.
-"""
+"""Solve the crossed cylinders: one elastic, a quarter of a block; the other rigid."""
 
 from __future__ import annotations
 

@@ -1,14 +1,4 @@
-"""A disc that lies on a rigid plane under its weight, with Coulomb's law: a test of GetFEM.
-
-The program `demo_static_contact.py` of GetFEM (folder `interface/tests/python` of its sources) with
-its meshes of a disc: radius 20, plane strain, both of Lame's constants 1, a force of 0.05 per area,
-F = 0.4, and the program's version 13 of the method. GetFEM stores no values: the values below were
-computed with its release 5.4.2, with cells of degree 2 and its mesh `disc_P2_h0_5.mesh`, whose
-cells have the size 0.5. From the next coarser mesh to this mesh the displacements of the nodes and
-the pressure at the lowest point change by at most 4e-5 of themselves. Strains are linear, although
-the disc is flattened by more than a third of its height. In the vertical direction only contact
-holds the disc.
-"""
+"""Solve the disc of GetFEM."""
 
 from __future__ import annotations
 

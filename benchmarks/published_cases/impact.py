@@ -1,11 +1,4 @@
-"""An elastic bar hits a rigid wall, and a block slides until friction has stopped it.
-
-Wave theory (K. L. Johnson, Contact Mechanics, section 11.1): the bar presses with rho c v for the
-time 2 l / c and rebounds with its initial speed. By Coulomb's law the block stops after the time v
-/ (F g) and the distance v^2 / (2 F g). The script runs `demos/demo_impact.py`, which has both
-problems. The argument is the number of cells along the bar; the numbers of cells and unknowns in
-the table are the block's.
-"""
+"""Run `demos/demo_impact.py`; cells and unknowns in the table are the block's."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""The force that pushes a block up an incline against friction: NAFEMS contact benchmark CGS-4.
-
-Q. Feng and N. K. Prinja, Benchmark tests for finite element modelling of contact, gapping and
-sliding, NAFEMS R0081, 2001. A block of weight G lies on a plane of slope 0.1 with F = 0.3; a
-horizontal force pushes it upwards. The block holds up to the force G (tan(alpha) + F) / (1 - F
-tan(alpha)), where alpha is the angle of the slope. Here this force is found by bisection between a
-load with a solution and a load without a solution.
-"""
+"""Find the force that pushes a block up an incline, by bisection."""
 
 from __future__ import annotations
 

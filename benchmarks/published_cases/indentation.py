@@ -1,12 +1,4 @@
-"""A rigid ball on steel that yields, without friction.
-
-K. L. Johnson, Contact Mechanics, sections 3.4 and 6.2: by Hertz's stresses below the surface and
-von Mises' condition, yield begins when the pressure in the middle is 1.613 Y, for Poisson's ratio
-0.3. W. C. Oliver and G. M. Pharr, J. Mater. Res. 7, 1992: when the ball begins to go up, the
-derivative of the force with respect to the depth is 2 E* a. The script runs
-`demos/demo_indentation.py`, which has both comparisons. The argument is the number of load steps
-downwards; with more steps cells are smaller and the last depth is larger.
-"""
+"""Run `demos/demo_indentation.py`."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Shallow ironing: a block with a round face, pressed on a soft foundation and pulled along it.
-
-K. A. Fischer and P. Wriggers, Comput. Methods Appl. Mech. Eng. 195, 2006. The script runs
-`demos/demo_ironing.py`, which has the data and the figures of several groups. The argument is the
-number of cells along the foundation, a multiple of 20; the number of load steps is proportional to
-it.
-"""
+"""Run `demos/demo_ironing.py`; its load steps are proportional to the cells, a multiple of 20."""
 
 from __future__ import annotations
 

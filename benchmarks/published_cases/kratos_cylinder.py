@@ -1,13 +1,4 @@
-"""An elastic half cylinder under a constant pressure, on a rigid plane: a test of Kratos.
-
-The test `hertz_simple_test` of Kratos Multiphysics (ContactStructuralMechanicsApplication, folder
-`tests/ALM_frictionless_contact_test_2D`): a half disc of radius 8 in plane strain, E = 200, whose
-flat side is loaded by a pressure of 0.2. The values are displacements of nodes of the round side,
-from `hertz_simple_test_results.json`; the coordinates of the nodes are in `hertz_simple_test.mdpa`.
-Cells are of degree 1, eleven along the half width of the contact. The flat side is held sideways:
-the parameters of the test do not say so, but with this condition the displacements downwards agree
-to 0.1 %, and without it the displacements across would be 1.5 times as large.
-"""
+"""Solve the half cylinder of Kratos."""
 
 from __future__ import annotations
 

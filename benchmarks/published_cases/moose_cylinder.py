@@ -1,14 +1,4 @@
-"""An elastic cylinder on a rigid plane, without friction and glued: tests of MOOSE.
-
-The folder `modules/contact/test/tests/verification/hertz_cyl` of MOOSE (Idaho National Laboratory)
-keeps the results of half a cylinder of radius 3, whose cut is moved by 0.002 towards the plane. The
-values are those of its files `half_symm_q8/gold/hertz_cyl_half_1deg_*.csv`, with quadrilaterals of
-degree 2, eight along the half width of the contact, and `half_symm_q4`, of degree 1:
-`frictionless_kin_check2`, `frictionless_kin_check_cont_press_0035`, and `glued_pen_check2`, where
-nodes that touch are glued to the plane in each of ten load steps. Here they stick by Coulomb's law
-with a coefficient that no traction exceeds. The pressure in the middle is the peak of half an
-ellipse that is fitted to MOOSE's values at vertices or at midpoints of cells.
-"""
+"""Solve the half cylinder of MOOSE; glued nodes stick by a friction that no traction exceeds."""
 
 from __future__ import annotations
 

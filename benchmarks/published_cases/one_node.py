@@ -1,21 +1,11 @@
-"""One node on a plane with a large coefficient of friction: one solution, three, and a jump.
-
-A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact
-problems with friction, Ing. Arch. 60, 1990; P. Hild, Non-unique slipping in the Coulomb friction
-model in two-dimensional linear elasticity, 2004. A triangle of which two nodes are held; the third
-is pressed on a plane by N and pulled along it by T. Its stiffness [K_tt, K_tn; K_tn, K_nn] couples
-both directions. F exceeds the critical coefficient K_tt / K_tn. If T / N is between the critical
-coefficient and F, the node may stick, slip, or be open. Before T is applied, a load step with N
-alone was accepted, in which the node sticks. When T grows beyond F N, the rate problem has no
-solution, and after the next load step the node is open. There is only one mesh.
-"""
+"""Solve the triangle of which one node may touch."""
 
 from __future__ import annotations
 
 from mpi4py import MPI
 
 import numpy as np
-from case import GROUND, Case, Result, by_group, next_step, tags_of_sides
+from case import GROUND, Case, Result, next_step, tags_of_sides
 
 import ufl
 from dolfinx import fem
@@ -44,12 +34,6 @@ ONE, THREE, JUMP = 1.2, 1.75, 2.2
 
 #: T/N of the load steps that the picture shows.
 PULLS = np.linspace(0.0, JUMP, 46)
-
-
-def slipping() -> float:
-    """Return (normal force) / N of the solution that slips."""
-    (tt, tn), _ = STIFFNESS
-    return float(1.0 - tn * (COEFFICIENT - THREE) / (COEFFICIENT * tn - tt))
 
 
 def solve(comm: MPI.Comm, _: float) -> Result:
@@ -84,6 +68,5 @@ def solve(comm: MPI.Comm, _: float) -> Result:
     return Result(CASE.named(one, cold, three, u @ free / (free @ free)), V, PULLS, path)
 
 
-ALL = by_group({"sticks": 1.0, "slips": slipping(), "open": 0.0})
 CURVE = (np.array([0.0, COEFFICIENT, COEFFICIENT, JUMP]), np.array([1.0, 1.0, 0.0, 0.0]))
-CASE = Case.read(__file__, solve, ALL, ALL, curve=CURVE)
+CASE = Case.read(__file__, solve, curve=CURVE)

@@ -1,8 +1,4 @@
-"""Partial slip: two equal cylinders are pressed together and drawn aside (Cattaneo, Mindlin).
-
-K. L. Johnson, Contact Mechanics, section 7.2; the scene of `tests/validation/test_cattaneo.py`,
-which has a cycle, and 3D. The values of theory are values for the computed forces.
-"""
+"""Solve partial slip of two cylinders: the scene of `tests/validation/test_cattaneo.py`."""
 
 from __future__ import annotations
 

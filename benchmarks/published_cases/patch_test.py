@@ -1,9 +1,4 @@
-"""The patch test: blocks that are pressed together have the same pressure everywhere.
-
-R. L. Taylor and P. Papadopoulos, On a patch test for contact problems in two dimensions, 1991. The
-test has all kinds of cells, degrees 1 and 2, meshes that match ("node to node"), and meshes that do
-not match ("mortar").
-"""
+"""Solve the patch test: kinds of cells, degrees 1 and 2, meshes that match or not."""
 
 from __future__ import annotations
 

@@ -1,12 +1,4 @@
-"""A plate pressed on a rigid plane from above and from the side, with friction: Code_Aster SSNV128.
-
-A benchmark of the French working group GRECO (J. Méc. Théor. Appl. 7, suppl. 1, 1988). The
-published displacements come from the Code_Aster manual V6.04.128. They are means of several
-programs, to three digits, whose uncertainty the manual calls important; and values of Code_Aster's
-test ssnv128a, with penalties in contact and friction and 32 cells along a side. The nodal force is
-Code_Aster's, too; here it is the integral of the pressure times the hat function of that node in
-Code_Aster's mesh.
-"""
+"""Solve the plate on a rigid plane."""
 
 from __future__ import annotations
 

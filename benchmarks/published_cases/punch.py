@@ -1,10 +1,4 @@
-"""A flat rigid punch that sticks to a half-plane.
-
-K. L. Johnson, Contact Mechanics, section 2.8: the stresses below the punch oscillate at its edges,
-and the pressure in the middle is 2 (1 - nu) / sqrt(3 - 4 nu) times the pressure without friction, P
-/ (pi a). Nodes are bonded, since with a coefficient of friction of 5 slip at the edges changes the
-pressure in the middle by 0.2 %.
-"""
+"""Solve the flat punch that sticks."""
 
 from __future__ import annotations
 

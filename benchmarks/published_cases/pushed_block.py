@@ -1,16 +1,4 @@
-"""A block that is pressed on a rigid plane and pushed along it: Kikuchi and Oden's example.
-
-J. T. Oden and E. B. Pires, Nonlocal and nonlinear friction laws and variational principles for
-contact problems in elasticity, J. Appl. Mech. 50, 1983; N. Kikuchi and J. T. Oden, Contact Problems
-in Elasticity, 1988: an elastic block with a pressure on its top and a pressure on one side is held
-only by a rigid plane with friction. Their dimensions, loads and figures were not at hand. The data
-here are our own, in plane strain, chosen so that a part of the contact opens, a part slips and a
-part sticks. Our values are compared with values of GetFEM 5.4.4 (its script: "Measured once" in
-`benchmarks/README.md`), with 128 cells along the block, conditions of the multipliers that are
-integrals instead of nodal, and GetFEM's own assembly and Newton method. GetFEM's values with 64
-cells differ by at most 7e-4 of themselves, the lift by 3e-3. The argument is the number of cells
-along the block; cells become smaller towards the corners on the plane.
-"""
+"""Solve the pushed block."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Receding contact: a layer is pressed on a half-plane of the same material, without friction.
-
-L. M. Keer, J. Dundurs and K. C. Tsai, Problems involving a receding contact between a layer and a
-half space, J. Appl. Mech. 39, 1972. Under any load the layer lifts off, except on a strip whose
-width does not depend on the load. The width and the pressure of theory solve the integral equation
-for a load on a narrow strip, with the Fourier transforms of both bodies (`theory`).
-"""
+"""Solve the receding contact of a layer, and the integral equation of its theory."""
 
 from __future__ import annotations
 
@@ -99,6 +93,7 @@ CASE = Case.read(
     __file__,
     solve,
     half_width(X, P),
+    1.0,
     rms(X, P * np.where(X > 0, 2.0, 1.0)),
     curve=(np.append(X, X[-1] + STEP), np.append(P, 0.0)),
 )

@@ -1,14 +1,4 @@
-"""A steel cylinder on an aluminium block, without friction: NAFEMS R0094, benchmark 1.
-
-A. Konter, Advanced finite element contact benchmarks, NAFEMS R0094, 2006. Plane strain; the
-published values are Hertz's values for half-planes. With 1/256 of the force the contact is 1/16 as
-wide, and the theory is more accurate. Hertz neglects tangential displacements. If the bodies are of
-different materials, these displacements change the gap on the inclined parts of the contact,
-relatively by about pressure / modulus. Two bodies of 105 GPa have together the same compliance as
-the steel and the aluminium body, but equal displacements along the contact. The displacement of the
-middle of the block is compared with Code_Aster's test `ssnp154a` (manual V6.03.154, with large
-strains) and with a reference value, which the manual attributes to Abaqus and Marc.
-"""
+"""Solve the roller on a block, in contacts of two sizes."""
 
 from __future__ import annotations
 

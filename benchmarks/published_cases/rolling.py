@@ -1,13 +1,4 @@
-"""Tractive rolling: a rigid cylinder rolls and creeps on an incompressible half-plane (Carter).
-
-F. W. Carter, Proc. R. Soc. Lond. A 112, 1926; K. L. Johnson, Contact Mechanics, section 8.3. The
-cylinder is pressed in by a constant depth and then rolls over several widths of the contact, in
-steps of one cell, until the tractions are steady. The surfaces stick at the leading edge; a
-creepage of xi leaves a stick zone of the half width c = a - xi R / mu, and the tangential force is
-mu P (1 - (c/a)^2). The half width a of the contact is Hertz's value for the computed force P.
-Without creepage the whole contact sticks. Without friction the force is a smooth function of the
-position: it is compared with a fitted parabola. Sliding is finite.
-"""
+"""Solve the rolling cylinder, with finite sliding."""
 
 from __future__ import annotations
 

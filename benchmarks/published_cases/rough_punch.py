@@ -1,10 +1,4 @@
-"""A flat rigid punch on a half-plane with Coulomb's law: a stick zone, and slip at the edges.
-
-D. A. Spence, An eigenvalue problem for elastic contact with finite friction, Proc. Camb. Phil. Soc.
-73, 1973: the part of the contact that sticks does not depend on the load. The values of theory are
-solutions of the integral equations of the half-plane (K. L. Johnson, Contact Mechanics, section
-2.4) with constant tractions on strips that become smaller towards the edge (`theory`).
-"""
+"""Solve the flat punch that slips at its edges, and the integral equations of its theory."""
 
 from __future__ import annotations
 

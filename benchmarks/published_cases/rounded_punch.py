@@ -1,12 +1,4 @@
-"""A steel punch with a rounded edge on an aluminium foundation: NAFEMS R0094, benchmark 2.
-
-A. Konter, Advanced finite element contact benchmarks, NAFEMS R0094, 2006; solved as bodies of
-revolution, without friction and with F = 0.1. Published values are those of Code_Aster's tests
-`ssna122a` (cells of degree 1) and `ssna122b` (degree 2), in the manual V6.01.122 (SSNA122): the
-displacement of the middle of the foundation, and the axial stress there. Our displacement is the
-value at the node where the axis meets the surface; our pressure is the value, in the middle, of an
-even function that is fitted to the inner half of the flat face.
-"""
+"""Solve the punch with a rounded edge."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""A ring shrunk on a hollow shaft, with meshes that do not match: Lamé's solution.
-
-S. Timoshenko and J. N. Goodier, Theory of Elasticity, section 28, in plane strain.
-"""
+"""Solve the shrink fit."""
 
 from __future__ import annotations
 

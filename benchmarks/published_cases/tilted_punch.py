@@ -1,15 +1,4 @@
-"""A flat rigid punch under an eccentric force on a half-plane, and partial slip below it.
-
-K. L. Johnson, Contact Mechanics, section 2.8 (M. A. Sadowsky 1928); M. Ciavarella, The generalized
-Cattaneo partial slip plane contact problem, Int. J. Solids Struct. 35, 1998; J. Jäger, A new
-principle in contact mechanics, J. Tribol. 120, 1998. A tilt beta needs the moment pi E* a^2 beta /
-4 if the whole punch, from -a to a, touches. If the force P acts at a distance of more than a/2 from
-the middle, a part of the punch lifts off. The contact then begins at a corner, and its width is l =
-4 P / (pi E* beta), four times the distance of the force from the corner. A shear force Q, applied
-after P, leaves a stick zone at the corner. Its width is the width of the contact under the force P
-- Q / F: (1 - Q / (F P)) l. The half-plane is incompressible, so shear and pressure do not depend on
-each other.
-"""
+"""Solve the punch that tilts."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""Two equal bodies with round faces are pressed together and twisted: partial slip in a ring.
-
-J. L. Lubkin, The torsion of elastic spheres in contact, J. Appl. Mech. 18, 1951; H. Deresiewicz,
-Contact of elastic spheres under an oscillating torsional couple, J. Appl. Mech. 21, 1954. Equal
-bodies do not slip while they are pressed together, and a twist does not change Hertz's pressure.
-Slip begins at the edge of the contact; within the radius c both faces turn as rigid discs. The
-theory is for half-spaces, with the computed force.
-"""
+"""Solve the twisted balls."""
 
 from __future__ import annotations
 
