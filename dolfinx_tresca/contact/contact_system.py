@@ -260,7 +260,7 @@ class ContactSystem(PetscOwner):
             solution: the solution at the end of a solve.
             linear: whether bodies are linear, so that rotations and deformations have limits.
         """
-        hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
+        hint_at_overlap(solution.u, self.pairs, self.surfaces.jump, solution.surfaces)
         status = solution.status
         if status in CHECKED and not solution.sliding:
             surfaces, u, v = self.surfaces, solution.u, solution.deformation

@@ -40,7 +40,8 @@ from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at, reaction_form
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -471,7 +472,8 @@ class ContactProcess(PetscOwner, Tabulated):
         of `pair_resultants` do.
 
         Args:
-            where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`.
+            where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`. The
+                solution's table and report show the result, by the name of the tag.
             point: (d,) reference point of the moment [length]; None: the middle of the box of all
                 points at which these forces act.
 
@@ -485,23 +487,59 @@ class ContactProcess(PetscOwner, Tabulated):
 
             >>> problem.reaction(7).force[2]  # doctest: +SKIP
         """
+        fields, supports = self._supports()
+        surfaces = self._contact.surfaces
+        result = reaction_at(
+            **supports,
+            where=where,
+            point=point,
+            moved=fields.u if surfaces.slides_far else None,
+            frames=surfaces.jump.frames,
+        )
+        tag = integer(where)
+        if tag is None:
+            name = f"bcs[{[where is bc for bc in supports['forms'].bcs].index(True)}]"
+        else:
+            name = getattr(supports["facet_tags"], "names", {}).get(tag, f"tag {tag}")
+        fields.reactions[name] = result
+        return result
+
+    @collective(comm_of_self)
+    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> ufl.Form:
+        """Return a component of a support's force, as a goal of derivatives. Collective.
+
+        The form of rank 0 depends on the last solution's `u`; `gradient` and `tangent` take it.
+
+        Args:
+            where: see `reaction`.
+            direction: (d,) vector by which the force is multiplied.
+
+        Raises:
+            ContactError: there is no solution.
+            InputError: see `reaction`; the direction is no vector; contact acts on nodes of the
+                support; or a pair has finite sliding.
+        """
+        self._check_pairing_fixed()
+        return reaction_form(**self._supports()[1], where=where, direction=direction)
+
+    def _supports(self) -> tuple[Evaluation, dict[str, Any]]:
+        """Return the last solution, and arguments of `reaction_at`. Not collective.
+
+        Raises:
+            ContactError: there is no solution.
+        """
         self._contact.check_not_destroyed()
         solved = self._contact.solved
         if solved is None:
             raise ContactError("there is no solution for reaction(): call solve() first.")
-        surfaces, fields = self._contact.surfaces, solved.fields
-        u = getattr(self, "u", fields.deformation)
-        return reaction_at(
-            self._forms_at(u),
-            u,
-            fields.contact_force,
-            self.prescribed,
-            self.pairs[0].given_tags("secondary")[0],
-            where,
-            point,
-            moved=fields.u if surfaces.slides_far else None,
-            frames=surfaces.jump.frames,
-        )
+        u = getattr(self, "u", solved.fields.deformation)
+        return solved.fields, {
+            "forms": self._forms_at(u),
+            "u": u,
+            "contact_force": solved.fields.contact_force,
+            "prescribed": self.prescribed,
+            "facet_tags": self.pairs[0].given_tags("secondary")[0],
+        }
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.
