@@ -117,3 +117,26 @@ def test_what_is_wrong_is_named():
     load.value[2] = -2.0
     with pytest.raises(ContactError, match="have changed since the solution"):
         problem.reaction(WALL)
+
+
+@pytest.mark.parallel
+def test_a_body_that_has_been_moved_away_needs_no_force(comm):
+    """All forces are zero but for rounding, which is no sign of a change of loads."""
+    mesh = dolfinx.mesh.create_unit_square(comm, 4, 4)
+    tags = [
+        dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x, y=y: abs(x[1] - y) < 1e-9)
+        for y in (0.0, 1.0)
+    ]
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    place = fem.Constant(mesh, np.zeros(2))
+    held = fem.dirichletbc(place, fem.locate_dofs_topological(V, 1, tags[1]), V)
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+    lower = dolfinx.mesh.meshtags(mesh, 1, tags[0], np.full(len(tags[0]), FLOOR, dtype=np.int32))
+    pair = ContactPair(lower, FLOOR, floor, Coulomb(0.3))
+    with ContactProblem(elasticity(V, 1e5), None, [pair], [held]) as problem:
+        for height, least in ((-0.1, 100.0), (0.5, 0.0)):
+            place.value[1] = height
+            problem.solve().raise_if_failed()
+            force = problem.reaction(held).force
+            assert -force[1] >= least
+        assert np.abs(force).max() <= 1e-8
