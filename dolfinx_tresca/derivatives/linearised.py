@@ -143,9 +143,8 @@ class LinearisedContact:
 
     def log_edge(self) -> None:
         """Log how many nodes are about to change their state, if there are any. Collective."""
-        normal, discs = at_edge(self.dual, self.multipliers, self.gradient)
         comm = self.dual.jump.comm
-        rows, stick = reduce_array(comm, np.array([normal.sum(), discs.sum()]))
+        rows, stick = reduce_array(comm, at_edge(self.dual, self.multipliers, self.gradient))
         if rows or stick:
             log(
                 comm,

@@ -28,27 +28,30 @@ class Lift:
     pattern of all rows on one rank, 1 to 2 kB a row.
     """
 
+    _solver: StiffnessSolver | None
+
     def __init__(self, jump: JumpOperator) -> None:
         """Factor B D B'. Collective.
 
         Args:
             jump: B, and the system with K.
         """
-        self._system, self._B = jump.system, jump.matrix
+        self._prepare(jump.system.K, jump.matrix)
         self._compliance = nodal_compliance(jump.system)
-        self._jump, self._force = self._B.createVecs("left"), self._B.createVecs("right")
-        self._multipliers = self._jump.duplicate()
-        self._w, self._Kw = self._force.duplicate(), self._force.duplicate()
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._compliance)
         transposed = self._B.copy().transpose()
         local = weighted.matMult(transposed)
         local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._solver: StiffnessSolver | None
         try:
             self._solver = cholesky(local, {}, None)
         except StiffnessError:  # dependent rows
             self._solver = None
+
+    def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
+        """Keep K and B, and make vectors. Collective."""
+        self._K, self._B = K, B
+        (self._w, self._jump), (self._Kw, self._multipliers) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jump: Array) -> float:
         """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
@@ -59,18 +62,23 @@ class Lift:
         if self._solver is None:
             return np.inf
         self._jump.array = jump
-        self._solver.solve(self._jump, self._multipliers)
-        self._B.multTranspose(self._multipliers, self._force)
-        self._w.pointwiseMult(self._compliance, self._force)
-        self._B.mult(self._w, self._multipliers)
+        w = self._lift(self._solver)
+        self._B.mult(w, self._multipliers)
         self._multipliers.axpy(-1.0, self._jump)
         if not self._multipliers.norm() <= DEPENDENT_ROWS * self._jump.norm():  # or NaN
             return np.inf
-        self._system.K.mult(self._w, self._Kw)
-        return float(np.sqrt(max(self._w.dot(self._Kw), 0.0)))
+        self._K.mult(w, self._Kw)
+        return float(np.sqrt(max(w.dot(self._Kw), 0.0)))
+
+    def _lift(self, solver: StiffnessSolver) -> PETSc.Vec:
+        """Return w for the jump in `_jump`. Collective."""
+        solver.solve(self._jump, self._multipliers)
+        self._B.multTranspose(self._multipliers, self._w)
+        self._w.pointwiseMult(self._compliance, self._w)
+        return self._w
 
 
-class SaddleLift:
+class SaddleLift(Lift):
     """The displacement of least energy with a given jump, and its pressure.
 
     Both are in w, which satisfies K w + B'y = 0 and B w = jump with multipliers y.
@@ -108,15 +116,12 @@ class SaddleLift:
         whole = nest.copy()
         whole.convert(PETSc.Mat.Type.AIJ)
         whole.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._prepare(K, B)
         self._right, self._solution = whole.createVecs()
-        self._product = self._right.duplicate()
-        self._w_size = K.getLocalSize()[0]
-        self._solver: StiffnessSolver | None
         try:
             self._solver = saddle_cholesky(whole, {}, None, None)
         except StiffnessError:  # dependent rows
             self._solver = None
-        self._matrix = whole
         rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
         if self._solver is None and np.isfinite(Lift(jump).energy_norm(rough)):
             raise StiffnessError(
@@ -126,25 +131,14 @@ class SaddleLift:
                 "0.4999, say), or leave a part of its boundary free."
             )
 
-    def energy_norm(self, jump: Array) -> float:
-        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
-
-        Args:
-            jump: (size,) this rank's rows of B w.
-        """
-        if self._solver is None:
-            return np.inf
-        right, solution = self._right, self._solution
-        right.set(0.0)
-        right.array[self._w_size :] = jump
-        size = right.norm()
-        self._solver.solve(right, solution)
-        energy = -float(right.dot(solution))  # w'K w = -y'B w
-        self._matrix.mult(solution, self._product)
-        self._product.axpy(-1.0, right)
-        if not self._product.norm() <= DEPENDENT_ROWS * size:  # or NaN
-            return np.inf
-        return float(np.sqrt(max(energy, 0.0)))
+    def _lift(self, solver: StiffnessSolver) -> PETSc.Vec:
+        """Return w for the jump in `_jump`. Collective."""
+        size = len(self._w.array)
+        self._right.set(0.0)
+        self._right.array[size:] = self._jump.array
+        solver.solve(self._right, self._solution)
+        self._w.array = self._solution.array[:size]
+        return self._w
 
 
 class EnergyBound:
@@ -176,7 +170,7 @@ class EnergyBound:
         self._local_stiffness = local_stiffness
         system = jump.system
         self.comm = system.comm
-        self._lift: Lift | SaddleLift | None = None
+        self._lift: Lift | None = None
         if system.component is None:
             self._lift = Lift(jump)
         elif not system.is_tangent:

@@ -255,8 +255,8 @@ class DualProgram:
         return energy + float(friction), dual
 
 
-def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
-    """Return the rows and discs that are about to change their contact state. Collective.
+def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
+    """Return how many rows and discs of this rank are about to change their state. Collective.
 
     Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
@@ -267,15 +267,14 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
         r: (size,) gradient at x.
 
     Returns:
-        normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.
+        numbers of normal rows between pressed and open, and of discs between stick and slip.
     """
     lam, scale = dual.bounds(x, r), dual.jump.stress_scale
     change, traction = dual.local_change(x, r)
     limit = max(change, EDGE * traction)
     target = dual.decoupled_minimiser(x, r)
-    rows = np.zeros(len(x), dtype=np.bool_)
-    rows[lam.normal] = np.abs(target * scale)[lam.normal] <= limit
-    return rows, discs_at_edge(lam, target, scale, limit)
+    rows = np.count_nonzero(np.abs(target * scale)[lam.normal] <= limit)
+    return rows, np.count_nonzero(discs_at_edge(lam, target, scale, limit))
 
 
 def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:

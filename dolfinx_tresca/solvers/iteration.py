@@ -43,7 +43,8 @@ MOST_REDUCTIONS = 20
 SLOW = 8
 
 #: A is also computed if Newton's method does not solve the model in this number of consecutive
-#: iterations. (Two strips of 400 cells that stick along their joint take 12 iterations without.)
+#: iterations. (If A is not computed at once, two strips of 400 cells that stick along their joint
+#: take 11 iterations without, and 7 with.)
 MISSES = 2
 
 

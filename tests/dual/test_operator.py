@@ -131,17 +131,6 @@ def test_a_solution_counts_every_product(comm, monkeypatch):
 
 
 @pytest.mark.parallel
-def test_results_of_apply_are_the_callers(comm):
-    """A later product must not change an earlier one."""
-    with dual_program(two_bricks(comm, 3)) as dual:
-        x, y = (local_random(comm, len(dual.b), seed) for seed in (1, 2))
-        first = dual.operator.apply(x)
-        kept = first.copy()
-        dual.operator.apply(y)
-        assert np.array_equal(first, kept)
-
-
-@pytest.mark.parallel
 def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
     """Product with a vector that depends on position only."""
     results = []
@@ -205,19 +194,6 @@ def test_displacement_solves_the_first_equation(comm):
         size = np.sqrt(dual.inner(expected, expected))
         difference = dual.jump.of_unknowns(u.x.petsc_vec) - expected
         assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size
-
-
-@pytest.mark.parallel
-def test_products_of_several_vectors_at_once(comm):
-    with dual_program(two_bricks(comm, 4), "cholesky") as dual:
-        X = np.column_stack([local_random(comm, len(dual.b), seed) for seed in range(3)])
-        before = dual.operator.products
-        together = dual.compliance.operator.apply_to_all(X)
-        assert dual.operator.products == before + 3
-        for x, product in zip(X.T, together.T, strict=True):
-            single = dual.operator.apply(x)
-            error = product - single
-            assert np.sqrt(dual.inner(error, error)) <= SOLVE * np.sqrt(dual.inner(single, single))
 
 
 @pytest.mark.parallel

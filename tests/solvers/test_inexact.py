@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.solvers.iteration import InexactIterate
 from dolfinx_tresca.solvers.products import LASTING_ERROR, ProductStore
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
@@ -87,19 +86,6 @@ def test_rough_pairs_are_no_more_than_there_are_unknowns():
             assert len(store) <= size
             orthogonal = np.tril(store.W.T @ store.Y, -1)
             assert np.abs(orthogonal).max(initial=0.0) <= 1e3 * EPS
-
-
-def test_errors_that_pairs_have_in_common_are_no_stiffness():
-    """Each is smaller than its product; together they would be several times sigma_max."""
-    size = 20
-    problem = random_problem(3, size, 2.0)
-    values, vectors = np.linalg.eigh(problem.A)
-    store = ProductStore(problem, problem.diagonal)
-    common = 0.5 * np.sqrt(values[-1]) * vectors[:, -1]
-    for value, x in zip(values[:-1], vectors[:, :-1].T, strict=True):
-        assert store.add(x / np.sqrt(value), np.sqrt(value) * x + common, 0.5)
-    assert len(store) > 10
-    assert store.largest_ritz_value <= values[-1]
 
 
 @dataclass
@@ -186,32 +172,3 @@ def test_vague_pairs_serve_one_solve_only():
     cold = run(problem).iterations
     problem.store = store
     assert run(problem, keep=True).iterations <= cold
-
-
-def test_the_product_of_a_start_is_kept():
-    """Where nothing else is known of A, the model is exact on it, but for its error."""
-    problem = noisy(random_problem(4, 12, 1.0), 0)
-    start = run(noisy(problem, 1)).multipliers
-    run(problem, start=start, keep=True, observe=lambda iteration: True)
-    product, error = problem.store.product(start)
-    missing = problem.A @ start - product
-    norm = np.sqrt(missing @ np.linalg.solve(problem.A, missing))
-    assert norm <= 1.1 * error
-    assert error <= 1.1 * max(problem.asked)
-
-
-def test_the_error_of_a_gradient_from_known_products_has_that_of_b(monkeypatch):
-    """They are exact, and b is not."""
-    monkeypatch.setattr(DenseProblem, "b_error", 0.5)
-    plain = random_problem(2, 6, 1.0)
-    problem = NoisyProblem(plain.A, plain.b, plain.feasible_set)
-    x = np.random.default_rng(3).standard_normal(len(problem.b))
-    store = problem.known_products()
-    store.add(x, problem.A @ x)
-    length = np.sqrt(x @ problem.A @ x)
-    iterate = InexactIterate(problem, store)
-    iterate.initial_part = 1.0 / length
-    iterate.begin_at(x)
-    r, error = iterate.r, iterate.error
-    assert np.allclose(r, problem.A @ x - problem.b, atol=100 * EPS * np.abs(problem.b).max())
-    assert 0.5 <= error <= 0.5 + 1e-6 * length

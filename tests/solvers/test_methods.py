@@ -228,18 +228,6 @@ def test_units_of_stiffness_change_nothing(method, power):
     other_units_change_nothing(method, stiffness=4.0**power, load=1.0)
 
 
-def test_gimssn_products_are_the_expected_ones():
-    """Lanczos, one per gradient projection step, and one per CG step: nothing is applied twice."""
-    problem = random_problem(9, 6, 1.0)
-    found = run(problem, "gimssn", rtol=1e-6)
-    assert found.status is ContactStatus.CONVERGED
-    arguments = [x / np.linalg.norm(x) for x in problem.arguments]
-    repeats = sum(
-        abs(abs(x @ y) - 1.0) < 10 * EPS for i, x in enumerate(arguments) for y in arguments[:i]
-    )
-    assert repeats == 0
-
-
 def test_projected_newton_keeps_every_product():
     """All that was paid for is in the store pairs, or held nothing new."""
     problem = random_problem(9, 8, 1.0)

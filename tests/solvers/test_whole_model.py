@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 
-from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.whole_model import SHIFT, WholeModel
 from scenes.dense import cones_over, random_problem, row_nodes
 from scenes.scene import EPS
@@ -50,11 +50,3 @@ def test_solutions_along_a_face(coefficient, matrix_type):
     assert np.abs(s - V @ (P @ s)).max() <= rounding
     assert np.abs(second).max() <= rounding + 1e-8 * np.abs(c).max()
     assert np.abs(first + P @ (stiffness * (s - P @ s))).max() <= rounding
-
-
-def test_maps_of_nodes_become_matrices():
-    """A map that couples three multipliers of a node, against the map itself."""
-    nodes = np.array([0, 1, 2, 0, 0, 1, 1])
-    size = len(nodes)
-    blocks = np.random.default_rng(0).standard_normal((size, size)) * (nodes[:, None] == nodes)
-    assert (NodalPattern(nodes).matrix(lambda v: blocks @ v).toarray() == blocks).all()
