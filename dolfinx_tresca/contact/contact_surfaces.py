@@ -23,8 +23,6 @@ from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError, StiffnessError
-from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
@@ -32,11 +30,9 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.scene.friction import Bonded, Preload
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.stiffness.frames import BodyFrames
-from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class ContactSurfaces(PetscOwner):
@@ -65,14 +61,10 @@ class ContactSurfaces(PetscOwner):
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 
-    def __init__(
-        self, linear: LinearSystem, pairs: list[ContactPair], stiffness: Factorisation
-    ) -> None:
+    def __init__(self, stiffness: Factorisation) -> None:
         """Pair the surfaces, and assemble and factor K. Collective.
 
         Args:
-            linear: the system K u = f.
-            pairs: the surfaces that may touch.
             stiffness: object that assembles and factors K.
 
         Raises:
@@ -80,6 +72,7 @@ class ContactSurfaces(PetscOwner):
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        linear, pairs = stiffness.linear, stiffness.pairs
         self.linear, self.pairs, self._stiffness = linear, pairs, stiffness
         self.comm = self.linear.comm
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
@@ -90,7 +83,6 @@ class ContactSurfaces(PetscOwner):
             isinstance(c, int | float) and c == 0.0 for c in coefficients
         )
         self.unknowns: fem.Function | None = None
-        self._operators: tuple[ContactOperators, ...] | None = None
         self.obstacles = Obstacles(linear.V, pairs)
         self.timings: dict[str, float] = {}
         V, prescribed = linear.V, linear.prescribed_displacements
@@ -100,8 +92,7 @@ class ContactSurfaces(PetscOwner):
                 paired = pair_group(V, prescribed, group, axisymmetric=linear.axisymmetric)
                 operators_of_number.update(zip(group.numbers, paired, strict=True))
             operators = [operators_of_number[k] for k in range(len(pairs))]
-            work = fem.Function(V)
-            self.secondary = Surface.of_pairs(work, pairs)
+            self.secondary = Surface.of_pairs(fem.Function(V), pairs)
             self.friction = SlipBounds(V)
             self.nodal_values = self.friction.values
             for pair, on_nodes in zip(pairs, operators, strict=True):
@@ -144,7 +135,6 @@ class ContactSurfaces(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._drop_operators()
         for owner in (self.nodal_values, self.compliance, self.jump):
             owner.destroy()
 
@@ -158,20 +148,12 @@ class ContactSurfaces(PetscOwner):
             InputError: a gap has values that are NaN or infinite.
         """
         self.update_gaps()
-        if self._operators is None:
-            component = self.linear.component
-            columns = () if component is None else (component.columns,)
-            self._operators = tuple(
-                ContactOperators(self.linear.V, rows.operators, pair, *columns)
-                for rows, pair in zip(self.jump.by_pair, self.pairs, strict=True)
-            )
-        return self._operators
-
-    def _drop_operators(self) -> None:
-        """Free the operators that users have received. Collective."""
-        for owner in self._operators or ():
-            owner.destroy()
-        self._operators = None
+        component = self.linear.component
+        columns = () if component is None else (component.columns,)
+        return tuple(
+            ContactOperators(self.linear.V, rows.operators, pair, *columns)
+            for rows, pair in zip(self.jump.by_pair, self.pairs, strict=True)
+        )
 
     def slip_bounds(self) -> list[NodalBounds]:
         """Return the present slip bounds at each pair's nodes. Collective.
@@ -191,15 +173,14 @@ class ContactSurfaces(PetscOwner):
         Raises:
             InputError: a gap is on another mesh.
         """
-        gaps = [
-            np.zeros(len(on.nodes))
-            if pair.gap is None
-            else self.nodal_values.scalars_at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
-            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
-        ]
-        for number, pair in enumerate(self.pairs):
+        gaps = []
+        for number, (pair, on_nodes) in enumerate(zip(self.pairs, self.jump.pairs, strict=True)):
+            gap, name = pair.gap, f"the gap of contact pair {pair}"
+            gaps.append(
+                self.nodal_values.scalars_at(0.0 if gap is None else gap, on_nodes.nodes, name)
+            )
             if isinstance(pair.friction, Preload):
-                axis = self.obstacles.axis(number, self.jump.pairs[number])
+                axis = self.obstacles.axis(number, on_nodes)
                 gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
 
@@ -217,21 +198,6 @@ class ContactSurfaces(PetscOwner):
                 result[str(pair)] = BoltForce(force, force - pair.friction.value)
         return result
 
-    def tools(self, bodies: Bodies) -> Tools | None:
-        """Return the obstacles and bolts with given forces; None if there are none. Collective.
-
-        Args:
-            bodies: the bodies of the mesh.
-
-        Raises:
-            InputError: see `Obstacles.free_motions`.
-        """
-        jump = self.jump
-        motions = self.obstacles.free_motions(jump, self._state.history.begun)
-        if not motions:
-            return None
-        return Tools.from_rows(motions, bodies, jump.by_pair, jump.stress_scale)
-
     def update_gaps(self) -> None:
         """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
 
@@ -239,10 +205,8 @@ class ContactSurfaces(PetscOwner):
             InputError: a gap is on another mesh, or is NaN or infinite.
         """
         gaps = self.added_gaps()
-        changed = [
-            not np.array_equal(gap, on.added_gap)
-            for gap, on in zip(gaps, self.jump.pairs, strict=True)
-        ]
+        former_gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
+        changed = not all(map(np.array_equal, gaps, former_gaps))
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
                 if not np.isfinite(gap).all():
@@ -250,10 +214,9 @@ class ContactSurfaces(PetscOwner):
                         f"the gap of contact pair {pair} has values that are NaN or infinite. For "
                         "surfaces that cannot touch give no pair."
                     )
-        if self.comm.allreduce(any(changed), op=MPI.LOR):
+        if self.comm.allreduce(changed, op=MPI.LOR):
             operators = zip(self.jump.pairs, gaps, strict=True)
             self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
-            self._drop_operators()
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
@@ -286,11 +249,6 @@ class ContactSurfaces(PetscOwner):
         state = self._state.paired_at(jump, u, continues=continues)
         self._replace_jump(jump)
         self._state = replace(state, configuration=u.copy(), geometry=u.copy())
-
-    def accept(self, unconverged: bool) -> None:
-        """Make the last solution a load step; see `StepState.after_solution`. Not collective."""
-        self._state = self.state.after_solution(unconverged)
-        self.obstacles.advance(self._state.accepted.motions)
 
     @property
     def state(self) -> StepState:
@@ -336,11 +294,6 @@ class ContactSurfaces(PetscOwner):
     def start(self) -> StepState:
         """The state from which the next solve begins with the present pairing. Collective."""
         return self.state.at_start(self._depends_on_start)
-
-    def end_solve(self) -> None:
-        """Note the displacement of nonlinear bodies at which a solve has ended. Not collective."""
-        state = self.state
-        self._state = replace(state, end=state.unknowns)
 
     def pair_where_changed(
         self, configuration: fem.Function | None = None, geometry: fem.Function | None = None
@@ -422,7 +375,6 @@ class ContactSurfaces(PetscOwner):
         self.linear.frames = jump.frames
         self.guess.forget()
         self.compliance = self.compliance.on(jump)
-        self._drop_operators()
         self.obstacles.note_pairing(jump)
         self.summary = ProblemSummary.from_system(self.linear, self.pairs, jump)
         before.destroy()
@@ -448,35 +400,36 @@ class ContactSurfaces(PetscOwner):
 
         They are NaN at nodes without a normal multiplier.
         """
-        jump, V = self.jump, self.linear.V
-        gaps = (jump.gap - jump.of_displacement(u)) * jump.length_scale
-        result = np.full((len(self.pairs), V.dofmap.index_map.size_local), np.nan)
-        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
-            at_nodes[pair.nodes[pair.normal_node]] = gaps[n]
-        return result
+        jump = self.jump
+        return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
     def normal_forces_at_nodes(self) -> Array:
         """Return the normal contact forces (pairs, owned nodes), 0 at open nodes. Not collective.
 
         They are in the units of the multipliers times areas, which suits comparisons.
         """
-        jump, V = self.jump, self.linear.V
-        result = np.zeros((len(self.pairs), V.dofmap.index_map.size_local))
-        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
-            forces = self._state.multipliers[n] * pair.weights[pair.normal_node]
-            at_nodes[pair.nodes[pair.normal_node]] = forces
+        return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
+
+    def _at_nodes(self, values: Array, default: float) -> Array:
+        """Return values (pairs, owned nodes) of normal rows (size,) of B. Not collective.
+
+        Args:
+            values: (size,) values, one for each row of B.
+            default: the value at nodes without a normal multiplier.
+        """
+        nodes = self.linear.V.dofmap.index_map.size_local
+        result = np.full((len(self.pairs), nodes), default)
+        for of_pair, pair, (n, _) in zip(result, self.jump.pairs, self.jump.slices, strict=True):
+            of_pair[pair.nodes[pair.normal_node]] = values[n]
         return result
 
-    def contact_forces(self) -> Array:
-        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self.jump.contact_force(self._state.multipliers).array)
+    def contact_forces(self, multipliers: Array | None = None) -> Array:
+        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective.
 
-    def rounding_forces(self) -> Array:
-        """Return B'lambda, like `contact_forces`, of pressures of the size of rounding errors.
-
-        Collective.
+        Args:
+            multipliers: (size,) lambda; None: those of the present state.
         """
-        multipliers = np.asarray(self.compliance.stress_rounding / self.jump.stress_scale)
+        multipliers = self._state.multipliers if multipliers is None else multipliers
         return np.array(self.jump.contact_force(multipliers).array)
 
     def update_stiffness(self) -> None:
@@ -487,7 +440,7 @@ class ContactSurfaces(PetscOwner):
                 body that has turned in its frame.
         """
         self.compliance.destroy()
-        self.compliance = self._stiffness.compliance(self.jump, self.timings, again=True)
+        self.compliance = self._stiffness.compliance(self.jump, self.timings)
         frames = self._frames_at_rest()
         if self.jump.frames is not None and (
             frames is None or (frames.has_frame != self.jump.frames.has_frame).any()

@@ -31,13 +31,13 @@ from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
 from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.scene_checks import (
     Limit,
@@ -48,13 +48,12 @@ from dolfinx_tresca.solution.scene_checks import (
     motions_of_pairs,
     reason_outside,
 )
-from dolfinx_tresca.solvers.convergence import History, NaturalResidual
+from dolfinx_tresca.solvers.convergence import BALANCED
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, FrictionCones, pressed_values
 from dolfinx_tresca.solvers.iteration import solve
-from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
-from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
 
 #: Statuses with which a solution may have left linear theory. Where a body slides without end,
@@ -73,25 +72,24 @@ class ContactSystem(PetscOwner):
         linear: the system K u = f with its Dirichlet conditions.
         pairs: the surfaces that may touch.
         surfaces: these surfaces as they are paired now, with B, A and the load steps.
+        stiffness: object that assembles and factors K.
         bodies: the bodies of the mesh.
     """
 
-    def __init__(
-        self, linear: LinearSystem, pairs: list[ContactPair], stiffness: Factorisation
-    ) -> None:
+    def __init__(self, stiffness: Factorisation) -> None:
         """Pair the surfaces, and assemble and factor K. Collective.
 
         Args:
-            linear: the system K u = f. The problem owns it, and destroys it if this call fails.
-            pairs: the surfaces that may touch.
-            stiffness: object that assembles and factors K.
+            stiffness: object that assembles and factors K. The problem owns its system K u = f, and
+                destroys it if this call fails.
 
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        self.linear, self.pairs, self._stiffness = linear, pairs, stiffness
+        linear, pairs = stiffness.linear, stiffness.pairs
+        self.linear, self.pairs, self.stiffness = linear, pairs, stiffness
         self.comm = self.linear.comm
         self._destroyed = False
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
@@ -99,7 +97,7 @@ class ContactSystem(PetscOwner):
             keep_inner_communicator(space.dofmap.index_map.comm)
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
-            self.surfaces = ContactSurfaces(linear, pairs, stiffness)
+            self.surfaces = ContactSurfaces(stiffness)
         except ContactError:
             linear.destroy()
             raise
@@ -117,18 +115,11 @@ class ContactSystem(PetscOwner):
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
-            ("bodies", self._stiffness.bodies_found),
+            ("bodies", self.stiffness.bodies_found),
             *self.surfaces.summary.rows(units),
             ("solver for K", str(self.surfaces.compliance.operator.solver)),
-            ("chosen", self._stiffness.reason),
+            ("chosen", self.stiffness.reason),
         ]
-
-    def __repr__(self) -> str:
-        summary = self.surfaces.summary
-        return (
-            f"{summary.dofs} displacements, {summary.contact_nodes} contact nodes in "
-            f"{len(self.pairs)} pair(s), {self._stiffness.method}"
-        )
 
     def check_not_destroyed(self) -> None:
         """Check that the PETSc objects exist. Not collective.
@@ -161,8 +152,8 @@ class ContactSystem(PetscOwner):
         with errors_on_all_ranks(self.comm):
             return result + [pressed_values(*curve) for curve in curves]
 
-    def advance_material(self, w: fem.Function) -> None:
-        """Advance the history of the material, if it has one, to the unknowns w. Collective.
+    def advance_material(self, solution: StepSolution) -> None:
+        """Advance the history of the material, if it has one, to a solution. Collective.
 
         If that fails, the step is not accepted.
         """
@@ -230,8 +221,7 @@ class ContactSystem(PetscOwner):
         self.linear.check_displacement("the displacement u of the surfaces", u)
         solved = self.solved
         same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
-        continues = self.comm.allreduce(same, op=MPI.LAND)
-        self.surfaces.update_geometry(u, continues=continues)
+        self.surfaces.update_geometry(u, continues=self.comm.allreduce(same, op=MPI.LAND))
 
     @contextmanager
     def restored(self) -> Iterator[None]:
@@ -310,10 +300,11 @@ class ContactSystem(PetscOwner):
         free_unused(self.comm)  # vectors of the solves before
         surfaces, bodies = self.surfaces, self.bodies
         requested = requested or options
-        self._stiffness.check_suits(options)
+        self.stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
         timings, surfaces.timings = surfaces.timings, {}
-        surfaces.state = surfaces.state.before_solve
+        accepted = replace(surfaces.state.accepted, solution=None)
+        surfaces.state = replace(surfaces.state, solution=None, accepted=accepted)
         with timed("load", timings):
             self.linear.assemble_load()
             bounds = surfaces.slip_bounds()
@@ -325,9 +316,15 @@ class ContactSystem(PetscOwner):
             history = surfaces.history_of_solve()
             state = surfaces.state
             moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
-            tools = surfaces.tools(bodies)
-            if tools is not None and options.method != "projected_newton":
-                raise InputError("forces on obstacles and bolts need method='projected_newton'.")
+            tools = None
+            free_motions = surfaces.obstacles.free_motions(surfaces.jump, state.history.begun)
+            if free_motions:
+                if options.method != "projected_newton":
+                    raise InputError(
+                        "forces on obstacles and bolts need method='projected_newton'."
+                    )
+                jump = surfaces.jump
+                tools = Tools.from_rows(free_motions, bodies, jump.by_pair, jump.stress_scale)
             try:
                 dual = DualProgram(surfaces.compliance, surfaces.guess, bounds, history, tools)
             except MechanismError as error:
@@ -462,14 +459,11 @@ def _status_of_fields(
         return status
     if status is ContactStatus.CONVERGED:
         status = ContactStatus.STAGNATED
-    elif is_accurate and not (options.rtol or options.balanced):
-        return ContactStatus.CONVERGED
-    if requested != options:
-        residual = NaturalResidual(dual, solution.rho)
-        point = Point(solution.multipliers, solution.c, solution.gradient)
-        history = History(dual, requested, lambda iteration: False, residual)
-        measures = history.measures(point, solution.accuracy or 0.0, residual.norm_at(point))
-        met = all(reached <= wanted for reached, wanted in measures)
-        if met and evaluation.energy_error_bound <= SLACK * history.accuracy:
-            return ContactStatus.CONVERGED
-    return status
+    if requested.rtol is None:
+        bound = evaluation.energy_error_bound
+        is_met = not requested.balanced and bound <= SLACK * float(requested.accuracy)
+    else:
+        imbalance = dual.constraints.imbalance(solution.multipliers, solution.c)
+        is_met = imbalance <= BALANCED and solution.residuals[-1] <= requested.rtol
+        is_met &= requested != options
+    return ContactStatus.CONVERGED if is_met else status

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from dolfinx_tresca._base.parallel import timed
@@ -17,7 +16,6 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.choice import (
-    ChosenMethod,
     StiffnessMethod,
     check_choice,
     choose,
@@ -27,43 +25,64 @@ from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
-@dataclass
 class Factorisation:
     """Assembles K, adds springs that fix the bodies that K holds only weakly, and factors the sum.
 
-    The first call of `compliance` finds the bodies, and chooses the solver for K that suits them.
-
     Attributes:
         linear: the system of K.
-        pairs: the contact pairs, whose tags of cells have the names of bodies.
-        stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
-        petsc_options: PETSc options of the solver for K, with precedence over the defaults.
-        petsc_options_prefix: prefix of the options that the command line gives to this solver.
-        expected_solves: number of solves with the same K, approximately.
+        pairs: the contact pairs.
         bodies: the bodies of the mesh.
         method: name of the chosen solver for K.
         reason: why this solver was chosen, as text.
     """
 
-    linear: LinearSystem
-    pairs: list[ContactPair]
-    stiffness: StiffnessMethod
-    petsc_options: Mapping[str, Any] | None
-    petsc_options_prefix: str | None
-    expected_solves: int = 1
-    bodies: Bodies = field(init=False)
-    method: ChosenMethod = field(init=False)
-    reason: str = field(init=False)
-    _modes: RigidBodyModes = field(init=False)
+    def __init__(
+        self,
+        linear: LinearSystem,
+        pairs: list[ContactPair],
+        stiffness: StiffnessMethod,
+        petsc_options: Mapping[str, Any] | None,
+        petsc_options_prefix: str | None,
+        expected_solves: int = 1,
+    ) -> None:
+        """Find the bodies, and choose the solver for K that suits them. Collective.
+
+        Args:
+            linear: the system of K.
+            pairs: the contact pairs, whose tags of cells have the names of bodies.
+            stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
+            petsc_options: PETSc options of the solver for K, with precedence over the defaults.
+            petsc_options_prefix: prefix of the options that the command line gives to this solver.
+            expected_solves: number of solves with the same K, approximately.
+
+        Raises:
+            InputError: an option of the solver is wrong.
+        """
+        self.linear, self.pairs = linear, pairs
+        self._petsc_options, self._prefix = petsc_options or {}, petsc_options_prefix
+        self._modes: RigidBodyModes | None = None
+        check_options(self._petsc_options, self._prefix)
+        is_saddle, dim = linear.component is not None, linear.V.dofmap.index_map_bs
+        check_choice(stiffness, expected_solves, saddle=is_saddle)
+        if linear.comm.rank == 0:
+            warn_of_slow_blas()
+        cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
+        self.bodies = Bodies.from_space(linear.V, cell_tags[0] if cell_tags else None)
+        self.method, self.reason = choose(
+            stiffness,
+            dim * self.bodies.mean_nodes,
+            dim,
+            int(expected_solves),
+            linear.comm,
+            saddle=is_saddle,
+        )
 
     @property
     def bodies_found(self) -> str:
         """The number of bodies and of the rigid motions that K resists weakly, as text."""
-        return f"{self.bodies.number}{self._modes.summary}"
+        return f"{self.bodies.number}{'' if self._modes is None else self._modes.summary}"
 
-    def compliance(
-        self, jump: JumpOperator, timings: dict[str, float], again: bool = False
-    ) -> ContactCompliance:
+    def compliance(self, jump: JumpOperator, timings: dict[str, float]) -> ContactCompliance:
         """Assemble K, find the rigid modes it resists weakly, and return A. Collective.
 
         With a mixed space, the modes are found in the first call only.
@@ -71,53 +90,23 @@ class Factorisation:
         Args:
             jump: the operator B of A = B K^-1 B'.
             timings: phase -> seconds, to which the phases of this call are added.
-            again: whether this is a later call, for the same bodies with another K.
 
         Raises:
-            InputError: an option of the solver is wrong.
             StiffnessError: K is not symmetric, or is indefinite.
         """
         linear = self.linear
-        petsc_options = {} if self.petsc_options is None else self.petsc_options
-        if not again:
-            check_options(petsc_options, self.petsc_options_prefix)
-            self._choose()
         with timed("stiffness", timings):
             linear.assemble_stiffness()
-            if not again or linear.component is None:
+            if self._modes is None or linear.component is None:
                 # in later steps, pressures make the block of the displacements indefinite even for
                 # a stable body; then the signs of pivots tell whether bodies are held
                 self._modes = weakly_resisted_modes(linear, self.bodies)
         springs = fixing_springs(self._modes, linear)
-        K = springs.added_to(linear.K) if springs else linear.K
-        try:
-            with timed(self.method, timings):
-                solver = solver_for(
-                    self.method, K, linear, petsc_options, self.petsc_options_prefix
-                )
-        finally:
-            if springs:
-                K.destroy()  # the solver has a reference of its own
-        with timed(self.method, timings):  # for a saddle point, this factors another matrix
+        with timed(self.method, timings):
+            K = springs.added_to(linear.K) if springs else linear.K
+            solver = solver_for(self.method, K, linear, self._petsc_options, self._prefix)
+            # for a saddle point, this factors another matrix
             return ContactCompliance(jump, solver, springs)
-
-    def _choose(self) -> None:
-        """Find the bodies, and choose the solver for K that suits them. Collective."""
-        V, is_saddle = self.linear.V, self.linear.component is not None
-        check_choice(self.stiffness, self.expected_solves, saddle=is_saddle)
-        if self.linear.comm.rank == 0:
-            warn_of_slow_blas()
-        cell_tags = [pair.cell_tags for pair in self.pairs if pair.cell_tags is not None]
-        self.bodies = Bodies.from_space(V, cell_tags[0] if cell_tags else None)
-        dim = V.dofmap.index_map_bs
-        self.method, self.reason = choose(
-            self.stiffness,
-            dim * self.bodies.mean_nodes,
-            dim,
-            int(self.expected_solves),
-            self.linear.comm,
-            saddle=is_saddle,
-        )
 
     def check_suits(self, options: SolverOptions) -> None:
         """Check that options suit the bodies and the form. Not collective.

@@ -173,7 +173,9 @@ class FiniteSliding:
             start: relative residual that this problem started with, at the previous tractions.
         """
         self._start = self._surfaces.comm.bcast(min(start, TIGHTER * self._start))
-        forces, rounding = self._surfaces.contact_forces(), self._surfaces.rounding_forces()
+        forces, jump = self._surfaces.contact_forces(), self._surfaces.jump
+        pressures = np.asarray(self._surfaces.compliance.stress_rounding / jump.stress_scale)
+        rounding = self._surfaces.contact_forces(pressures)
         former_forces, self._forces = self._forces, forces
         changed = forces if former_forces is None else forces - former_forces
         state = self._surfaces.state

@@ -245,20 +245,16 @@ class SavedState:
             float(self._dissipation),
             begun=bool(self._begun),
         )
+        names = "accepted displacement", "displacement before", "accepted configuration"
         displacement, before, configuration = (
-            None if rows is None else with_owned_values(self._system.V, rows)
-            for rows in map(
-                self._nodes.get,
-                ("accepted displacement", "displacement before", "accepted configuration"),
-            )
+            with_owned_values(self._system.V, self._nodes[name]) if name in self._nodes else None
+            for name in names
         )
         unknowns = None if present.unknowns is None else self._unknowns()
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
-        state = state.after_step(history, displacement)
-        accepted = replace(
-            state.accepted, configuration=configuration, before=before, solution=None
+        return state.after_step(
+            history, displacement, configuration=configuration, before=before, solution=None
         )
-        return replace(state, accepted=accepted)
 
     def _unknowns(self) -> Array:
         """Return the values of all unknowns of nonlinear bodies, with ghosts. Collective.
@@ -364,8 +360,6 @@ def same_nodes(saved: Array, asked: Array) -> Indices | None:
     if saved.shape != asked.shape:
         return None
     accuracy = SAME_PLACE * float(np.ptp(asked, axis=0).max() if len(asked) > 1 else 1.0)
-    rows: Indices = np.arange(len(saved))
-    if np.abs(saved - asked).max(initial=0.0) > accuracy:  # the file has another order
-        rows = KDTree(saved).query(asked, distance_upper_bound=accuracy)[1]
+    rows: Indices = KDTree(saved).query(asked, distance_upper_bound=accuracy)[1]
     matched = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(saved)
     return rows if matched else None

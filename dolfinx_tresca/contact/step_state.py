@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -141,21 +142,20 @@ class StepState:
         accepted = replace(self.accepted, multipliers=multipliers, unknowns=self.unknowns)
         return replace(self, multipliers=multipliers, accepted=accepted, end=None, continues=False)
 
-    def after_step(self, history: SlipHistory, displacement: fem.Function | None) -> StepState:
+    def after_step(
+        self, history: SlipHistory, displacement: fem.Function | None, **accepted: Any
+    ) -> StepState:
         """Return the state after a load step with the present obstacles. Not collective.
 
         Args:
             history: slip and dissipation of the steps up to this one.
             displacement: displacement of the step [length]; None: undeformed bodies.
+            accepted: further fields of `AcceptedStep` that differ from their present values.
         """
-        accepted = replace(
-            self.accepted,
-            displacement=displacement,
-            before=self.accepted.displacement,
-            motions=self.motions,
-            solution=self.solution or self.accepted.solution,
-        )
-        after = replace(self, history=history, accepted=accepted, solution=None)
+        present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
+        changes = present | {"solution": self.solution or self.accepted.solution} | accepted
+        step = replace(self.accepted, displacement=displacement, **changes)
+        after = replace(self, history=history, accepted=step, solution=None)
         return after.started_at(self.multipliers)
 
     def after_solution(self, unconverged: bool) -> StepState:
@@ -169,12 +169,9 @@ class StepState:
             ConvergenceError: the last solve failed.
         """
         solution = self.acceptable(unconverged)
-        w = solution.fields.w
-        after = self.after_step(solution.history, self.jump.system.displacement(w.copy(), w.name))
-        accepted = replace(
-            after.accepted, configuration=self.configuration, motions=solution.motions
-        )
-        return replace(after, accepted=accepted)
+        u = self.jump.system.displacement(solution.fields.w.copy(), solution.fields.w.name)
+        places: dict[str, Any] = {"configuration": self.configuration, "motions": solution.motions}
+        return self.after_step(solution.history, u, **places)
 
     def acceptable(self, unconverged: bool) -> StepSolution:
         """Return the last solution if it can be accepted. Not collective.
@@ -194,11 +191,6 @@ class StepState:
                 "unconverged=True) accepts the solution as it is."
             )
         return self.solution
-
-    @property
-    def before_solve(self) -> StepState:
-        """The state without the former solution. Not collective."""
-        return replace(self, solution=None, accepted=replace(self.accepted, solution=None))
 
     def with_status(self, status: ContactStatus) -> StepState:
         """Return the state in which the last solve, if any, ended with a status. Not collective."""

@@ -273,8 +273,8 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
     change, traction = dual.local_change(x, r)
     limit = max(change, EDGE * traction)
     target = dual.decoupled_minimiser(x, r)
-    rows = np.count_nonzero(np.abs(target * scale)[lam.normal] <= limit)
-    return rows, np.count_nonzero(discs_at_edge(lam, target, scale, limit))
+    rows = int((np.abs(target * scale)[lam.normal] <= limit).sum())
+    return rows, int(discs_at_edge(lam, target, scale, limit).sum())
 
 
 def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:

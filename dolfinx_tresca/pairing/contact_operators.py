@@ -61,7 +61,7 @@ class ContactOperators(PetscOwner):
     p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0 if
     |t| < g.
 
-    N and T are PETSc matrices, which `ContactProblem.destroy()` frees.
+    N and T are PETSc matrices, which petsc4py frees when nobody refers to them.
 
     Example:
         The cube in the example of `ContactProblem`, on one rank. Non-negative least squares

@@ -28,26 +28,13 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.guaranteed.bound import STEPS, GuaranteedError, guaranteed_error
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
-from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
+from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.forces import Forms
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
-
-
-def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
-    """Return by name the values, besides the arguments of `solve`, that all ranks must share.
-
-    Not collective.
-    """
-    return {
-        "options of the problem": problem.options,
-        "pairs": problem.pairs,
-        **problem._contact.linear.values_to_agree(),
-    }
 
 
 class ContactProblem(ContactProcess):
@@ -159,19 +146,10 @@ class ContactProblem(ContactProcess):
             StiffnessError: K is not symmetric, or is indefinite; or contact closes in a body that
                 cannot change its volume.
         """
-        if options is not None and not isinstance(options, SolverOptions):
-            raise InputError(
-                f"options must be SolverOptions(...), found {shown(options)}. Options of the "
-                "solver for K go to petsc_options."
-            )
-        check_units(units)
-        self.options = SolverOptions() if options is None else options
-        self.units = units
-        self.pairs = checked_pairs(pairs)
+        super().__init__(pairs, SolverOptions() if options is None else options, units)
         linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
         solver = stiffness, petsc_options, petsc_options_prefix, expected_solves
-        factorisation = Factorisation(linear, self.pairs, *solver)
-        self._contact = ContactSystem(linear, self.pairs, factorisation)
+        self._take(ContactSystem(Factorisation(linear, self.pairs, *solver)))
         self._has_warned_of_changed_form = False
 
     @property
@@ -200,7 +178,7 @@ class ContactProblem(ContactProcess):
         self._contact.linear.assemble_load()
         return self._contact.linear.f.x.petsc_vec
 
-    @collective(comm_of_self, extra_values=space_to_agree)
+    @collective(comm_of_self, extra_values=problem_to_agree)
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
 
@@ -224,7 +202,7 @@ class ContactProblem(ContactProcess):
         """
         self._contact.update_geometry(u)
 
-    @collective(comm_of_self, extra_values=_values_to_agree)
+    @collective(comm_of_self, extra_values=problem_to_agree)
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of coefficients of the form `a`. Collective.
 
@@ -238,7 +216,7 @@ class ContactProblem(ContactProcess):
         self._contact.surfaces.update_stiffness()
         self._has_warned_of_changed_form = False
 
-    @collective(comm_of_self, ignored=("observer",), extra_values=_values_to_agree)
+    @collective(comm_of_self, ignored=("observer",), extra_values=problem_to_agree)
     def solve(
         self,
         *,
@@ -301,11 +279,6 @@ class ContactProblem(ContactProcess):
         surfaces.begin_solve()
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
         solution = self._contact.checked(solve(self._contact, options, self.units, observe))
-        self._warn_of_changed_form()
-        return solution
-
-    def _warn_of_changed_form(self) -> None:
-        """Log, once for each K, that coefficients of the form `a` have changed. Collective."""
         if not self._has_warned_of_changed_form and self._contact.linear.outdated:
             self._has_warned_of_changed_form = True
             log(
@@ -314,6 +287,7 @@ class ContactProblem(ContactProcess):
                 "for the earlier values, until update_stiffness() is called",
                 level=logging.WARNING,
             )
+        return solution
 
     @collective(comm_of_self)
     def goal_error(self, goal: Goal) -> GoalError:
@@ -413,44 +387,17 @@ class ContactProblem(ContactProcess):
             self._tape = None
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the record of the last solve. Not collective.
-
-        Derivatives and error estimates need this record.
-
-        Raises:
-            ContactError: the problem was destroyed, nothing was solved, or coefficients of `a`
-                have changed since.
-            InputError: `a` is no form of UFL, or is on a mixed space.
-        """
-        contact = self._contact
-        contact.check_not_destroyed()
-        contact.check_no_tools(purpose)
-        if contact.linear.component is not None:
-            raise InputError(
-                f"{purpose} needs the form a of the displacement alone, and not that of a mixed "
-                "space: compare two solutions."
-            )
-        if contact.linear.form is None:
+        solved, linear = super()._solved_for(purpose), self._contact.linear
+        if linear.form is None:
             raise InputError(f"{purpose} needs a form of UFL, and a is none. Give the form.")
-        if contact.linear.outdated:
+        if linear.outdated:
             raise ContactError(
                 f"coefficients of a have changed since the solution that {purpose} is for: call "
                 "update_stiffness() and solve()."
             )
-        solved = contact.solved
-        if solved is None:
-            raise ContactError(f"there is no solution for {purpose}: call solve() first.")
         return solved
 
-    def _forms_at(self, u: fem.Function) -> Forms:
+    def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:
         a, L = self._contact.linear.ufl_forms
-
-        def residual(z: fem.Function) -> Any:
-            test, trial = a.arguments()
-            result = ufl.replace(a, {trial: u, test: z})
-            if L is not None:
-                result -= ufl.replace(L, {L.arguments()[0]: z})
-            return result
-
-        linear = self._contact.linear
-        return Forms(residual, a, linear.bcs, linear.entity_maps)
+        residual = ufl.action(a, u)
+        return residual if L is None else residual - L, a

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -97,21 +97,18 @@ class NewtonOptions:
             InputError: a value is of the wrong type or out of its range.
         """
         accuracy = real(self.accuracy)
-        if accuracy is None or not 0.0 < accuracy < 1.0:
-            raise InputError(
-                f"accuracy of Newton's method must be a number in (0, 1), found "
-                f"{shown(self.accuracy)}."
-            )
-        object.__setattr__(self, "accuracy", accuracy)
-        for name, least in (("max_iterations", 1), ("max_halvings", 0)):
-            value = getattr(self, name)
-            number = integer(value)
-            if number is None or number < least:
+        steps, halvings = integer(self.max_iterations), integer(self.max_halvings)
+        for name, wanted, is_right in (
+            ("accuracy", "a number in (0, 1)", accuracy is not None and 0.0 < accuracy < 1.0),
+            ("max_iterations", "an integer from 1 on", steps is not None and steps >= 1),
+            ("max_halvings", "an integer from 0 on", halvings is not None and halvings >= 0),
+        ):
+            if not is_right:
                 raise InputError(
-                    f"{name} of Newton's method must be an integer from {least} on, found "
-                    f"{shown(value)}."
+                    f"{name} of Newton's method must be {wanted}, found "
+                    f"{shown(getattr(self, name))}."
                 )
-            object.__setattr__(self, name, number)
+        vars(self).update(accuracy=accuracy, max_iterations=steps, max_halvings=halvings)
 
 
 @dataclass(frozen=True)
@@ -192,10 +189,17 @@ class NewtonRecord:
         return "\n".join([*lines, self.message] if self.message else lines)
 
 
+@dataclass
 class Newton:
     """Newton's method for one `solve`: the change of load in as few parts as possible.
 
     Attributes:
+        problem: the contact problem of a step.
+        options: options of Newton's method.
+        contact: options of the contact algorithm.
+        units: names of units, for tables and pictures of the solution.
+        observer: the user's function that observes iterations.
+        start: values of u at which the solve starts.
         steps: all Newton steps so far.
         fraction: part of the change of load that has been applied.
         solution: the solution for `fraction` of the change of load; if no part was solved, the
@@ -209,35 +213,31 @@ class Newton:
         flips: changes of contact before a failure (`NewtonRecord.flips`); else None.
     """
 
+    problem: TangentProblem
+    options: NewtonOptions
+    contact: SolverOptions
+    units: Units | None
+    observer: Observer | None
+    level: int
+    steps: list[NewtonStep] = field(default_factory=list)
+    fraction: float = 0.0
+    solution: ContactSolution | None = None
+    failure: str = ""
+    cost: dict[str, Any] = field(default_factory=dict)
+    stopped: bool = False
+    stuck: bool = False
     unbalanced: fem.Function | None = None
     flips: fem.Function | None = None
+    _iteration: Iteration | None = None  # the last observed iteration
+    _sliding: FiniteSliding | None = None  # of the present part of the load
+    _unstable: bool = False  # whether a step of this part took a slow entry of `ADDED`
 
-    def __init__(
-        self,
-        problem: TangentProblem,
-        options: NewtonOptions,
-        contact: SolverOptions,
-        units: Units | None,
-        observer: Observer | None,
-        level: int,
-    ) -> None:
-        self.problem, self.options = problem, options
+    def __post_init__(self) -> None:
+        """Agree on an observer. Collective."""
+        self.start = self.problem.u.x.array.copy()
         self._observe = agreed_observer(
-            problem.comm, observer, "an Iteration, such as a ProgressBar"
+            self.problem.comm, self.observer, "an Iteration, such as a ProgressBar"
         )
-        self._iteration: Iteration | None = None  # the last observed iteration
-        self.contact, self._units = contact, units
-        self.steps: list[NewtonStep] = []
-        self.fraction = 0.0
-        self.solution: ContactSolution | None = None
-        self.failure = ""
-        self.level = level
-        self.cost: dict[str, Any] = {}
-        self.stopped = False
-        self.stuck = False
-        self._sliding: FiniteSliding | None = None  # of the present part of the load
-        self._flips = np.zeros(0)  # of each node in this part of the load
-        self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
 
     def run(self) -> None:
         """Apply the change of load, in parts where Newton's method fails. Collective.
@@ -248,7 +248,6 @@ class Newton:
             InputError: an input is wrong; or nothing holds a body against its loads.
         """
         problem = self.problem
-        self._start = problem.u.x.array.copy()
         step = 1.0
         while self.fraction < 1.0:
             state = problem.surfaces.state
@@ -328,7 +327,7 @@ class Newton:
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            from_start = problem.energy_norm(solution.w.x.array - self._start)
+            from_start = problem.energy_norm(solution.w.x.array - self.start)
             # u may go back to zero
             size = problem.comm.bcast(max(problem.energy_norm(solution.w.x.array), from_start))
             change = problem.energy_norm(solution.w.x.array - before)
@@ -341,8 +340,9 @@ class Newton:
                 residual = problem.residual_norm()
             except StiffnessError as error:
                 residual, reason = math.nan, str(error).rstrip(".")
+            forces = problem.surfaces.contact_forces()
             if self.level > 0:
-                size = min(size, BALANCE * problem.force_norm() or size)
+                size = min(size, BALANCE * problem.norm_of_correction(forces) or size)
             size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
             size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
@@ -357,6 +357,9 @@ class Newton:
             )
             if self.fraction == 0.0 or reached:
                 self.solution = solution
+            springs, proximal = ADDED[self.level]
+            names = [f"contact {springs:g}"] * (springs > 0.0)
+            names += [f"proximal {proximal:g}"] * (proximal > 0.0)
             self.steps.append(
                 NewtonStep(
                     number=number,
@@ -367,7 +370,7 @@ class Newton:
                     iterations=solution.iterations,
                     products=solution.products,
                     pressed=solution.counts.contact,
-                    added=_named(self.level),
+                    added=", ".join(names),
                 )
             )
             log(problem.comm, "%s: residual %.1e, correction %.1e", where, residual, correction)
@@ -400,8 +403,8 @@ class Newton:
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""
         residual = self.steps[-1].residual if self.steps else math.inf
-        number, fraction = len(self.steps) + (not ended), self.problem.tangent.fraction
-        return NewtonProgress(number, fraction, residual, ended)
+        number = len(self.steps) + (not ended)
+        return NewtonProgress(number, self.problem.tangent.fraction, residual, ended)
 
     def _observed(self, iteration: Iteration) -> bool:
         """Show an iteration of a step's contact problem to the user's observer. Collective."""
@@ -453,7 +456,7 @@ class Newton:
                 options = self.contact.at_least(self.options.accuracy * forcing)
                 if self._sliding is not None and level == 0:
                     options = self._sliding.loosened(options)
-                return self.problem.solve(options, self._units, self._observed, self.contact)
+                return self.problem.solve(options, self.units, self._observed, self.contact)
             except StiffnessError as error:
                 failure = error
         if failure.evidence:
@@ -463,10 +466,3 @@ class Newton:
                 f"buckle or fold here, or cells are almost inside out{self._unstable_elements()}"
             )
         raise failure
-
-
-def _named(level: int) -> str:
-    """Return the added stiffness as a text for the table."""
-    springs, proximal = ADDED[level]
-    names = [f"contact {springs:g}"] * (springs > 0.0) + [f"proximal {proximal:g}"] * (proximal > 0)
-    return ", ".join(names)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +22,11 @@ from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
-from dolfinx_tresca.problem.process import ContactProcess, check_units
+from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.forces import Forms
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
@@ -62,9 +61,7 @@ class NonlinearContactSolution(ContactSolution):
 
     def _rows(self) -> list[Row]:
         steps = self.newton.steps
-        fractions = len({step.fraction for step in steps})
         newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
-        newton += f", load in {fractions} parts" * (fractions > 1)
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
         result = [rows[0], ("Newton", newton), *rows[1:]]
         if self.newton.snaps:
@@ -87,11 +84,6 @@ def _check_options(options: Any, newton: Any) -> None:
         )
     if not isinstance(newton, NewtonOptions):
         raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
-
-
-def _options_to_agree(problem: NonlinearContactProblem) -> dict[str, Any]:
-    """Return by name the problem's options, which must be equal on all ranks. Not collective."""
-    return {"options of the problem": problem.options, "newton of the problem": problem.newton}
 
 
 class NonlinearContactProblem(ContactProcess):
@@ -233,12 +225,9 @@ class NonlinearContactProblem(ContactProcess):
                 f"F must be the residual form, with a test function and no other argument, found "
                 f"{argument_count}: of an energy it is ufl.derivative(energy, u, v)."
             )
-        self.options = SolverOptions(rtol=1e-6) if options is None else options
-        self.newton = NewtonOptions() if newton is None else newton
+        super().__init__(pairs, SolverOptions(rtol=1e-6) if options is None else options, units)
+        self.u, self.newton = u, NewtonOptions() if newton is None else newton
         _check_options(self.options, self.newton)
-        check_units(units)
-        self.u, self.units = u, units
-        self.pairs = checked_pairs(pairs)
         J = ufl.derivative(F, u) if J is None else J
         if symmetrize:
             if not isinstance(J, ufl.Form):
@@ -247,8 +236,8 @@ class NonlinearContactProblem(ContactProcess):
         self._forms, self._is_symmetrized = (F, J), symmetrize
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         solver = stiffness, petsc_options, petsc_options_prefix
-        factorisation = Factorisation(tangent, self.pairs, *solver)
-        self._contact = TangentProblem(tangent, on_accept, factorisation)
+        stiffness_of_tangent = Factorisation(tangent, self.pairs, *solver)
+        self._take(TangentProblem(tangent, on_accept, stiffness_of_tangent))
         self._solves = 0
         self._level = 0
 
@@ -281,13 +270,9 @@ class NonlinearContactProblem(ContactProcess):
             ConvergenceError: the tangent at the solution is not positive definite without the
                 contact.
         """
+        super()._solved_for(purpose)
         problem = self._contact
-        if problem.linear.component is not None:
-            raise InputError(
-                f"{purpose} needs the form F of the displacement alone, and not that of a mixed "
-                "space: compare two solutions."
-            )
-        if problem.solved is None or problem.surfaces.state.solution is None:
+        if problem.surfaces.state.solution is None:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
             )
@@ -326,35 +311,13 @@ class NonlinearContactProblem(ContactProcess):
             )
         return solved
 
-    def guaranteed_error(self) -> NoReturn:
-        """Refuse: the proof of `ContactProblem.guaranteed_error` needs a quadratic energy.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(
-            "a guaranteed bound is for linear bodies: compare the solutions on two meshes."
-        )
-
-    def _forms_at(self, u: fem.Function) -> Forms:
-        """Return F, as a function of its test function, and J, with their conditions.
-
-        F and J depend on the user's own Function, so u has no effect. Not collective.
-
-        Raises:
-            InputError: J is no form of UFL.
-        """
-        F, J = self._forms
+    def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:
+        F, J = self._forms  # they depend on the user's own Function
         if not isinstance(J, ufl.Form):
             raise InputError(f"a derivative needs J as a UFL form, found {shown(J)}.")
+        return F, J
 
-        def residual(z: fem.Function) -> Any:
-            return ufl.replace(F, {F.arguments()[0]: z})
-
-        tangent = self._contact.tangent
-        return Forms(residual, J, tangent.bcs, tangent.entity_maps)
-
-    @collective(comm_of_self, ignored=("observer",), extra_values=_options_to_agree)
+    @collective(comm_of_self, ignored=("observer",), extra_values=problem_to_agree)
     def solve(
         self,
         *,
@@ -393,10 +356,11 @@ class NonlinearContactProblem(ContactProcess):
             run.run()
         finally:
             self._contact.end_load()
-        self._contact.surfaces.end_solve()
+        state = self._contact.surfaces.state
+        self._contact.surfaces.state = replace(state, end=state.unknowns)
         released, snaps = np.nan, False
         if run.solution is not None and run.fraction == 1.0:
-            released, snaps = self._contact.balance.released(run.solution.dissipation)
+            released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
         if snaps:
             log(
                 self._contact.comm,
@@ -414,7 +378,6 @@ class NonlinearContactProblem(ContactProcess):
                 *(self._solves, len(run.steps)),
                 level=logging.WARNING,
             )
-        self._contact.note_forces()
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "

@@ -39,26 +39,21 @@ from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at, reaction_form
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
 
-def space_to_agree(problem: ContactProcess) -> dict[str, Any]:
-    """Return by name the space of u, which must be equal on all ranks. Not collective."""
-    return {"the space of the problem": problem._contact.linear.V}
-
-
-def check_units(units: Any) -> None:
-    """Check that units are `Units` or None.
-
-    Raises:
-        InputError: units have another type.
-    """
-    if units is not None and not isinstance(units, Units):
-        raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
+def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
+    """Return by name what must be equal on all ranks, besides arguments. Not collective."""
+    return {
+        "options of the problem": problem.options,
+        "newton of the problem": getattr(problem, "newton", None),
+        "pairs": problem.pairs,
+        **problem._contact.linear.values_to_agree(),
+    }
 
 
 class ContactProcess(PetscOwner, Tabulated):
@@ -68,28 +63,38 @@ class ContactProcess(PetscOwner, Tabulated):
         pairs: the surfaces that may touch.
         options: options of the contact algorithm for the solves that follow.
         units: names of the units of length and stress; None: no units are shown.
+        comm: the communicator of the mesh.
+        mesh: the mesh of all bodies.
+        prescribed: (owned degrees of freedom,) True where `bcs` prescribe the value: contact forces
+            do not move these degrees of freedom.
+        solves_exactly: whether solves with K are exact to rounding, since K is factored.
     """
 
-    pairs: list[ContactPair]
-    options: SolverOptions
-    units: Units | None
     _contact: ContactSystem
     _tape: ProcessTape | None = None
 
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._contact.comm
+    def __init__(self, pairs: Any, options: Any, units: Any) -> None:
+        """Check and store the arguments that all problems have. Collective.
 
-    @property
-    def solves_exactly(self) -> bool:
-        """Whether solves with K are exact to rounding, since K is factored. Not collective."""
-        return self._contact.surfaces.compliance.operator.exact
+        Raises:
+            InputError: an argument is wrong.
+        """
+        if not isinstance(options, SolverOptions):
+            raise InputError(
+                f"options must be SolverOptions(...), found {shown(options)}. Options of the "
+                "solver for K go to petsc_options."
+            )
+        if units is not None and not isinstance(units, Units):
+            raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
+        self.options, self.units = options, units
+        self.pairs: list[ContactPair] = checked_pairs(pairs)
 
-    @property
-    def mesh(self) -> Any:
-        """The mesh of all bodies."""
-        return self._contact.linear.V.mesh
+    def _take(self, contact: ContactSystem) -> None:
+        """Take the discretised problem. Not collective."""
+        self._contact = contact
+        self.comm, self.mesh = contact.comm, contact.linear.V.mesh
+        self.prescribed: Mask = contact.linear.prescribed
+        self.solves_exactly: bool = contact.surfaces.compliance.operator.exact
 
     @property
     def free_dofs(self) -> int:
@@ -105,14 +110,6 @@ class ContactProcess(PetscOwner, Tabulated):
         return self._contact.surfaces.summary.contact_nodes
 
     @property
-    def prescribed(self) -> Mask:
-        """(owned degrees of freedom,) True where `bcs` prescribe the value.
-
-        Contact forces do not move these degrees of freedom.
-        """
-        return self._contact.linear.prescribed
-
-    @property
     def operators(self) -> tuple[ContactOperators, ...]:
         """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
 
@@ -123,11 +120,15 @@ class ContactProcess(PetscOwner, Tabulated):
         return self._contact.surfaces.operators
 
     def _rows(self) -> list[Row]:
-        target = ("method", f"{self.options.method}, {self.options.target}")
-        return [*self._contact.rows(self.units), target]
+        method = f"{self.options.method}, {self.options.target}"
+        return [*self._contact.rows(self.units), ("method", method)]
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self._contact!r}>"
+        summary, method = self._contact.surfaces.summary, self._contact.stiffness.method
+        return (
+            f"<{type(self).__name__}: {summary.dofs} displacements, {summary.contact_nodes} "
+            f"contact nodes in {len(self.pairs)} pair(s), {method}>"
+        )
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -167,10 +168,11 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             surfaces = self._contact.surfaces
-            self._contact.advance_material(surfaces.state.acceptable(unconverged).fields.w)
-            surfaces.accept(unconverged)
+            self._contact.advance_material(surfaces.state.acceptable(unconverged))
+            surfaces.state = surfaces.state.after_solution(unconverged)
+            surfaces.obstacles.advance(surfaces.state.accepted.motions)
 
-    @collective(comm_of_self, extra_values=space_to_agree)
+    @collective(comm_of_self, extra_values=problem_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement u: the slip of later solutions counts from T u.
 
@@ -386,8 +388,6 @@ class ContactProcess(PetscOwner, Tabulated):
                 depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
-        self._contact.check_not_destroyed()
-        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         controls = checked_controls(controls)
         data = self._data_of_solution()
         goals = [(1.0, self._goal_at(goal, data.u))]
@@ -420,7 +420,6 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, nothing holds a body against the change
                 of its loads.
         """
-        self._contact.check_not_destroyed()
         controls = checked_controls(controls)
         directions = checked_directions(controls, directions)
         data = self._data_of_solution()
@@ -553,22 +552,44 @@ class ContactProcess(PetscOwner, Tabulated):
                 "surfaces depends on the solution."
             )
 
-    @abstractmethod
     def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, with K at its displacement. Collective.
+
+        Derivatives and error estimates need this record.
 
         Args:
             purpose: name of the result that needs the solve, for errors.
 
         Raises:
-            ContactError: nothing was solved since the problem changed.
-            InputError: `a` is no form of UFL, or is on a mixed space.
+            ContactError: the problem was destroyed, or nothing was solved since it changed.
+            InputError: the forms are no forms of UFL, or are on a mixed space.
         """
+        contact = self._contact
+        contact.check_not_destroyed()
+        contact.check_no_tools(purpose)
+        if contact.linear.component is not None:
+            raise InputError(
+                f"{purpose} needs a form of the displacement alone, and not that of a mixed space: "
+                "compare two solutions."
+            )
+        if contact.solved is None:
+            raise ContactError(f"there is no solution for {purpose}: call solve() first.")
+        return contact.solved
 
-    @abstractmethod
     def _forms_at(self, u: fem.Function) -> Forms:
-        """Return the forms and conditions of the bodies at a displacement. Not collective."""
+        """Return the forms and conditions of the bodies at a displacement. Not collective.
+
+        Raises:
+            InputError: a form is no form of UFL.
+        """
+        residual, tangent = self._residual_and_tangent(u)
+
+        def of_test_function(z: fem.Function) -> Any:
+            return ufl.replace(residual, {residual.arguments()[0]: z})
+
+        linear = self._contact.linear
+        return Forms(of_test_function, tangent, linear.bcs, linear.entity_maps)
 
     @abstractmethod
-    def solve(self) -> ContactSolution:
-        """Solve for the present loads, prescribed values and slip bounds. Collective."""
+    def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:
+        """Return internal minus external forces at u, a form of rank 1, and their derivative."""

@@ -20,10 +20,11 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-from dolfinx_tresca.problem.energy_balance import EnergyBalance
 from dolfinx_tresca.problem.tangent_system import MixedNorm, TangentSystem
+from dolfinx_tresca.status import ContactStatus
 
 #: A node sticks if its traction is below this fraction of the slip bound. The margin is for bounds
 #: that depend on the pressure, and are known only to the accuracy of their fixed point.
@@ -35,6 +36,22 @@ TOUCHING = 1e-6
 #: Largest relative change of u in a further Newton step, in the energy norm. A larger change shows
 #: that the inputs have changed since the solve, so that u is not their solution.
 UNCHANGED = 1e-3
+
+#: Fractions of the change of displacement at which internal forces are evaluated, with the weights
+#: of the mean of both ends, and of the integral along the change (Lobatto's rule with four points,
+#: exact for polynomials of degree 5).
+INNER = 0.5 * np.sqrt(0.2)
+PATH = (
+    *((0.0, 0.5, 1.0 / 12.0), (1.0, 0.5, 1.0 / 12.0)),
+    *((0.5 - INNER, 0.0, 5.0 / 12.0), (0.5 + INNER, 0.0, 5.0 / 12.0)),
+)
+
+#: Bodies have snapped if they release more than the first part of the energy that they exchange
+#: with contact or store, whichever is larger, and move more than the second number times as far as
+#: obstacles and prescribed values. (A step in which contact of round bodies begins seems to release
+#: 0.2, since its force is no linear function of the motion; one in which an edge passes from node
+#: to node up to 0.6, which the next step takes back.)
+SNAP, FAR = 0.5, 3.0
 
 
 class TangentProblem(ContactSystem):
@@ -75,12 +92,10 @@ class TangentProblem(ContactSystem):
         self._has_history = tangent.has_material or on_accept is not None
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
         self._norm: MixedNorm | None = None
-        self._solved_forces: Array | None = None
-        self._last_contact_forces: Array = np.zeros(len(tangent.prescribed))
         with self.at_unknowns(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
-            super().__init__(tangent, factorisation.pairs, factorisation)
+            super().__init__(factorisation)
         self.surfaces.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.surfaces.obstacles.motions,) * 2
@@ -103,11 +118,8 @@ class TangentProblem(ContactSystem):
         """The present displacement: u, or in a mixed space a copy of the displacement in u."""
         return self.tangent.displacement(self.u, self.u.name)
 
-    def advance_material(self, w: fem.Function) -> None:
-        """Make the material's state at w the history. Collective.
-
-        Args:
-            w: displacement of the accepted step [length], or all unknowns of a mixed space.
+    def advance_material(self, solution: StepSolution) -> None:
+        """Make the material's state at a solution the history. Collective.
 
         Raises:
             ContactError: the forces at u have changed since the solve, for example through another
@@ -116,46 +128,25 @@ class TangentProblem(ContactSystem):
         """
         if not self._has_history:
             return
+        w, is_converged = solution.fields.w, solution.status is ContactStatus.CONVERGED
         try:
             with self.at_unknowns(w.x.array):
                 self.tangent.forget_material()
-                forces = self.tangent.internal_forces()
-                if self._solved_forces is not None:
-                    self._check_unchanged(forces - self._solved_forces)
+                moved, start = self.residual_norm(), self._reference
+                size = max(self.energy_norm(values) for values in (w.x.array, w.x.array - start))
+                limit = max(UNCHANGED * size, self.rounding_norm())
+                if is_converged and self.comm.bcast(not moved <= limit):
+                    raise ContactError(
+                        "the history of the material, loads or coefficients of F have changed "
+                        "since the solution that is to be accepted: call solve() again, and "
+                        "accept() before you change them. Only on_accept may make a solution the "
+                        "history."
+                    )
                 if self._on_accept is not None:
                     with errors_on_all_ranks(self.comm):
                         self._on_accept()
         finally:
             self.tangent.forget_material()
-
-    def note_forces(self) -> None:
-        """Keep the forces at the last solution, for a check when it is accepted. Collective.
-
-        Raises:
-            Exception: an error of the user's functions, on all ranks.
-        """
-        solution = self.surfaces.state.solution
-        if self._has_history and solution is not None:
-            with self.at_unknowns(solution.fields.w.x.array):
-                self._solved_forces = self.tangent.internal_forces()
-
-    def _check_unchanged(self, change: Array) -> None:
-        """Check, before a solution is accepted, that it still balances the forces. Collective.
-
-        Args:
-            change: change of the forces since the solve [force] at owned degrees of freedom.
-
-        Raises:
-            ContactError: a Newton step would change the displacement by more than the fraction
-                `UNCHANGED`.
-        """
-        moved, size = self._norm_of_correction(change), self.energy_norm(self.u.x.array)
-        if self.comm.bcast(not moved <= UNCHANGED * size):
-            raise ContactError(
-                "the history of the material, loads or coefficients of F have changed since the "
-                "solution that is to be accepted: call solve() again, and accept() before you "
-                "change them. Only on_accept may make a solution the history."
-            )
 
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
@@ -166,7 +157,7 @@ class TangentProblem(ContactSystem):
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
                 single node of the reference tangent.
-            proximal: factor with which the reference tangent is added.
+            proximal: factor with which the reference tangent is added, beside springs.
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite in spite of the added stiffness.
@@ -176,17 +167,14 @@ class TangentProblem(ContactSystem):
             return
         self._tangent_is_plain = False
         self.tangent.added_forces = None
-        added: list[PETSc.Mat] = []
-        if springs > 0.0:
-            added.append(self._contact_springs(springs))
-        if proximal > 0.0:
-            added.append(self._reference_stiffness(proximal))
-        for matrix in added[1:]:
-            added[0].axpy(1.0, matrix, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        self.tangent.added = added[0] if added else None
+        added = self._contact_springs(springs) if springs > 0.0 else None
+        if added is not None and proximal > 0.0:
+            reference = self._reference_stiffness(proximal)
+            added.axpy(1.0, reference, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        self.tangent.added = added
         try:
             self.surfaces.update_stiffness()
-            self._tangent_is_plain = not added
+            self._tangent_is_plain = added is None
         finally:
             self.tangent.added = None
 
@@ -231,29 +219,19 @@ class TangentProblem(ContactSystem):
         """Return a mask (size,) of the rows of B in contact at the present u_k. Collective.
 
         The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
-        are in contact. If all multipliers are zero, all rows of nodes that touch are in contact.
+        are in contact. If all multipliers are zero, normal rows of nodes that touch are in contact.
         """
         jump, multipliers = self.surfaces.jump, self.surfaces.state.multipliers
-        if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
-            return self._touching()
         lam = jump.bounded(self.surfaces.slip_bounds()).section(multipliers)
-        sticks = lam.norms(multipliers) < STICKING * lam.radius
         held: Mask = np.ones(len(multipliers), dtype=np.bool_)
-        held[lam.normal] = multipliers[lam.normal] > 0.0
-        held[lam.tangential] = sticks[lam.node]
-        return held
-
-    def _touching(self) -> Mask:
-        """Return a mask (size,) of the rows of B at nodes with a closed gap at u_k. Collective."""
-        jump = self.surfaces.jump
-        closed = jump.of_unknowns(self.u.x.petsc_vec)
-        largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)
-        held: Mask = np.ones(len(closed), dtype=np.bool_)
-        for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
-            if not pair.bonded:
-                touches = np.zeros(len(pair.nodes), dtype=np.bool_)
-                touches[pair.normal_node] = jump.gap[n] - closed[n] <= TOUCHING * largest
-                held[n], held[t] = touches[pair.normal_node], touches[pair.tangent_node]
+        if self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
+            held[lam.normal] = multipliers[lam.normal] > 0.0
+            held[lam.tangential] = (lam.norms(multipliers) < STICKING * lam.radius)[lam.node]
+            return held
+        jumps = jump.of_unknowns(self.u.x.petsc_vec)
+        largest = reduce_array(self.comm, np.abs(jumps).max(initial=0.0), MPI.MAX)
+        held[lam.normal] = (jump.gap - jumps)[lam.normal] <= TOUCHING * largest
+        held[lam.tangential] = False
         return held
 
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
@@ -297,11 +275,9 @@ class TangentProblem(ContactSystem):
         self._places, self._loads_in_parts = (before, self.surfaces.obstacles.motions), False
         self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
-        self._solved_forces = None
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.surfaces.align_tangents(self.surfaces.slip_bounds())
-        self.balance.note_start()
 
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
@@ -341,20 +317,9 @@ class TangentProblem(ContactSystem):
         for nonlinear problems, 2.1.1). In a mixed space, `MixedNorm` takes the place of the energy
         norm.
         """
-        return self._norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
+        return self.norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
 
-    def force_norm(self) -> float:
-        """Return |B'lambda|_{K^-1}, contact forces in the norm of the residual. Collective.
-
-        If nothing is pressed any more, these are the contact forces of an earlier step: springs may
-        have taken over a force that is not zero.
-        """
-        forces = self.surfaces.contact_forces()
-        if self.comm.allreduce(bool(forces.any()), op=MPI.LOR):
-            self._last_contact_forces = forces
-        return self._norm_of_correction(self._last_contact_forces)
-
-    def _norm_of_correction(self, forces: Array) -> float:
+    def norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
 
         The result is NaN if F is not finite. In a mixed space, it is the `MixedNorm` of K^-1 F.
@@ -403,7 +368,12 @@ class TangentProblem(ContactSystem):
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric
         x -= middle
-        return self.tangent.whole(position)
+        component = self.tangent.component
+        if component is None:
+            return np.array(position.x.array)
+        w = fem.Function(self.tangent.space)
+        component.compose(w, position, component.other_parts(w))
+        return np.array(w.x.array)
 
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
@@ -433,3 +403,88 @@ class TangentProblem(ContactSystem):
         if self._norm is not None:
             return self._norm.of_function(v)
         return math.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0))
+
+
+class EnergyBalance:
+    """Work, stored energy and friction between the start of a solve and its solution.
+
+    The work of loads, prescribed values and obstacles is that of forces which change linearly with
+    the motion (the trapezoidal rule), as they do in small steps of a quasi-static process. The
+    change of the stored energy is the integral of the internal forces R over the straight path from
+    u_0 to u_1. The energy that remains is
+
+        1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
+
+    with the contact forces C = B'lambda, the displacement v of the obstacles at the nodes, and the
+    dissipation D of friction. Forces at prescribed degrees of freedom and loads that have changed
+    are included. In a smooth step each of the differences vanishes, to third order in the step.
+    """
+
+    def __init__(self, problem: TangentProblem) -> None:
+        """Note displacement and contact forces at the end of the last solve. Collective.
+
+        Args:
+            problem: the problem before its surfaces are paired for the next solve.
+        """
+        self._problem, surfaces, state = problem, problem.surfaces, problem.surfaces.state
+        self._motions = state.motions, surfaces.obstacles.motions
+        self._start = problem.u.x.array.copy()
+        known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
+        self._ends = known_ends or [np.zeros_like(self._start)]
+        self._forces_at_start, self._work_at_start, _ = self._contact()
+
+    def _contact(self) -> tuple[Array, float, float]:
+        """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
+        problem, surfaces = self._problem, self._problem.surfaces
+        jump, multipliers = surfaces.jump, surfaces.state.multipliers
+        forces, work = np.array(jump.whole_force(multipliers).array), 0.0
+        farthest = 0.0
+        for before, after, rows in zip(*self._motions, jump.slices, strict=True):
+            if not np.array_equal(before, after):
+                moved = surfaces.obstacles.displacement(before, after, problem.displacement)
+                jumps = jump.of_displacement(moved)
+                work += sum(float(multipliers[indices] @ jumps[indices]) for indices in rows)
+                farthest = max(farthest, np.abs(moved.x.array).max(initial=0.0))
+        return forces, work, farthest
+
+    def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
+        """Return the released energy at the present displacement, and whether bodies snap.
+
+        The energy is NaN if the solve did not start where the last one ended, or if internal forces
+        cannot be computed on the straight path. If a function of the user computes them, it is
+        called only where bodies move `FAR`, and the energy is NaN elsewhere. Collective.
+
+        Args:
+            start: values of u at which the solve started.
+            dissipation: D [energy].
+
+        Raises:
+            Exception: an error of the user's functions, on all ranks.
+        """
+        problem, tangent = self._problem, self._problem.tangent
+        forces, work, driven = self._contact()
+        change = problem.u.x.array - self._start
+        owned, moves = change[: len(forces)], tangent.moves
+        sizes = [np.abs(owned[rows]).max(initial=0.0) for rows in (moves, tangent.prescribed)]
+        starts_there = np.array_equal(start, self._start)
+        starts_there &= any(np.array_equal(start, end) for end in self._ends)
+        moved, held, driven, elsewhere = reduce_array(
+            problem.comm, [*sizes, driven, float(not starts_there)], MPI.MAX
+        )
+        is_far = moved > FAR * max(held, driven)
+        if elsewhere or (tangent.has_material and not is_far):
+            return np.nan, False
+        at_ends = stored = 0.0
+        try:
+            for fraction, of_ends, of_path in PATH:
+                with problem.at_unknowns(self._start + fraction * change):
+                    power = float(tangent.all_forces() @ owned)
+                at_ends, stored = at_ends + of_ends * power, stored + of_path * power
+        except StiffnessError:
+            return np.nan, False
+        contact = 0.5 * float((self._forces_at_start + forces) @ owned)
+        local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
+        at_ends, stored, contact, work = reduce_array(problem.comm, local)
+        released = at_ends - stored + contact - work - dissipation
+        is_large = released > SNAP * max(abs(stored), abs(contact))
+        return released, bool(is_large and is_far)

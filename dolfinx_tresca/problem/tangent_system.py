@@ -18,7 +18,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.jump import entrywise
-from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -133,11 +133,7 @@ class TangentSystem(LinearSystem):
                     "before_assembly() has changed u, which it must only read: Newton's method "
                     "chooses u."
                 )
-            wrong = self._not_finite()
-            if wrong:
-                raise StiffnessError(
-                    f"before_assembly() leaves values that are NaN or infinite in {wrong}."
-                )
+            self._check_finite(StiffnessError, "before_assembly() leaves")
         self._updated_at = u
         self._material_changed = True
 
@@ -152,17 +148,18 @@ class TangentSystem(LinearSystem):
         if self._before_assembly is not None:
             return
         with errors_on_all_ranks(self.comm):
-            wrong = self._not_finite()
-            if wrong:
-                raise InputError(f"F or J depends on values that are NaN or infinite in {wrong}.")
+            self._check_finite(InputError, "F or J depends on")
 
-    def _not_finite(self) -> str:
-        """Return a text that names a Function in the forms with values that are not finite.
+    def _check_finite(self, error: type[ContactError], where: str) -> None:
+        """Check that Functions in the forms other than u are finite. Not collective.
 
-        The text is empty if there is no such Function.
+        Args:
+            error: the kind of error to raise if they are not.
+            where: beginning of its message.
         """
-        wrong = [field for field in self._functions if not np.isfinite(field.x.array).all()]
-        return shown(wrong[0]) if wrong else ""
+        for field in self._functions:
+            if not np.isfinite(field.x.array).all():
+                raise error(f"{where} values that are NaN or infinite in {shown(field)}.")
 
     def forget_material(self) -> None:
         """Let the next assembly compute the material again, even at the same u. Not collective."""
@@ -202,17 +199,6 @@ class TangentSystem(LinearSystem):
         forces = fem.Function(self.space)
         self._assemble_L(forces.x)
         return np.array(forces.x.array[: len(self.prescribed)])
-
-    def whole(self, v: fem.Function) -> Array:
-        """Return the values of u, with ghosts, of a displacement v, other unknowns being zero.
-
-        Not collective.
-        """
-        if self.component is None:
-            return np.array(v.x.array)
-        w = fem.Function(self.space)
-        self.component.compose(w, v, self.component.other_parts(w))
-        return np.array(w.x.array)
 
     def prescribed_values(self) -> Array:
         """Return the prescribed values of the present `fraction`. Collective."""

@@ -229,7 +229,7 @@ def test_what_is_refused(comm):
     with problem:
         problem.solve().raise_if_failed()
         problem.accept()
-        with pytest.raises(InputError, match="needs the form F of the displacement alone"):
+        with pytest.raises(InputError, match="needs a form of the displacement alone"):
             problem.gradient(ContactForce((0.0, 1.0)), [fem.Constant(mesh, 1.0)])
         rubber.u.x.array[-1] = np.nan
         with pytest.raises(InputError, match=r"u, which the solve starts from, has values .* NaN"):

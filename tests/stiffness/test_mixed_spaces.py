@@ -148,7 +148,7 @@ def test_what_is_refused(plain):
         with pytest.raises(InputError, match=r"and a is on a mixed space. Give solve\(accuracy"):
             problem.solve()
         problem.solve(accuracy=1e-3)
-        with pytest.raises(InputError, match="needs the form a of the displacement alone"):
+        with pytest.raises(InputError, match="needs a form of the displacement alone"):
             problem.goal_error(ContactForce((0.0, 1.0)))
         with pytest.raises(InputError, match=r"on the space of solution.u"):
             problem.update_geometry(fem.Function(scene.V))
