@@ -147,43 +147,37 @@ def evaluate(
     dissipation = float(dual.inner(solution.multipliers, slip))
     increment, moved_by = (values * B.length_scale for values in (increment, slip))
 
-    counts = np.zeros(7, dtype=np.int64)
+    rubbing, (bonded, pressed) = moved.radius > 0.0, np.zeros((2, len(stick)), dtype=np.bool_)
     steps: list[Array] = []
     states: list[Array] = []
-    befores: list[Array] = []
-    greatest = np.zeros(3)
-    start = 0
+    peak = 0.0
     tangential_rows = reduce_array(comm, [len(pair.tangent_node) for pair in B.pairs])
-    for operators, slipped, rows, (n, t) in zip(
-        B.pairs, dual.history.slipped, tangential_rows, B.slices, strict=True
-    ):
-        own = slice(start, start + len(operators.nodes))
-        sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
-        start += len(operators.nodes)
+    ends = np.cumsum([len(pair.nodes) for pair in B.pairs])
+    for operators, end, rows, (n, t) in zip(B.pairs, ends, tangential_rows, B.slices, strict=True):
+        nodes = slice(end - len(operators.nodes), end)
+        bonded[nodes], peak = operators.bonded, stress[n].max(initial=peak)
         # strict inequality: a node without gap and without load is not pressed
-        pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
-        pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
+        pressed[nodes][operators.normal_node] = operators.bonded | (target[n] > 0.0)
+        undecided[nodes][operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
+        state_of = pressed[nodes], stick[nodes], rubbing[nodes]
+        states.append(contact_states(operators, rows > 0, *state_of))
         vectors = operators.tangential_vectors(moved_by[t])
         lengths = np.linalg.norm(vectors, axis=1)
-        steps.append(np.column_stack([vectors, np.where(pressed | rubbing, lengths, 0.0)]))
-        states.append(contact_states(operators, rows > 0, pressed, sticking, rubbing))
-        befores.append(slipped[operators.nodes])
-        if operators.bonded:
-            counts[[0, 5]] += len(pressed)
-        else:
-            counted = (pressed, sticking, pressed & sticking, ~pressed & ~rubbing)
-            counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in counted)]
-            doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
-            counts[6] += np.count_nonzero(doubtful)
-        greatest[0] = max(greatest[0], stress[n].max(initial=0.0))
-        for i, distance in enumerate((lengths, befores[-1][:, -1] + steps[-1][:, -1])):
-            greatest[1 + i] = max(greatest[1 + i], distance[pressed].max(initial=0.0))
+        steps.append(np.column_stack([vectors, np.where(state_of[0] | state_of[2], lengths, 0.0)]))
+    before = np.concatenate(
+        [on[pair.nodes] for on, pair in zip(dual.history.slipped, B.pairs, strict=True)]
+    )
+    state, step, closing = map(np.concatenate, (states, steps, closings))
+    counted = np.array([pressed, stick, pressed & stick, ~pressed & ~rubbing, undecided]) & ~bonded
+    *counts, doubtful = counted.sum(axis=1)
+    numbers = reduce_array(comm, [len(stick), *counts, bonded.sum(), doubtful])
+    distances = np.linalg.norm(step[:, :-1], axis=1), before[:, -1] + step[:, -1]
+    greatest = [peak, *(distance[pressed].max(initial=0.0) for distance in distances)]
 
     fields: list[SurfaceFields] = []
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
     shares: list[tuple[Array, Array, Indices]] = []
-    state, before, step, closing = map(np.concatenate, (states, befores, steps, closings))
     for acts, surface in zip(B.by_pair, surfaces, strict=True):
         operators, nodes = acts.operators, acts.nodes
         since = operators.tangential_vectors(increment[acts.tangential])
@@ -212,7 +206,7 @@ def evaluate(
         force[1:] += (operators.weights[operators.tangent_node] * tractions[1]) @ operators.tangents
     history = replace(dual.history, origin=origin).after(B, slip, steps, dissipation)
     peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
-    numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
+    resultant = reduce_array(comm, force)
     primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
