@@ -154,12 +154,12 @@ def evaluate(
     tangential_rows = reduce_array(comm, [len(pair.tangent_node) for pair in B.pairs])
     ends = np.cumsum([len(pair.nodes) for pair in B.pairs])
     for operators, end, rows, (n, t) in zip(B.pairs, ends, tangential_rows, B.slices, strict=True):
-        nodes = slice(end - len(operators.nodes), end)
-        bonded[nodes], peak = operators.bonded, stress[n].max(initial=peak)
+        own = slice(end - len(operators.nodes), end)
+        bonded[own], peak = operators.bonded, stress[n].max(initial=peak)
         # strict inequality: a node without gap and without load is not pressed
-        pressed[nodes][operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        undecided[nodes][operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
-        state_of = pressed[nodes], stick[nodes], rubbing[nodes]
+        pressed[own][operators.normal_node] = operators.bonded | (target[n] > 0.0)
+        undecided[own][operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
+        state_of = pressed[own], stick[own], rubbing[own]
         states.append(contact_states(operators, rows > 0, *state_of))
         vectors = operators.tangential_vectors(moved_by[t])
         lengths = np.linalg.norm(vectors, axis=1)

@@ -273,7 +273,7 @@ class Surface:
             weights: (m,) areas of these nodes.
         """
         unique, position = np.unique(nodes, return_inverse=True)
-        sums = np.bincount(position, weights, minlength=len(unique))
+        sums = np.bincount(position, weights, minlength=len(unique)).astype(np.float64)
         areas: Array = self.function("weights", unique, sums).x.array
         areas[self.scalar.function_space.dofmap.index_map.size_local :] = 0.0
         return areas
@@ -330,10 +330,11 @@ def contact_states(
     """
     if operators.bonded:
         return np.full(len(pressed), float(ContactState.BONDED))
-    closed, opened = ContactState.PRESSED, np.full(len(pressed), ContactState.OPEN)
+    closed: Array = np.full(len(pressed), float(ContactState.PRESSED))
+    opened: Array = np.full(len(pressed), float(ContactState.OPEN))
     if has_friction:
-        closed = np.where(sticking, ContactState.STICK, ContactState.SLIP)
+        closed = np.where(sticking, float(ContactState.STICK), float(ContactState.SLIP))
         opened[rubbing] = np.where(sticking, ContactState.OPEN_STICK, ContactState.OPEN_SLIP)[
             rubbing
         ]
-    return np.where(pressed, closed, opened).astype(np.float64)
+    return np.where(pressed, closed, opened)

@@ -57,24 +57,6 @@ SLIP = Limit(0.2, 1.0)
 #: doubled limits, twice as much of them, and a body leaves the other one before the theory ends.
 FORCE_BEYOND_PARTNER = Limit(0.2, 0.5)
 
-#: Limits of the slip relative to the size of a facet where nothing but the scatter of the normals
-#: from node to node stops a body. Such normals are normals of one facet; with doubled limits,
-#: bodies move on beyond the limit of friction twice as far without a word.
-WEDGED_SLIP = Limit(0.05, 0.2)
-
-#: A contact slides as a whole if this fraction of its force is at nodes that slip by more than half
-#: of the largest slip. With half the number, contacts with a stick zone would count, too.
-SLIDING_FORCE = 0.9
-
-#: Normals scatter if this fraction of the mean square of their component along the slip remains
-#: when an affine function of the position is subtracted. It is 0 for wedges, cones and spheres, and
-#: nearly 1 for the mesh of a cylinder that is pulled along its axis. With half the number, deep
-#: sockets count.
-SCATTERED = 0.5
-
-#: Smallest component of normals along the slip that does not count as rounding [rad].
-LEAST_TILT = 1e-6
-
 #: A body turns if its rotation [rad] is larger than this multiple of its displacement beyond the
 #: rigid motion, relative to its diagonal. A body that is sheared, with a ratio of about 1.5, turns
 #: on average, too. With twice the number, stout beams that bend do not count.
@@ -252,34 +234,16 @@ def _motions_of_pair(
         of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
         of_size += "their normals and partners"
         yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
-    if in_facets <= WEDGED_SLIP.noticed:
-        return
-    sliding = force @ (length > 0.5 * slip)
-    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (slips / slip)]))
-    total, sliding, direction = sums[0], sums[1], sums[2:]
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
         undeformed = operators.undeformed
         facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
         beyond = ~_lies_over(comm, facets, operators, jumps)
-        share = float(reduce_array(comm, force @ beyond)) / total
-        of_force = f"{text}, and {100.0 * share:.0f} % of the contact force is at nodes that have "
-        of_force += "left the other side, but keep their normals and partners"
-        if share > FORCE_BEYOND_PARTNER.noticed:
-            yield Departure(share, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
-    tilt = normals @ (direction / (np.linalg.norm(direction) or 1.0))
-    affine = np.column_stack([np.ones(len(tilt)), operators.places / size, tilt])
-    gram = reduce_array(comm, affine.T @ ((operators.weights * pressed)[:, None] * affine))
-    fitted = gram[-1, :-1] @ np.linalg.pinv(gram[:-1, :-1], hermitian=True) @ gram[:-1, -1]
-    scatter = np.sqrt(max(gram[-1, -1] - fitted, 0.0) / gram[0, 0])
-    scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
-    if scatters and sliding > SLIDING_FORCE * total:
-        text += (
-            f", {in_facets:.2g} times the size of a facet: no friction holds any part of the "
-            "contact, and only the scatter of the normals from node to node, "
-            f"{scatter:.1g} rad, resists"
-        )
-        yield Departure(in_facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
+        left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
+        text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "
+        text += "left the other side, but keep their normals and partners"
+        if left > FORCE_BEYOND_PARTNER.noticed * total:
+            yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
 
 
 def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
