@@ -29,7 +29,7 @@ OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
 INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
 MARGIN = 0.08  #: margin round bodies in which obstacles are drawn, divided by the bodies' length
-SAMPLES = {2: 400, 3: 80}  #: samples of an obstacle along the longest side
+SAMPLES = 300_000  #: approximate number of points at which the distance of an obstacle is computed
 ARROWS = 350  #: approximate number of slip arrows; twice as many lie on each other
 COARSE = 150  #: arrows and marks become no larger on a surface with fewer nodes than this
 #: Least cosine between the normal of a facet and the contact normal: facets with less are at the
@@ -190,7 +190,7 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
     length = float(np.linalg.norm(np.ptp(points, axis=0)))
     margin = MARGIN * length * (np.arange(3) < dim)
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    spacing = float((high - low).max()) / SAMPLES[dim]
+    spacing = float(np.prod((high - low)[:dim]) / SAMPLES) ** (1.0 / dim)
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     grid = pyvista.ImageData(dimensions=counts, spacing=3 * (spacing,), origin=low)
     try:
