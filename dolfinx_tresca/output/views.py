@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -97,6 +98,26 @@ def skin(grid: Any) -> Any:
     return pyvista.wrap(surface.GetOutput())
 
 
+def straight(volume: Grid) -> Grid:
+    """Return a grid with the corners of its cells alone.
+
+    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between two cells if these have the
+    nodes of the face in different orders, and then finds no edges of the bodies.
+    """
+    import pyvista
+
+    kinds = pyvista.CellType
+    linear = {
+        kinds.LAGRANGE_TETRAHEDRON: (kinds.TETRA, 4),
+        kinds.LAGRANGE_HEXAHEDRON: (kinds.HEXAHEDRON, 8),
+    }
+    if volume.cell_types[0] not in linear:
+        return volume
+    kind, count = linear[volume.cell_types[0]]
+    cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
+    return replace(volume, cells=cells, cell_types=np.full(len(cells), int(kind)))
+
+
 def draw_bodies(
     panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
 ) -> None:
@@ -117,9 +138,11 @@ def draw_bodies(
     limits = panels.colour_range(bodies.point_data["|u|"])
     deformed = bodies.warp_by_vector(name, factor=scale)
     faces, lift = skin(deformed), 4e-3 * bodies.length * normal
-    # no creases in 2D: orientations of triangles may differ
+    # orientations of cells may differ: no creases in 2D, oriented faces in 3D
+    surface = skin(straight(volume).to_pyvista())
+    surface = surface.clean() if flat else surface.compute_normals(split_vertices=False)
     kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
-    outline = skin(bodies).clean().extract_feature_edges(40.0, **kinds)
+    outline = surface.extract_feature_edges(40.0, **kinds)
     near = np.concatenate([bodies.points, faces.points])
     obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
     legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
