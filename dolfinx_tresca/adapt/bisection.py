@@ -24,7 +24,7 @@ MOVED = 1e-5
 
 #: The shift of a node along axis i is the sine of row i times the coordinates over the shortest
 #: edge: numbers without common multiples, so that shifts of neighbours have nothing in common.
-WAVES = 100.0 * np.sqrt([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]])
+WAVES = 100.0 * np.exp(np.arange(9.0).reshape(3, 3) / np.pi)
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells, snap: Snap | None
 
     Args:
         tagged_mesh: the mesh before.
-        cells: its bisected cells.
+        cells: the bisected cells of this mesh.
         snap: see `refine`; it has been checked.
     """
     mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry

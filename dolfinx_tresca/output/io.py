@@ -35,17 +35,16 @@ from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import ContactState
 from dolfinx_tresca.solution.forces import Resultant
 
-#: State -> its name, and its colour as red, green and blue from 0 to 1: blue for stick, orange for
-#: slip, light colours for open nodes.
-STATE_COLOURS: dict[ContactState, tuple[str, tuple[float, float, float]]] = {
-    ContactState.OUTSIDE: ("outside", (0.60, 0.60, 0.60)),
-    ContactState.OPEN: ("open", (0.85, 0.85, 0.85)),
-    ContactState.OPEN_STICK: ("open, sticks", (0.65, 0.81, 0.93)),
-    ContactState.OPEN_SLIP: ("open, slips", (1.00, 0.80, 0.55)),
-    ContactState.PRESSED: ("pressed", (0.55, 0.25, 0.60)),
-    ContactState.STICK: ("sticks", (0.10, 0.35, 0.70)),
-    ContactState.SLIP: ("slips", (0.85, 0.35, 0.00)),
-    ContactState.BONDED: ("bonded", (0.20, 0.55, 0.25)),
+#: State -> its name, and its colour: blue for stick, orange for slip, light colours for open nodes.
+STATE_COLOURS = {
+    ContactState.OUTSIDE: ("outside", "999999"),
+    ContactState.OPEN: ("open", "d9d9d9"),
+    ContactState.OPEN_STICK: ("open, sticks", "a6cfed"),
+    ContactState.OPEN_SLIP: ("open, slips", "ffcc8c"),
+    ContactState.PRESSED: ("pressed", "8c4099"),
+    ContactState.STICK: ("sticks", "1a59b3"),
+    ContactState.SLIP: ("slips", "d95900"),
+    ContactState.BONDED: ("bonded", "338c40"),
 }
 
 #: Block of the forces between bodies.
@@ -275,7 +274,9 @@ def paraview_preset() -> str:
     annotations: list[str] = []
     for state, (name, _) in STATE_COLOURS.items():
         annotations += [str(int(state)), name]
-    colours = [x for _, colour in STATE_COLOURS.values() for x in colour]
+    colours = [
+        byte / 255.0 for _, colour in STATE_COLOURS.values() for byte in bytes.fromhex(colour)
+    ]
     preset = {"Name": "contact state", "Annotations": annotations, "IndexedColors": colours}
     return json.dumps([preset], indent=1)
 

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -29,7 +30,7 @@ OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
 INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
 MARGIN = 0.08  #: margin round bodies in which obstacles are drawn, divided by the bodies' length
-SAMPLES = {2: 400, 3: 80}  #: samples of an obstacle along the longest side
+SAMPLES = 300_000  #: approximate number of points at which the distance of an obstacle is computed
 ARROWS = 350  #: approximate number of slip arrows; twice as many lie on each other
 COARSE = 150  #: arrows and marks become no larger on a surface with fewer nodes than this
 #: Least cosine between the normal of a facet and the contact normal: facets with less are at the
@@ -97,6 +98,26 @@ def skin(grid: Any) -> Any:
     return pyvista.wrap(surface.GetOutput())
 
 
+def straight(volume: Grid) -> Grid:
+    """Return a grid with the corners of its cells alone.
+
+    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between two cells if these have the
+    nodes of the face in different orders, and then finds no edges of the bodies.
+    """
+    import pyvista
+
+    kinds = pyvista.CellType
+    linear = {
+        kinds.LAGRANGE_TETRAHEDRON: (kinds.TETRA, 4),
+        kinds.LAGRANGE_HEXAHEDRON: (kinds.HEXAHEDRON, 8),
+    }
+    if volume.cell_types[0] not in linear:
+        return volume
+    kind, count = linear[volume.cell_types[0]]
+    cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
+    return replace(volume, cells=cells, cell_types=np.full(len(cells), int(kind)))
+
+
 def draw_bodies(
     panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
 ) -> None:
@@ -117,9 +138,11 @@ def draw_bodies(
     limits = panels.colour_range(bodies.point_data["|u|"])
     deformed = bodies.warp_by_vector(name, factor=scale)
     faces, lift = skin(deformed), 4e-3 * bodies.length * normal
-    # no creases in 2D: orientations of triangles may differ
+    # orientations of cells may differ: no creases in 2D, oriented faces in 3D
+    surface = skin(straight(volume).to_pyvista())
+    surface = surface.clean() if flat else surface.compute_normals(split_vertices=False)
     kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
-    outline = skin(bodies).clean().extract_feature_edges(40.0, **kinds)
+    outline = surface.extract_feature_edges(40.0, **kinds)
     near = np.concatenate([bodies.points, faces.points])
     obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
     legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
@@ -190,7 +213,7 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
     length = float(np.linalg.norm(np.ptp(points, axis=0)))
     margin = MARGIN * length * (np.arange(3) < dim)
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    spacing = float((high - low).max()) / SAMPLES[dim]
+    spacing = float(np.prod((high - low)[:dim]) / SAMPLES) ** (1.0 / dim)
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     grid = pyvista.ImageData(dimensions=counts, spacing=3 * (spacing,), origin=low)
     try:

@@ -155,52 +155,20 @@ def evaluate(
     cones = dual.admissible.at_point(solution.multipliers, r)
     moved = cones.section(target)
     stick = moved.face(target).stick
-    change, _ = dual.local_change(solution.multipliers, r)
-    undecided = discs_at_edge(moved, target, B.stress_scale, change)
     slip = np.zeros_like(jump)
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(solution.multipliers, slip))
     increment, moved_by = (values * B.length_scale for values in (increment, slip))
 
-    counts = np.zeros(7, dtype=np.int64)
-    steps: list[Array] = []
-    states: list[Array] = []
-    befores: list[Array] = []
-    greatest = np.zeros(3)
-    start = 0
-    tangential_rows = reduce_array(comm, [len(pair.tangent_node) for pair in B.pairs])
-    for operators, slipped, rows, (n, t) in zip(
-        B.pairs, dual.history.slipped, tangential_rows, B.slices, strict=True
-    ):
-        own = slice(start, start + len(operators.nodes))
-        sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
-        start += len(operators.nodes)
-        # strict inequality: a node without gap and without load is not pressed
-        pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
-        pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        vectors = operators.tangential_vectors(moved_by[t])
-        lengths = np.linalg.norm(vectors, axis=1)
-        steps.append(np.column_stack([vectors, np.where(pressed | rubbing, lengths, 0.0)]))
-        states.append(contact_states(operators, rows > 0, pressed, sticking, rubbing))
-        befores.append(slipped[operators.nodes])
-        if operators.bonded:
-            counts[[0, 5]] += len(pressed)
-        else:
-            counted = (pressed, sticking, pressed & sticking, ~pressed & ~rubbing)
-            counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in counted)]
-            doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
-            counts[6] += np.count_nonzero(doubtful)
-        greatest[0] = max(greatest[0], stress[n].max(initial=0.0))
-        for i, distance in enumerate((lengths, befores[-1][:, -1] + steps[-1][:, -1])):
-            greatest[1 + i] = max(greatest[1 + i], distance[pressed].max(initial=0.0))
-
+    change, _ = dual.local_change(solution.multipliers, r)
+    at_nodes = node_values(dual, stress, moved, target, moved_by, change)
+    steps, before = np.concatenate(at_nodes.steps), np.concatenate(at_nodes.before)
+    state, closing = np.concatenate(at_nodes.states), np.concatenate(closings)
     fields: list[SurfaceFields] = []
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
     shares: list[tuple[Array, Array, Indices]] = []
-    pair_states: list[PairState] = []
-    state, before, step, closing = map(np.concatenate, (states, befores, steps, closings))
     for acts, surface in zip(B.by_pair, surfaces, strict=True):
         operators, nodes = acts.operators, acts.nodes
         since = operators.tangential_vectors(increment[acts.tangential])
@@ -217,7 +185,7 @@ def evaluate(
         if reduce_array(comm, len(operators.tangent_node)) > 0:
             values["traction"] = operators.tangential_vectors(tractions[1])
             values["slip"] = before[nodes, :-1] + since
-            values["slip_path"] = before[nodes, -1] + step[nodes, -1]
+            values["slip_path"] = before[nodes, -1] + steps[nodes, -1]
             if dual.history.begun:
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
@@ -232,9 +200,8 @@ def evaluate(
         shares.append(shares_of_bodies(u.function_space, bodies.label, operators, on_nodes))
         force[0] += operators.weights[operators.normal_node] @ tractions[0]
         force[1:] += (operators.weights[operators.tangent_node] * tractions[1]) @ operators.tangents
-    history = replace(dual.history, origin=origin).after(B, slip, steps, dissipation)
-    peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
-    numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
+    history = replace(dual.history, origin=origin).after(B, slip, at_nodes.steps, dissipation)
+    resultant = reduce_array(comm, force)
     primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
@@ -272,7 +239,7 @@ def evaluate(
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
-        counts=NodeCounts(*(int(count) for count in numbers)),
+        counts=at_nodes.counts,
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
         pair_resultants=resultants_on(comm, acting, len(acting), on_bodies[0].point),
@@ -280,12 +247,85 @@ def evaluate(
         body_resultants=on_bodies,
         between_bodies=resultants_between(comm, shares),
         body_names=bodies.names,
-        peak_pressure=float(peak),
-        greatest_slip=float(greatest_slip),
-        greatest_total_slip=float(greatest_total_slip),
+        peak_pressure=at_nodes.peak_pressure,
+        greatest_slip=at_nodes.greatest_slip,
+        greatest_total_slip=at_nodes.greatest_total_slip,
         reactions={},
     )
     return evaluation, history
+
+
+class NodeValues(NamedTuple):
+    """Values of a solution at the nodes of each pair, their counts and extremes on all ranks.
+
+    Attributes:
+        states: (n,) values of `ContactState` of each pair.
+        steps: (n, d + 1) slip vectors and lengths of this step [length].
+        before: (n, d + 1) slip vectors and lengths of paths of earlier steps [length].
+        counts: numbers of nodes in each state.
+        peak_pressure: the largest pressure [stress].
+        greatest_slip: the largest slip of this step at pressed nodes [length].
+        greatest_total_slip: the longest path of the slip at pressed nodes [length].
+    """
+
+    states: list[Array]
+    steps: list[Array]
+    before: list[Array]
+    counts: NodeCounts
+    peak_pressure: float
+    greatest_slip: float
+    greatest_total_slip: float
+
+
+def node_values(
+    dual: DualProgram,
+    stress: Array,
+    moved: FeasibleSet,
+    target: Array,
+    moved_by: Array,
+    change: float,
+) -> NodeValues:
+    """Return states and slips of nodes. Collective.
+
+    Args:
+        dual: the dual problem.
+        stress: (size,) multipliers [stress].
+        moved: feasible set at each node's own minimiser, see `DualProgram.decoupled_minimiser`.
+        target: (size,) the minimisers.
+        moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
+        change: largest change of a node's tractions that the iteration leaves [stress].
+    """
+    B, stick = dual.jump, moved.face(target).stick
+    undecided = discs_at_edge(moved, target, B.stress_scale, change)
+    rubbing, (bonded, pressed) = moved.radius > 0.0, np.zeros((2, len(stick)), dtype=np.bool_)
+    tangential_rows = reduce_array(B.comm, [len(pair.tangent_node) for pair in B.pairs])
+    ends = np.cumsum([len(pair.nodes) for pair in B.pairs])
+    states: list[Array] = []
+    steps: list[Array] = []
+    before: list[Array] = []
+    greatest: Array = np.zeros(3)
+    for operators, slipped, end, rows, (n, t) in zip(
+        B.pairs, dual.history.slipped, ends, tangential_rows, B.slices, strict=True
+    ):
+        own = slice(end - len(operators.nodes), end)
+        bonded[own] = operators.bonded
+        # strict inequality: a node without gap and without load is not pressed
+        pressed[own][operators.normal_node] = operators.bonded | (target[n] > 0.0)
+        undecided[own][operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
+        states.append(contact_states(operators, rows > 0, pressed[own], stick[own], rubbing[own]))
+        vectors = operators.tangential_vectors(moved_by[t])
+        lengths = np.linalg.norm(vectors, axis=1)
+        counted = np.where(pressed[own] | rubbing[own], lengths, 0.0)
+        steps.append(np.column_stack([vectors, counted]))
+        before.append(slipped[operators.nodes])
+        paths = before[-1][:, -1] + counted
+        largest = (values[pressed[own]].max(initial=0.0) for values in (lengths, paths))
+        greatest = np.maximum(greatest, [stress[n].max(initial=0.0), *largest])
+    kinds = np.array([pressed, stick, pressed & stick, ~pressed & ~rubbing, undecided]) & ~bonded
+    *counts, doubtful = kinds.sum(axis=1)
+    numbers = reduce_array(B.comm, [len(stick), *counts, bonded.sum(), doubtful])
+    extremes = map(float, reduce_array(B.comm, greatest, MPI.MAX))
+    return NodeValues(states, steps, before, NodeCounts(*map(int, numbers)), *extremes)
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:

@@ -173,18 +173,9 @@ class SurfaceFields:
     @property
     def functions(self) -> tuple[fem.Function, ...]:
         """All fields, for output; from step 2 on also `slip_increment` and `slip_path`."""
-        is_first_step = self.slip_increment is self.slip
-        fields = (
-            self.displacement,
-            self.pressure,
-            self.traction,
-            self.slip,
-            None if is_first_step else self.slip_increment,
-            None if is_first_step else self.slip_path,
-            self.gap,
-            self.state,
-            self.normal,
-        )
+        steps = () if self.slip_increment is self.slip else ("slip_increment", "slip_path")
+        names = ("displacement", "pressure", "traction", "slip", *steps, "gap", "state", "normal")
+        fields = (getattr(self, name) for name in names)
         return tuple(field for field in fields if field is not None)
 
 
@@ -240,12 +231,7 @@ class Surface:
             surfaces += [cls(mesh, *originals, parent, work, pair, entity_maps) for pair in group]
         return surfaces
 
-    def function(
-        self,
-        name: str,
-        nodes: LocalNumbers,
-        values: Array,
-    ) -> fem.Function:
+    def function(self, name: str, nodes: LocalNumbers, values: Array) -> fem.Function:
         """Return a Function on the surface, scalar or vector, of degree 1. Collective.
 
         Args:
@@ -254,32 +240,28 @@ class Surface:
             values: (n,) or (n, d) values at these nodes. All other nodes have the value zero, or
                 the state OUTSIDE.
         """
-        is_state = name == "state"
-        kind = IntegerFunction if is_state else fem.Function
         dim = self.mesh.geometry.dim
+        columns, original = (dim, self.vector) if values.ndim == 2 else (1, self.scalar)
         whole = self.work.x.array.reshape(-1, dim)
-        whole[:] = ContactState.OUTSIDE if is_state else 0.0
-        whole[nodes] = values if values.ndim == 2 else values[:, None]
+        whole[:] = ContactState.OUTSIDE if name == "state" else 0.0
+        whole[nodes, :columns] = values.reshape(-1, columns)
         self.work.x.scatter_forward()
-        function = zero_like(self.vector if values.ndim == 2 else self.scalar, name, kind)
-        columns = dim if values.ndim == 2 else 1
+        function = zero_like(original, name, IntegerFunction if name == "state" else fem.Function)
         function.x.array[:] = whole[self.parent, :columns].ravel()
         return function
 
     def on_both_sides(self, operators: PairOperators, function: fem.Function) -> fem.Function:
         """Return a field on the problem's mesh, see `SurfaceFields.on_mesh`. Collective."""
-        dim = self.mesh.geometry.dim
         columns = function.function_space.dofmap.index_map_bs
-        V = self.work.function_space
+        own = self.scalar.function_space.dofmap.index_map.size_local
+        V, values = self.work.function_space, function.x.array.reshape(-1, columns)[:own]
         # the rank that owns a node of V may have no cell of the surface at this node
         whole = fem.Function(V)
-        whole.x.array[:] = 0.0
-        own = self.scalar.function_space.dofmap.index_map.size_local
-        whole.x.array.reshape(-1, dim)[self.parent[:own], :columns] = function.x.array.reshape(
-            -1, columns
-        )[:own]
-        _to_owners(whole)
-        density = whole.x.array.reshape(-1, dim)[operators.nodes]
+        rows = whole.x.array.reshape(-1, self.mesh.geometry.dim)
+        rows[self.parent[:own], :columns] = values
+        whole.x.scatter_reverse(dolfinx.la.InsertMode.add)
+        whole.x.scatter_forward()
+        density = rows[operators.nodes]
         across = ContactOperators(V, operators, self.pair)
         return across.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
 
@@ -290,7 +272,9 @@ class Surface:
             nodes: (m,) nodes of V; on sharp edges a node occurs once for each patch.
             weights: (m,) areas of these nodes.
         """
-        areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
+        unique, position = np.unique(nodes, return_inverse=True)
+        sums = np.bincount(position, weights, minlength=len(unique)).astype(np.float64)
+        areas: Array = self.function("weights", unique, sums).x.array
         areas[self.scalar.function_space.dofmap.index_map.size_local :] = 0.0
         return areas
 
@@ -346,21 +330,11 @@ def contact_states(
     """
     if operators.bonded:
         return np.full(len(pressed), float(ContactState.BONDED))
-    if not has_friction:
-        return np.where(pressed, float(ContactState.PRESSED), float(ContactState.OPEN))
-    moves = (~sticking).astype(int)
-    state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + moves
-    state[~pressed & ~rubbing] = ContactState.OPEN
-    return np.asarray(state, dtype=np.float64)
-
-
-def _to_owners(function: fem.Function) -> None:
-    """Send values, each of which is nonzero on one rank only, to owners and ghosts. Collective."""
-    function.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    function.x.scatter_forward()
-
-
-def _summed(nodes: LocalNumbers, values: Array) -> tuple[LocalNumbers, Array]:
-    """Return each node once, with the sum (n,) of its values."""
-    unique, position = np.unique(nodes, return_inverse=True)
-    return unique, np.bincount(position, values, minlength=len(unique)).astype(np.float64)
+    closed: Array = np.full(len(pressed), float(ContactState.PRESSED))
+    opened: Array = np.full(len(pressed), float(ContactState.OPEN))
+    if has_friction:
+        closed = np.where(sticking, float(ContactState.STICK), float(ContactState.SLIP))
+        opened[rubbing] = np.where(sticking, ContactState.OPEN_STICK, ContactState.OPEN_SLIP)[
+            rubbing
+        ]
+    return np.where(pressed, closed, opened)

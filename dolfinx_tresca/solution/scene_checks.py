@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from mpi4py import MPI
@@ -28,6 +29,8 @@ from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
+
+_warn = partial(log, level=logging.WARNING)
 
 
 class Limit(NamedTuple):
@@ -54,24 +57,6 @@ SLIP = Limit(0.2, 1.0)
 #: from it than the size of their own area. Forces act on both bodies where nothing touches; with
 #: doubled limits, twice as much of them, and a body leaves the other one before the theory ends.
 FORCE_BEYOND_PARTNER = Limit(0.2, 0.5)
-
-#: Limits of the slip relative to the size of a facet where nothing but the scatter of the normals
-#: from node to node stops a body. Such normals are normals of one facet; with doubled limits,
-#: bodies move on beyond the limit of friction twice as far without a word.
-WEDGED_SLIP = Limit(0.05, 0.2)
-
-#: A contact slides as a whole if this fraction of its force is at nodes that slip by more than half
-#: of the largest slip. With half the number, contacts with a stick zone would count, too.
-SLIDING_FORCE = 0.9
-
-#: Normals scatter if this fraction of the mean square of their component along the slip remains
-#: when an affine function of the position is subtracted. It is 0 for wedges, cones and spheres, and
-#: nearly 1 for the mesh of a cylinder that is pulled along its axis. With half the number, deep
-#: sockets count.
-SCATTERED = 0.5
-
-#: Smallest component of normals along the slip that does not count as rounding [rad].
-LEAST_TILT = 1e-6
 
 #: A body turns if its rotation [rad] is larger than this multiple of its displacement beyond the
 #: rigid motion, relative to its diagonal. A body that is sheared, with a ratio of about 1.5, turns
@@ -124,7 +109,7 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
     advice = dict.fromkeys(departure.advice for departure in told)
     text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
     if not comm.bcast(bool(outside)):
-        log(comm, "near the end of linear theory: %s", text, level=logging.WARNING)
+        _warn(comm, "near the end of linear theory: %s", text)
         return ""
     return str(comm.bcast(text))
 
@@ -250,34 +235,16 @@ def _motions_of_pair(
         of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
         of_size += "their normals and partners"
         yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
-    if in_facets <= WEDGED_SLIP.noticed:
-        return
-    sliding = force @ (length > 0.5 * slip)
-    sums = reduce_array(comm, np.hstack([force.sum(), sliding, force @ (slips / slip)]))
-    total, sliding, direction = sums[0], sums[1], sums[2:]
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
         undeformed = operators.undeformed
         facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
         beyond = ~_lies_over(comm, facets, operators, jumps)
-        share = float(reduce_array(comm, force @ beyond)) / total
-        of_force = f"{text}, and {100.0 * share:.0f} % of the contact force is at nodes that have "
-        of_force += "left the other side, but keep their normals and partners"
-        if share > FORCE_BEYOND_PARTNER.noticed:
-            yield Departure(share, FORCE_BEYOND_PARTNER, of_force, ADVICE_TO_PAIRS)
-    tilt = normals @ (direction / (np.linalg.norm(direction) or 1.0))
-    affine = np.column_stack([np.ones(len(tilt)), operators.places / size, tilt])
-    gram = reduce_array(comm, affine.T @ ((operators.weights * pressed)[:, None] * affine))
-    fitted = gram[-1, :-1] @ np.linalg.pinv(gram[:-1, :-1], hermitian=True) @ gram[:-1, -1]
-    scatter = np.sqrt(max(gram[-1, -1] - fitted, 0.0) / gram[0, 0])
-    scatters = scatter > max(LEAST_TILT, np.sqrt(SCATTERED * gram[-1, -1] / gram[0, 0]))
-    if scatters and sliding > SLIDING_FORCE * total:
-        text += (
-            f", {in_facets:.2g} times the size of a facet: no friction holds any part of the "
-            "contact, and only the scatter of the normals from node to node, "
-            f"{scatter:.1g} rad, resists"
-        )
-        yield Departure(in_facets, WEDGED_SLIP, text, ADVICE_TO_PAIRS)
+        left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
+        text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "
+        text += "left the other side, but keep their normals and partners"
+        if left > FORCE_BEYOND_PARTNER.noticed * total:
+            yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
 
 
 def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
@@ -322,12 +289,11 @@ def hint_at_scene(
     for pair, paired in zip(pairs, operators, strict=True):
         coefficient = _coefficient(pair)
         if coefficient > LARGEST_COEFFICIENT:
-            log(
+            _warn(
                 comm,
                 "%s has a coefficient of friction of %g, which no material has: it is neither in "
                 "percent nor an angle",
                 *(pair, coefficient),
-                level=logging.WARNING,
             )
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
@@ -336,21 +302,19 @@ def hint_at_scene(
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
             if alike and not pair.touches_itself:
-                log(
+                _warn(
                     comm,
                     "both sides of %s are on body %d: it touches itself. If these should be two "
                     "bodies, they share nodes: mesh them without merging nodes",
                     *(pair, 1 + int(secondary.argmax())),
-                    level=logging.WARNING,
                 )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
         if depth >= thinnest:
-            log(
+            _warn(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
                 "bodies where they should be, and the tags on the sides that face each other?",
                 *(pair, depth),
-                level=logging.WARNING,
             )
 
 
@@ -387,14 +351,13 @@ def hint_at_overlap(
         # the least of all equally deep points: the same with any number of ranks
         deepest_points = points[paired.nodes[depth >= deepest - rounding]]
         place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
-        log(
+        _warn(
             comm,
             "%s overlaps by up to %.3g, at (%s): Dirichlet conditions prescribe the displacement "
             "along the normal at %d nodes of the secondary side, which so have no pressure to hold "
             "the sides apart. Prescribe no overlap, or make a side that can give way the secondary "
             "side",
             *(pair, deepest, ", ".join(f"{x:.4g}" for x in place), number),
-            level=logging.WARNING,
             about=str(pair),
         )
 
@@ -425,20 +388,18 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     least = [by_pressure.min(initial=0.0), compliance * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
     if falling < 0.0:
-        log(
+        _warn(
             comm,
             "the slip bound F(p, v) p of a contact pair decreases with the pressure at slipping "
             "nodes, by up to %.3g for each unit of pressure: there may be several solutions",
             -falling,
-            level=logging.WARNING,
         )
     if weakening < -1.0:
-        log(
+        _warn(
             comm,
             "the slip bound of a contact pair decreases with the slip up to %.3g times as fast as "
             "elastic tractions do: there may be several solutions, and sliding may begin suddenly",
             -weakening,
-            level=logging.WARNING,
         )
 
 

@@ -17,9 +17,6 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.search.balls import bounding_box
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 
-#: Maps the number of corners of a facet to the simplices into which the facet is divided.
-SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
-
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
     """Return multipliers (size,) [stress] for a first guess, from tractions on another mesh.
@@ -160,8 +157,9 @@ def _nearest_places(
         dolfinx.geometry.create_midpoint_tree(mesh, dim, facets),
     )
     nearest = dolfinx.geometry.compute_closest_entity(*trees, mesh, points)
-    corners_of_simplices = SIMPLICES[V.dofmap.list.shape[1]]
-    nodes: Indices = np.asarray(V.dofmap.list)[nearest][:, corners_of_simplices].astype(np.intp)
+    count = V.dofmap.list.shape[1]
+    simplices = [[0, 1, 3], [0, 3, 2]] if count == 4 else [[*range(count)]]  # of a quadrilateral
+    nodes: Indices = np.asarray(V.dofmap.list)[nearest][:, simplices].astype(np.intp)
     corners = places[nodes]
     sides = corners[:, :, 1:] - corners[:, :, :1]
     arm = points[:, None] - corners[:, :, 0]

@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import MESHES, InputError, TaggedMesh, read_gmsh, refine
-from dolfinx_tresca._base.compat import create_submesh, geometry_dofmap
+from dolfinx_tresca._base.compat import geometry_dofmap
 from scenes.scene import EPS
 
 
@@ -183,44 +183,6 @@ def test_cells_may_become_very_small(comm):
     x = tagged.mesh.geometry.x[geometry_dofmap(tagged.mesh)]
     sides = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
     assert (sides.max(axis=1) / sides.min(axis=1)).max() <= 2.0
-
-
-@pytest.mark.parallel
-def test_a_submesh(comm):
-    """Its nodes have the numbers of its parent's, with gaps between them."""
-    parent = square(comm)
-    cells = dolfinx.mesh.locate_entities(parent.mesh, 2, lambda x: x[1] > 0.5 - 1e-9)
-    mesh = create_submesh(parent.mesh, 2, cells)[0]
-    top = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: x[1] > 1 - 1e-9)
-    five = np.full(len(top), 5, dtype=np.int32)
-    none = np.zeros(0, dtype=np.int32)
-    mesh.topology.create_connectivity(1, 2)
-    before = TaggedMesh(
-        mesh,
-        dolfinx.mesh.meshtags(mesh, 2, none, none),
-        dolfinx.mesh.meshtags(mesh, 1, top, five),
-        {"top": 5},
-    )
-    after = refine(before, near(before, [1, 1, 0]))
-    assert np.allclose(sizes(after), [0.0, 1.0], rtol=1e-12)
-    assert len(all_middles(after)) > len(all_middles(before))
-
-
-@pytest.mark.parallel
-def test_errors_as_a_function(comm):
-    tagged = square(comm)
-    function = fem.Function(fem.functionspace(tagged.mesh, ("DG", 0)))
-    function.interpolate(lambda x: np.exp(-3.0 * np.hypot(x[0] - 0.5, x[1])))
-    values = function.x.array[: len(middles(tagged))].copy()
-    by_function, by_values = refine(tagged, function), refine(tagged, values)
-    assert np.array_equal(all_middles(by_function), all_middles(by_values))
-
-
-@pytest.mark.parallel
-def test_a_part_that_is_all_of_it_cuts_all_cells(comm):
-    tagged = square(comm)
-    refined = refine(tagged, np.full(len(middles(tagged)), 7.0), 1.0)
-    assert len(all_middles(refined)) == 4 * len(all_middles(tagged))
 
 
 def on_ball(x: np.ndarray) -> np.ndarray:

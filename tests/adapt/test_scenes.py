@@ -71,19 +71,8 @@ def obstacles(tagged):
     return ContactProblem(a, L, pairs, bcs=bcs)
 
 
-def coulomb(tagged):
-    """Friction that the pressure bounds, between all of them."""
-    V, a, L = forms(tagged, 1, load=LOAD, onto=["top_0"])
-    tags, facets = tagged.tags, tagged.facet_tags
-    pairs = [
-        ContactPair(facets, tags[f"bottom_{k}"], tags[f"top_{k + 1}"], Coulomb(0.2))
-        for k in range(2)
-    ]
-    return ContactProblem(a, L, pairs, bcs=[held(tagged, V, "bottom_2")])
-
-
 #: The normal force of all pairs together over the load, where statics say it.
-SCENES = {several_bodies: None, floating_bodies: 3.0, obstacles: 2.0, coulomb: 2.0}
+SCENES = {several_bodies: None, floating_bodies: 3.0, obstacles: 2.0}
 
 
 @pytest.mark.parallel(build=[several_bodies, floating_bodies])

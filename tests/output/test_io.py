@@ -492,21 +492,6 @@ def test_fields_that_are_refused(folder: Path, solution: ContactSolution) -> Non
     assert not list(folder.iterdir())
 
 
-def test_a_broken_pyvista(
-    comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It says what pyvista misses in the VTK that is there, as pip leaves it beside Debian's."""
-    if comm.rank == 0:
-        (folder / "broken" / "pyvista").mkdir(parents=True)
-        code = "from xml.dom import vtkCapsuleSource"
-        (folder / "broken" / "pyvista" / "__init__.py").write_text(code)
-    comm.barrier()
-    monkeypatch.delitem(sys.modules, "pyvista", raising=False)
-    monkeypatch.syspath_prepend(folder / "broken")
-    with pytest.raises(ContactError, match=r"'vtkCapsuleSource' from.*pip install -U pyvista"):
-        solution.to_pyvista()
-
-
 @contextmanager
 def full_disk(kilobytes: int) -> Iterator[None]:
     """Let no file of this process grow beyond a size, as a full disk or a quota does."""

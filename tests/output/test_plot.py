@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
 import os
 import shutil
 import subprocess
 import sys
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -136,14 +134,6 @@ def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> Non
     assert fraction(right, "grey") > 0.05  # there is an open part
     assert fraction(picture[:, :8], "white") == 1.0  # nothing is cut off
     assert fraction(picture[:, -8:], "white") == 1.0
-
-
-@pytest.mark.parallel
-@needs_xvfb
-def test_same_picture_again_and_on_all_ranks(folder: Path, solution: ContactSolution) -> None:
-    solution.plot(folder / "first.png")
-    solution.plot(folder / "second.png")
-    np.testing.assert_array_equal(image(folder / "first.png"), image(folder / "second.png"))
 
 
 @pytest.mark.parallel
@@ -324,15 +314,6 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     assert (right[60:310].max(axis=2) < 60).sum() == 0
 
 
-@needs_xvfb
-def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
-    plot.plot(folder / "two.png", flat.u, flat.surfaces * 2)
-    picture = image(folder / "two.png")
-    assert picture.shape == (2 * ROW, WIDTH, 3)
-    for row in np.split(picture[:, round(plot.SPLIT * WIDTH) :], 2):
-        assert near(row, CURVE_COLOUR) > 0.001
-
-
 @pytest.mark.parallel
 @needs_xvfb
 def test_planes_round_a_body_do_not_hide_it(comm: MPI.Comm, folder: Path) -> None:
@@ -436,14 +417,6 @@ def test_closed_curve(turn: int) -> None:
     np.testing.assert_allclose(directions[:, 0], [half, half, -half, -half, half])
 
 
-def test_curve_in_pieces() -> None:
-    """From left to right, with a break between them."""
-    curve = curve_of([(3, 0), (4, 0), (0, 0), (1, 0)], [(0, 1), (2, 3)])
-    nodes, arcs, _ = zip(*unrolled(curve), strict=True)
-    assert [piece.tolist() for piece in nodes] == [[2, 3], [0, 1]]
-    np.testing.assert_allclose(arcs, [[0.0, 1.0], [1.04, 2.04]])
-
-
 @needs_xvfb
 @pytest.mark.parametrize("beyond", [1, 2])
 def test_tip_of_a_crack_is_closed(flat: ContactSolution, beyond: int) -> None:
@@ -468,12 +441,6 @@ def test_view_is_along_the_normal(direction: tuple[float, float, float]) -> None
     normal, up = views.direction(pyvista.Plane(direction=direction).triangulate().compute_normals())
     np.testing.assert_allclose(normal, np.sign(sum(direction)) * np.array(direction), atol=1e-6)
     assert abs(normal @ up) < 1e-6
-
-
-def test_view_of_a_closed_surface() -> None:
-    np.testing.assert_array_equal(
-        views.direction(pyvista.Sphere().compute_normals())[0], views.OBLIQUE
-    )
 
 
 @pytest.fixture
@@ -501,26 +468,6 @@ def test_broken_xvfb(
     monkeypatch.setattr(shutil, "which", lambda name: "/bin/false")
     with pytest.raises(ContactError, match="did not start"):
         solution.plot(folder / "bricks.png")
-
-
-@pytest.mark.skipif(
-    shutil.which("Xvfb") is None or find_library("X11") is None,
-    reason="there is no Xvfb or no library of X clients",
-)
-def test_the_x_server_stays_when_its_last_client_leaves() -> None:
-    """A server that restarts between two views of a picture may disconnect the second one."""
-    x = ctypes.CDLL(find_library("X11"))
-    x.XOpenDisplay.restype = ctypes.c_void_p
-    x.XInternAtom.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int]
-    x.XCloseDisplay.argtypes = [ctypes.c_void_p]
-    atoms = []
-    with plot.x_server() as name:
-        for only_if_exists in (False, True):
-            client = x.XOpenDisplay(name.encode())
-            assert client, "the server refused a client"
-            atoms.append(x.XInternAtom(client, b"LEFT_BY_THE_FIRST_CLIENT", only_if_exists))
-            x.XCloseDisplay(client)
-    assert atoms[0] == atoms[1] != 0
 
 
 def test_a_picture_without_a_display_prints_nothing() -> None:

@@ -54,7 +54,7 @@ def drawn(obstacle: RigidObstacle, points: np.ndarray, dim: int) -> list[Any]:
 def test_obstacles_are_drawn_where_their_distance_is_zero(obstacle: RigidObstacle) -> None:
     """The surface is off by the square of the grid's spacing, and goes beyond the bodies."""
     surface = drawn(obstacle, CORNERS, 3)[0]
-    spacing = np.ptp(CORNERS, axis=0).max() * 1.3 / SAMPLES[3]
+    spacing = 1.3 * (np.prod(np.ptp(CORNERS, axis=0)) / SAMPLES) ** (1.0 / 3.0)
     assert np.abs(obstacle.distance(np.asarray(surface.points))).max() < spacing**2 / 6.0
     assert (np.ptp(surface.points, axis=0)[:2] > 12.0).all()
 
