@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 from petsc4py import PETSc
 
@@ -293,29 +293,16 @@ ChosenMethod: TypeAlias = Literal["cholesky", "multigrid"]
 StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 
 
-class CholeskyLimits(NamedTuple):
-    """Largest numbers of degrees of freedom of a body for which K is factored by default.
+#: Largest numbers of degrees of freedom of a body, by the dimension of space, for which K is
+#: factored by default for one contact solve; above them multigrid is faster. The cost of factors
+#: grows with the square of the size of each body, not of all bodies together. It hardly depends on
+#: the degree of the displacements. With twice the limit in 3D, solves in between take up to twice
+#: the time.
+CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
-    The cost of factors grows with the square of the size of each body, not of all bodies together.
-    It hardly depends on the degree of the displacements.
-
-    Attributes:
-        once: limit for one contact solve; above it multigrid is faster.
-        further: increase of the limit for each further solve.
-        most: limit for any number of solves, since factors take memory.
-    """
-
-    once: int
-    further: int
-    most: int
-
-
-#: Limits by the dimension of space. With twice the limits for one solve in 3D, solves in between
-#: take up to twice the time.
-CHOLESKY_LIMITS = {
-    2: CholeskyLimits(800_000, 400_000, 3_000_000),
-    3: CholeskyLimits(50_000, 25_000, 300_000),
-}
+#: Largest number by which the limit for one solve is multiplied for many solves. Each further solve
+#: adds a half; factors of larger bodies take too much memory.
+MOST_FACTOR = 5.0
 
 
 def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
@@ -375,8 +362,7 @@ def choose(
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
-    once, further, most = CHOLESKY_LIMITS[dim]
-    limit = min(once + (expected_solves - 1) * further, most)
+    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), MOST_FACTOR))
     chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
