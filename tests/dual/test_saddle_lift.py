@@ -10,7 +10,7 @@ from dolfinx_tresca.dual.energy_bound import SaddleLift
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.stiffness.choice import saddle_cholesky
+from dolfinx_tresca.stiffness.choice import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import LEFT, YOUNG, block
 from scenes.pressures import with_pressure
@@ -33,7 +33,7 @@ def test_the_energy_is_the_least(comm, repeated):
             if repeated:
                 assert lifted.energy_norm(z) == np.inf
                 return
-            solver = saddle_cholesky(system.K, {}, None, system.saddle_size)
+            solver = cholesky(system.K, {}, None, system.saddle_size)
             with solver, DualOperator(jump, solver) as operator:
                 product = operator.apply(z)
             energy = np.sqrt(float(jump.reductions.inner(z, product)))
