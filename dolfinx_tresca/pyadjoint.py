@@ -221,9 +221,6 @@ class _Solved(pyadjoint.OverloadedType):  # type: ignore[misc]
     def _ad_restore_at_checkpoint(self, checkpoint: _Content) -> _Content:
         return checkpoint
 
-    def __str__(self) -> str:
-        return "contact state"
-
 
 class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
     """The step on the tape that computes the value of a goal from a contact state."""
@@ -244,9 +241,6 @@ class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
         jump_of_u = jump.of_displacement(step.u)
         return pyadjoint.AdjFloat(value_of(self._goal, jump, step.multipliers, jump_of_u))
 
-    def __str__(self) -> str:
-        return f"value of {self._goal}"
-
 
 class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
     """A solve on the tape.
@@ -265,14 +259,15 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
         self._problem, self._options, self._start = problem, options, start
         self._values = [values_of(field).copy() for field in problem.inputs]
         self._accepted = accepted
-        conditions = [bc for bc in problem._contact.linear.bcs if _is_on_tape(bc)]
-        prescribed = {id(bc.g) for bc in conditions}
-        inputs = [
-            field for field in problem.inputs if _is_on_tape(field) and id(field) not in prescribed
-        ]
+        bcs = problem._contact.linear.bcs
+        candidates = [*problem.inputs, *bcs]
+        on_tape = [value for value in candidates if isinstance(value, pyadjoint.OverloadedType)]
+        prescribed = {id(bc.g) for bc in bcs if isinstance(bc, pyadjoint.OverloadedType)}
         if accepted is not None:
             self.add_dependency(accepted)
-        for dependency in [*inputs, *conditions]:
+        for dependency in on_tape:
+            if id(dependency) in prescribed:  # by a condition, which is a dependency itself
+                continue
             self.add_dependency(dependency, no_duplicates=True)
             present = _control(dependency)
             recorded = _control(dependency.block_variable.saved_output)
@@ -344,7 +339,10 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
             )
         result: dict[int, Any] = {}
         for (idx, control), values in zip(by_control.items(), derivatives, strict=True):
-            result[idx] = _dual_vector(control, values)
+            by_values = dolfinx_adjoint.Function(control.function_space, annotate=False)
+            by_values.x.array[: np.size(values)] = np.ravel(values)
+            by_values.x.scatter_forward()
+            result[idx] = by_values.x
         if self._accepted is not None:
             result[0] = [(1.0, on_origin)]
         return result
@@ -354,25 +352,9 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
     ) -> Any:
         return prepared[idx]
 
-    def __str__(self) -> str:
-        return f"contact solve of {self._problem!r}"
-
-
-def _is_on_tape(value: Any) -> bool:
-    """Return whether pyadjoint records an object."""
-    return isinstance(value, pyadjoint.OverloadedType)
-
 
 def _control(dependency: Any) -> Any:
     """Return the Function whose values a dependency stands for; None for an accepted step."""
     if isinstance(dependency, fem.DirichletBC):
         return dependency.g
     return dependency if isinstance(dependency, fem.Function) else None
-
-
-def _dual_vector(control: fem.Function, owned: Array) -> Any:
-    """Return derivatives with respect to owned values as dolfinx-adjoint's vector. Collective."""
-    result = dolfinx_adjoint.Function(control.function_space, annotate=False)
-    result.x.array[: len(np.ravel(owned))] = np.ravel(owned)
-    result.x.scatter_forward()
-    return result.x

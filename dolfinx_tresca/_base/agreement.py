@@ -261,14 +261,12 @@ def _text(value: Any) -> str:
         fixed = getattr(value.g, "value", None)
         return f"DirichletBC{'' if fixed is None else f' to {np.asarray(fixed).tolist()}'}"
     if isinstance(value, ufl.Form):
-        spaces = [argument.ufl_function_space().ufl_element() for argument in value.arguments()]
         constants = [np.asarray(getattr(c, "value", None)).tolist() for c in value.constants()]
         try:
             signature = value.signature()[:8]
         except Exception:  # DOLFINx reports an invalid form when it compiles the form
             signature = "none"
-        with_constants = f", constants {constants}" if constants else ""
-        return f"a form on {' and '.join(map(str, spaces))}{with_constants}, signature {signature}"
+        return f"a form with the signature {signature} and constants {constants}"
     if isinstance(value, np.ndarray | list | tuple):
         array = np.asarray(value)
         entries = array.astype(float) if array.dtype.kind in "iuf" else array

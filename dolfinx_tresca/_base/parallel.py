@@ -164,13 +164,6 @@ def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) ->
     return result
 
 
-def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Return the first rank's array on every rank; all ranks give the same shape. Collective."""
-    array = np.array(values, dtype=np.float64, order="C")
-    comm.Bcast(array, root=0)
-    return array
-
-
 @dataclass(frozen=True)
 class RankReductions:
     """Reductions over the ranks for distributed vectors, with `size` entries on this rank.
@@ -205,7 +198,9 @@ class RankReductions:
 
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; on the other ranks, x may differ by rounding. Collective."""
-        return broadcast_array(self.comm, x)
+        array = np.array(x, dtype=np.float64, order="C")
+        self.comm.Bcast(array, root=0)
+        return array
 
 
 _exchange_logger = logging.getLogger("dolfinx_tresca.exchange")

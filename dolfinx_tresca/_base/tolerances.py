@@ -23,6 +23,11 @@ ROUGH = 1e-3
 #: distance of the number from 1 is doubled or halved, no number of products changes.
 SLACK = 1.01
 
+#: A force of K against a motion that should cost nothing counts as rounding of the assembly up to
+#: this multiple of K's largest diagonal entry, for a displacement of length 1. Assembly leaves
+#: 1e-15 to 1e-13; softer springs exert less than 1e-10 of the forces that strains cause.
+ASSEMBLY_ROUNDING = 1e-12
+
 #: Relative error, in the energy norm, that is requested where only rounding errors are allowed.
 #: Doubling or halving it changes nothing: solvers stop at their own rounding first.
 FULL_ACCURACY = 1e-13

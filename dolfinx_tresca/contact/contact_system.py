@@ -37,7 +37,8 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
-from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.scene_checks import (
     Limit,

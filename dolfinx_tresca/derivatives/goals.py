@@ -152,10 +152,7 @@ def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     owned = V.tabulate_dof_coordinates()[: index_map.size_local, : V.mesh.geometry.dim]
     values.array = _bump(goal, owned)
     matrix.mult(values, means)
-    result = np.array(means.array)
-    for owned_object in (matrix, values, means):
-        owned_object.destroy()
-    return result
+    return np.array(means.array)
 
 
 def _unit(direction: object) -> Array:

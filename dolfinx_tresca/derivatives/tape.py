@@ -258,10 +258,13 @@ class ProcessTape:
         on_origin: Array | None = None
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
             step = self._steps[number]
-            weighted = [
-                (weight, _with_displacement(goal, step.u(), step.contact.u))
-                for weight, goal in goals_of_step.get(number, [])
-            ]
+            solved_u, weighted = step.u(), goals_of_step.get(number, [])
+            if solved_u is not None and solved_u is not step.contact.u:
+                moved = {solved_u: step.contact.u}
+                weighted = [
+                    (weight, ufl.replace(goal, moved) if isinstance(goal, ufl.Form) else goal)
+                    for weight, goal in weighted
+                ]
             with replaced(self._inputs, step.values):
                 self._check_laws(step, number)
                 data.linearise(step.contact)
@@ -337,9 +340,3 @@ class ProcessTape:
                 for weight, goal in pairs
             ]
         return result
-
-
-def _with_displacement(goal: Any, before: fem.Function | None, u: fem.Function) -> Any:
-    """Return a goal, in which u replaces the displacement `before` if the goal is a form."""
-    replaces = isinstance(goal, ufl.Form) and before is not None and before is not u
-    return ufl.replace(goal, {before: u}) if replaces else goal

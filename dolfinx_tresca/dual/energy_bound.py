@@ -11,7 +11,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator, nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.stiffness.choice import cholesky, saddle_cholesky
+from dolfinx_tresca.stiffness.choice import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: The rows of B count as linearly dependent if the ratio |B w - jump| / |jump| (Euclidean norms) of
@@ -119,7 +119,7 @@ class SaddleLift(Lift):
         self._prepare(K, B)
         self._right, self._solution = whole.createVecs()
         try:
-            self._solver = saddle_cholesky(whole, {}, None, None)
+            self._solver = cholesky(whole, {}, None, None)
         except StiffnessError:  # dependent rows
             self._solver = None
         rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))

@@ -169,6 +169,7 @@ def evaluate(
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
     shares: list[tuple[Array, Array, Indices]] = []
+    pair_states: list[PairState] = []
     for acts, surface in zip(B.by_pair, surfaces, strict=True):
         operators, nodes = acts.operators, acts.nodes
         since = operators.tangential_vectors(increment[acts.tangential])

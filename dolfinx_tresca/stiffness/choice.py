@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 from petsc4py import PETSc
 
@@ -45,52 +45,49 @@ SADDLE = {
 }
 
 
-def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
-    """Return a solver with the Cholesky factors of K. Collective.
+def cholesky(
+    K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None = 0
+) -> StiffnessSolver:
+    """Return a solver with the factors of K, or of a saddle-point matrix (A, B'; B, -C).
+
+    Collective.
 
     Args:
         K: the matrix.
         petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database; None: there is none.
-
-    Raises:
-        StiffnessError: K is not positive definite, or the factorisation failed.
-    """
-    return StiffnessSolver("cholesky", K, DEFAULTS, petsc_options, prefix, check=_positive_pivots)
-
-
-def saddle_cholesky(
-    K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None
-) -> StiffnessSolver:
-    """Return a solver with the factors of the saddle-point matrix K = (A, B'; B, -C). Collective.
-
-    Args:
-        K: the matrix.
-        petsc_options: PETSc options in addition to the defaults.
-        prefix: prefix of the user's options in PETSc's database.
         constraints: number of unknowns other than displacements, such as pressures. The number of
             negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
             then positive definite; if C is zero, A is positive definite on the vectors u with
             B u = 0. None: the pivots are not checked.
 
     Raises:
-        StiffnessError: K is singular, the number of negative pivots is wrong, or the factorisation
-            failed.
+        StiffnessError: the factorisation failed, or the pivots show that K is not positive
+            definite, or that a saddle-point matrix is singular or has the wrong signs.
     """
 
     def check(ksp: PETSc.KSP) -> None:
-        factor = _mumps_factor(ksp)
-        if factor is None:
-            return
-        negative, zero = factor.getMumpsInfog(12), factor.getMumpsInfog(28)
-        if zero > 0:
+        pc = ksp.getPC()
+        if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
+            return  # the user has chosen another solver
+        factor = pc.getFactorMatrix()
+        failure, reason, negative, zero = map(factor.getMumpsInfog, (1, 2, 12, 28))
+        if failure < 0:
             raise StiffnessError(
-                f"K is singular: {zero} of {factor.getSize()[0]} pivots are zero. Either nothing "
+                f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} "
+                "(-10: singular, -9 or -13: out of memory; see its manual). For large models take "
+                "stiffness='multigrid'."
+            )
+        if constraints == 0 and negative > 0:
+            raise not_positive_definite(f"{negative} of {K.getSize()[0]} pivots are negative")
+        if constraints != 0 and zero > 0:
+            raise StiffnessError(
+                f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Either nothing "
                 "holds a body; or a pressure is not determined: if all of the boundary is clamped, "
                 "it is known up to a constant only, and spaces must be a stable pair, such as "
                 "degree 2 for u and degree 1 for p."
             )
-        if constraints is not None and negative != constraints:
+        if constraints and negative != constraints:
             raise StiffnessError(
                 f"K has {negative} negative pivots, but {constraints} unknowns that are no "
                 "displacements: it is not K of a stable body with a pressure. Its form must be "
@@ -98,39 +95,8 @@ def saddle_cholesky(
                 "where b(u, q) = 0 for all q. Check the signs in the form a, and the material data."
             )
 
-    return StiffnessSolver("cholesky", K, SADDLE, petsc_options, prefix, check=check)
-
-
-def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
-    """Return the factor of MUMPS; None if options have chosen another solver.
-
-    Raises:
-        StiffnessError: the factorisation failed.
-    """
-    pc = ksp.getPC()
-    if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
-        return None
-    factor = pc.getFactorMatrix()
-    failure = factor.getMumpsInfog(1)
-    if failure < 0:
-        raise StiffnessError(
-            f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {factor.getMumpsInfog(2)} "
-            "(-10: singular, -9 or -13: out of memory; see its manual). For large models take "
-            "stiffness='multigrid'."
-        )
-    return factor
-
-
-def _positive_pivots(ksp: PETSc.KSP) -> None:
-    """Raise an error if MUMPS found negative pivots, or failed.
-
-    Raises:
-        StiffnessError: K is not positive definite, or the factorisation failed.
-    """
-    factor = _mumps_factor(ksp)
-    negative = 0 if factor is None else factor.getMumpsInfog(12)
-    if factor is not None and negative > 0:
-        raise not_positive_definite(f"{negative} of {factor.getSize()[0]} pivots are negative")
+    defaults = DEFAULTS if constraints == 0 else SADDLE
+    return StiffnessSolver("cholesky", K, defaults, petsc_options, prefix, check=check)
 
 
 KRYLOV = {
@@ -293,29 +259,16 @@ ChosenMethod: TypeAlias = Literal["cholesky", "multigrid"]
 StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 
 
-class CholeskyLimits(NamedTuple):
-    """Largest numbers of degrees of freedom of a body for which K is factored by default.
+#: Largest numbers of degrees of freedom of a body, by the dimension of space, for which K is
+#: factored by default for one contact solve; above them multigrid is faster. The cost of factors
+#: grows with the square of the size of each body, not of all bodies together. It hardly depends on
+#: the degree of the displacements. With twice the limit in 3D, solves in between take up to twice
+#: the time.
+CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
-    The cost of factors grows with the square of the size of each body, not of all bodies together.
-    It hardly depends on the degree of the displacements.
-
-    Attributes:
-        once: limit for one contact solve; above it multigrid is faster.
-        further: increase of the limit for each further solve.
-        most: limit for any number of solves, since factors take memory.
-    """
-
-    once: int
-    further: int
-    most: int
-
-
-#: Limits by the dimension of space. With twice the limits for one solve in 3D, solves in between
-#: take up to twice the time.
-CHOLESKY_LIMITS = {
-    2: CholeskyLimits(800_000, 400_000, 3_000_000),
-    3: CholeskyLimits(50_000, 25_000, 300_000),
-}
+#: Largest number by which the limit for one solve is multiplied for many solves. Each further solve
+#: adds a half; factors of larger bodies take too much memory.
+MOST_FACTOR = 5.0
 
 
 def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
@@ -375,8 +328,7 @@ def choose(
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
-    once, further, most = CHOLESKY_LIMITS[dim]
-    limit = min(once + (expected_solves - 1) * further, most)
+    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), MOST_FACTOR))
     chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
@@ -405,8 +357,7 @@ def solver_for(
     Raises:
         StiffnessError: K is indefinite.
     """
-    if system.component is not None:
-        return saddle_cholesky(K, petsc_options, prefix, system.saddle_size)
     if method == "cholesky":
-        return cholesky(K, petsc_options, prefix)
+        constraints = 0 if system.component is None else system.saddle_size
+        return cholesky(K, petsc_options, prefix, constraints)
     return multigrid(K, system.V, system.prescribed, petsc_options, prefix)

@@ -29,6 +29,7 @@ from dolfinx_tresca._base.compat import (
     same_topology,
 )
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 
 
@@ -314,10 +315,6 @@ def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
 #: symmetric K.
 SYMMETRY = 1e-10
 
-#: The force against a radial translation of length 1 counts as rounding up to this multiple of K's
-#: largest diagonal entry; the form then lacks the hoop strain.
-HOOP_ROUNDING = 1e-12
-
 #: A negative radius counts as zero if its absolute value is at most this fraction of the largest
 #: radius.
 RADIUS_ROUNDING = 1e-9
@@ -354,11 +351,8 @@ def check_hoop_stiffness(K: PETSc.Mat) -> None:
     diagonal = K.getDiagonal()
     motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
     K.mult(motion, force)
-    resistance, largest = (
-        force.norm(PETSc.NormType.INFINITY),
-        diagonal.norm(PETSc.NormType.INFINITY),
-    )
-    if resistance <= HOOP_ROUNDING * largest:
+    resistance, largest = (v.norm(PETSc.NormType.INFINITY) for v in (force, diagonal))
+    if resistance <= ASSEMBLY_ROUNDING * largest:
         raise InputError(
             "the form a is that of a plane body: it does not resist a radial translation. An "
             "axisymmetric form has the hoop strain u[0] / x[0] and the factor "

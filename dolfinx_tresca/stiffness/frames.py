@@ -30,12 +30,8 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
+from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.stiffness.forms import has_stresses
-
-#: A force of K against a rigid motion counts as rounding up to this multiple of the body's largest
-#: diagonal entry, for a displacement of length 1. Softer springs exert less than 1e-10 of the
-#: forces that strains cause. (Assembly and products leave 1e-15 to 1e-13.)
-RIGID_ROUNDING = 1e-12
 
 #: Prescribed nodes determine a rotation if they are spread, in one direction in 2D and in two in
 #: 3D, over more than this fraction of the largest spread of the body. Rotations of closer nodes
@@ -293,10 +289,7 @@ class BodyFrames:
         ends = np.arange(0, owned * dim**2 + 1, dim)
         shape = owned * dim, self.V.dofmap.index_map.size_global * dim
         rows = csr_array((blocks.ravel(), columns.ravel(), ends), shape)
-        R = sparse_matrix(rows, B.getSizes()[1], B.comm)
-        result = B.matMult(R)
-        R.destroy()
-        return result
+        return B.matMult(sparse_matrix(rows, B.getSizes()[1], B.comm))
 
 
 def _axial(moments: Array) -> Array:
@@ -330,10 +323,6 @@ def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:
         inside.array = np.where(prescribed, 0.0, values)
         system.K.mult(inside, forces)
         caused = system.forces_of(values[prescribed])
-        total = np.abs(forces.array + caused.array)[~prescribed]
-        np.maximum.at(force, free, total)
-        caused.destroy()
-    for owned_vector in (diagonal, inside, forces):
-        owned_vector.destroy()
+        np.maximum.at(force, free, np.abs(forces.array + caused.array)[~prescribed])
     largest, force = reduce_array(comm, np.array([largest, force]), MPI.MAX)
-    return np.asarray(force > RIGID_ROUNDING * largest)
+    return np.asarray(force > ASSEMBLY_ROUNDING * largest)

@@ -133,10 +133,7 @@ class Schwarz(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owned in (self._local, self._local_u, self._local_f):
-            owned.destroy()
-        for owned in (self._u, self._left, self._rows):
-            owned.destroy()
+        self._local.destroy()
         if self._coarse is not None:
             self._coarse.destroy()
 

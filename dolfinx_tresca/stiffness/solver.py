@@ -272,12 +272,11 @@ class StiffnessSolver(PetscOwner):
         if self._measured or not size > 0.0:
             return
         self._measured = True
-        K, residual = self.matrix, f.duplicate()
+        K, residual = self.matrix, self.matrix.createVecLeft()
         K.mult(u, residual)
         residual.axpy(-1.0, f)
         terms = K.norm(PETSc.NormType.INFINITY) * u.norm(PETSc.NormType.INFINITY) + size
         error = residual.norm(PETSc.NormType.INFINITY) / terms
-        residual.destroy()
         if error > BACKWARD_ERROR:
             raise StiffnessError(
                 f"the {self.name} solver for K, {self}, does not iterate, and leaves {error:.1e} "

@@ -6,33 +6,17 @@ import logging
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
 from dolfinx_tresca._base.parallel import (
     each_warning_once,
     errors_on_all_ranks,
-    gather_rows,
     log,
-    reduce_array,
 )
 from dolfinx_tresca._base.petsc import PetscOwner
 
 pytestmark = pytest.mark.parallel
-
-
-def test_reduce_array_keeps_the_shape(comm):
-    """The sum of scalars has no dimensions, since NumPy deprecates float() of arrays (1,)."""
-    for shape in ((), (1,), (3,), (2, 2), (0,)):
-        total = reduce_array(comm, np.ones(shape))
-        assert total.shape == shape
-        assert (total == comm.size).all()
-
-
-def test_reduce_array_with_any_memory_layout(comm):
-    values = np.asfortranarray(np.arange(6.0).reshape(2, 3)).T
-    assert np.array_equal(reduce_array(comm, values), comm.size * values)
 
 
 def test_error_of_one_rank_is_raised_on_all_ranks(comm):
@@ -72,11 +56,6 @@ def test_errors_that_cannot_be_pickled(comm):
         assert raised or type(error).__name__ in str(found.value)
 
 
-def test_no_error(comm):
-    with errors_on_all_ranks(comm):
-        pass
-
-
 class Waiting(PetscOwner):
     """An owner with a collective `destroy()`."""
 
@@ -101,12 +80,6 @@ def test_contact_error_destroys_the_owner(comm):
         owner.destroy = lambda: freed.append(owner)
         raise InputError("on all ranks")
     assert freed == [owner]
-
-
-def test_rows_are_gathered_in_rank_order(comm):
-    rows = gather_rows(comm, np.full((comm.rank, 2), comm.rank))
-    expected = np.concatenate([np.full((rank, 2), rank) for rank in range(comm.size)])
-    assert np.array_equal(rows, expected)
 
 
 def test_each_warning_once(comm, caplog):

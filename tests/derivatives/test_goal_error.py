@@ -197,17 +197,6 @@ def test_state_changes_by_hand(comm):
     assert found.state_changes == pytest.approx(expected, rel=1e-5)
 
 
-def test_state_changes_are_none_where_all_nodes_are_in_one_state(comm):
-    """Pressed, and sticking; what is left is rounding of what is zero at each of them."""
-    blocks = RandomBlocks.drawn(2, 2)
-    with blocks.coarse(comm).problem() as problem:
-        counts = problem.solve(accuracy=1e-8).counts
-        found = problem.goal_error(NormalForce())
-    assert counts.contact == counts.nodes
-    assert counts.stick == counts.nodes
-    assert found.state_changes <= 1e-9 * unsigned(found)
-
-
 @pytest.mark.parallel(dim=[2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_estimates_of_random_scenes(comm, dim):

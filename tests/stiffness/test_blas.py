@@ -79,14 +79,3 @@ def test_iterations_have_one_thread_unless_the_user_sets_a_number(comm, two_thre
         forces.append(problem.solve(observer=observe, rtol=1e-9).normal_force)
     assert inside and np.all(np.asarray(inside) == 1)
     assert np.allclose(forces[1:], forces[-1], rtol=1e-6)
-
-
-@pytest.mark.parallel
-def test_threads_are_given_back_after_an_error(comm, two_threads):
-    def fail(_):
-        raise ZeroDivisionError("by the observer")
-
-    outside = two_threads()
-    with two_bricks(comm, 3).problem() as problem, pytest.raises(ZeroDivisionError):
-        problem.solve(observer=fail)
-    assert two_threads() == outside

@@ -63,39 +63,6 @@ def test_prescribed_values_are_exact(comm):
 
 
 @pytest.mark.parallel
-def test_elimination_is_that_of_dolfinx(comm):
-    """K, f, and a(u, u) from the columns that were kept, with values prescribed by component."""
-    scene = two_bricks(comm, 3)
-    V = scene.V
-    young = fem.Constant(scene.mesh, YOUNG)
-    bcs = [scene.fixed("upper_fixed", 1e-4, component=0), scene.fixed("lower_fixed", [1e-4] * 3)]
-    form, a, L = elasticity(V, young), fem.form(elasticity(V, young)), fem.form(scene.L)
-    u = fem.Function(V)
-    u.interpolate(lambda x: 1e-4 * np.sin(x + 1.0))
-    for bc in bcs:
-        bc.set(u.x.array)
-    energy = fem.form(0.5 * ufl.action(ufl.action(form, u), u))
-    K = dolfinx.fem.petsc.assemble_matrix(a, bcs)
-    K.assemble()
-    f = dolfinx.fem.petsc.assemble_vector(L)
-    dolfinx.fem.petsc.apply_lifting(f, [a], [bcs])
-    f.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    dolfinx.fem.petsc.set_bc(f, bcs)
-    expected = comm.allreduce(fem.assemble_scalar(energy))
-    with LinearSystem(form, scene.L, bcs) as system:
-        for _ in range(2):  # a second assembly starts anew
-            system.assemble_stiffness()
-        young.value = 3.0 * YOUNG  # of no effect on what follows
-        system.assemble_load()
-        assert system.strain_energy(u.x.petsc_vec) == pytest.approx(expected, rel=1e3 * EPS)
-        K.axpy(-1.0, system.K)
-        assert K.norm() <= 100 * EPS * system.K.norm()
-        size = f.norm(PETSc.NormType.INFINITY)
-        f.axpy(-1.0, system.f.x.petsc_vec)
-        assert f.norm(PETSc.NormType.INFINITY) <= 100 * EPS * size
-
-
-@pytest.mark.parallel
 def test_a_common_translation_costs_nothing(comm):
     """Both supports move alike: the bricks follow without strain or contact force."""
     scene = two_bricks(comm, 3)
@@ -251,6 +218,18 @@ def test_options_under_a_prefix_of_the_user(comm):
         assert database.getInt("ksp_max_it") == 1
     finally:
         database.delValue("ksp_max_it")
+
+
+def test_cholmod_that_the_user_chose_is_not_replaced(comm):
+    """It factors K, or an error says that this PETSc does not have it."""
+    options = {"pc_factor_mat_solver_type": "cholmod"}
+    scene = two_bricks(comm, 3)
+    if any(map(PETSc.Sys.hasExternalPackage, ("cholmod", "suitesparse"))):
+        with scene.problem(stiffness="cholesky", petsc_options=options) as problem:
+            assert "CHOLMOD" in str(problem)
+    else:
+        with pytest.raises(StiffnessError, match="Could not locate solver type cholmod"):
+            scene.problem(stiffness="cholesky", petsc_options=options)
 
 
 @pytest.mark.parallel
