@@ -54,16 +54,15 @@ from dolfinx_tresca import (
 from dolfinx_tresca.dual.products import compliance
 from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.solvers import (
-    iterate,
     iteration,
     products,
     semismooth_newton,
     whole_model,
 )
-from dolfinx_tresca.solvers.balance import Balance, balance
+from dolfinx_tresca.solvers.constraints import Balance, balance
+from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes import dense
 from scenes.elasticity import elasticity
 from scenes.random_blocks import RandomBlocks
@@ -315,7 +314,7 @@ def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> None:
     begin_at(state, np.zeros_like(start))
 
 
-def without_gradient_steps(state: iteration.ModelNewton, step: iterate.Step) -> iterate.Step:
+def without_gradient_steps(state: iteration.ModelNewton, step: iteration.Step) -> iteration.Step:
     """Return the best part of the Newton step, without a gradient projection step."""
     return state.minimiser_between(state.iterate.zero_step(), step)
 
@@ -328,7 +327,7 @@ def first_rho(residual: NaturalResidual, rho: float) -> None:
 set_rho = NaturalResidual.set_rho
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
 COMPLIANCE = compliance.ContactCompliance
-INEXACT, NEWTON, STORE = iterate.InexactIterate, iteration.ModelNewton, products.ProductStore
+INEXACT, NEWTON, STORE = iteration.InexactIterate, iteration.ModelNewton, products.ProductStore
 
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
@@ -373,8 +372,8 @@ CONSTANTS = {
     "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
-    "solvers.nodal_maps": "LEAST_SOFTNESS",
-    "solvers.balance": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
+    "solvers.linear_algebra": "LEAST_SOFTNESS",
+    "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
     "dual.products.compliance": "FEW",
     "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",

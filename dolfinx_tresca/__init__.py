@@ -25,13 +25,8 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.linear import ContactProblem
-from dolfinx_tresca.problem.newton_record import (
-    NewtonOptions,
-    NewtonRecord,
-    NewtonStep,
-    NonlinearContactSolution,
-)
-from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem
+from dolfinx_tresca.problem.newton import NewtonOptions, NewtonRecord, NewtonStep
+from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem, NonlinearContactSolution
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import (
     Bonded,

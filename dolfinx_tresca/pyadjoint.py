@@ -344,7 +344,7 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
             )
         result: dict[int, Any] = {}
         for (idx, control), values in zip(by_control.items(), derivatives, strict=True):
-            result[idx] = None if values is None else _dual_vector(control, values)
+            result[idx] = _dual_vector(control, values)
         if self._accepted is not None:
             result[0] = [(1.0, on_origin)]
         return result

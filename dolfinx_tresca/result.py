@@ -119,6 +119,8 @@ class ContactSolution(Evaluation, Tabulated):
         tangential_force: norm of the integral of the tangential traction [force].
         pair_resultants: force and moment on the secondary side of each pair, about the same
             point as `body_resultants`; see `resultants`.
+        pair_states: for each pair the number of pressed nodes, of all nodes, and by how much its
+            sides have moved apart at most [length].
         body_resultants: force and moment of all contact on each body, about the centre of the
             bounding box of all contact forces, in the order in which messages number the bodies.
         between_bodies: (i, j) -> force and moment on body i by body j, for bodies i < j in contact.
@@ -128,6 +130,8 @@ class ContactSolution(Evaluation, Tabulated):
         body_names: name of each body: the name of the tag of its cells in the mesh file (see
             `read_gmsh`), with the number of the body if several bodies share this tag. Bodies
             without such a tag have their number as name.
+        reactions: name of each support that `problem.reaction` was asked for -> its force and
+            moment; they are in tables and reports.
         timings: seconds of each phase, the largest over the ranks.
         problem_rows: names and values in the table of the problem.
         bolts: name of each pair with a `Preload` -> force in the bolt, and its change [force].
@@ -310,6 +314,14 @@ class ContactSolution(Evaluation, Tabulated):
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
         return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
+
+    def summary(self) -> str:
+        """Return the table that `print` and `report` show, as text. Not collective.
+
+        It has the status, errors, counts of nodes, and the forces of pairs, bodies, supports and
+        bolts, with as many digits as the error justifies.
+        """
+        return str(self)
 
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""

@@ -34,10 +34,6 @@ class OneRank:
         """Return x."""
         return x
 
-    def minimum_over_ranks(self, value: float) -> float:
-        """Return the value."""
-        return value
-
     def total(self, x: np.ndarray) -> np.ndarray:
         """Return x."""
         return x

@@ -38,6 +38,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "implant": (8, lambda comm: with_data(implant(comm, 8), motion=MOTION)),
     "arch": (2, lambda comm: arch(comm, 0.1072, divisions=(1, 2))),
     "bearing": (2, None),
+    "flange": (20, None),
     "fretting": (4, None),
     "adaptive": (30, None),
     "hyperelastic_seal": (8, None),
@@ -54,6 +55,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
 SLOW = (
     "arch",
     "bearing",
+    "flange",
     "calibration",
     "fretting",
     "press_fit",

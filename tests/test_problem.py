@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import gc
 import logging
 
 from mpi4py import MPI
@@ -17,9 +19,11 @@ from dolfinx_tresca import (
     ContactProblem,
     ContactStatus,
     ConvergenceError,
+    InputError,
     NormalForce,
     SolverOptions,
     StiffnessError,
+    Tresca,
 )
 from dolfinx_tresca.output.summary import significant
 from scenes.elasticity import elasticity
@@ -191,6 +195,33 @@ def test_one_rank_may_stop_all(comm):
         solution = problem.solve(observer=observer)
     assert solution.status is ContactStatus.STOPPED
     assert solution.iterations == 0
+
+
+@pytest.mark.parallel
+def test_an_exception_that_only_one_rank_keeps_delays_no_later_problem(comm):
+    """Its traceback keeps the problem, with PETSc's vectors, on that rank alone."""
+    scene, kept = two_bricks(comm, 3), []
+    bound = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1)))
+    pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
+
+    def solve_with_wrong_bound() -> None:
+        problem = scene.problem(pairs=[pair])
+        assert problem.load.norm() > 0.0
+        bound.x.array[:] = -1.0 if comm.rank == 0 else 0.1
+        problem.solve()
+
+    for _ in range(2):
+        bound.x.array[:] = 0.1
+        try:
+            solve_with_wrong_bound()
+        except InputError as error:
+            if comm.rank == 0:
+                kept.append(error)
+        gc.collect()
+        bound.x.array[:] = 0.1
+        with scene.problem(pairs=[pair]) as problem:
+            assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
+    assert len(kept) == 2 * (comm.rank == 0)
 
 
 @pytest.mark.parallel

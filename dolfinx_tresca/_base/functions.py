@@ -1,4 +1,4 @@
-"""Functions of DOLFINx: zeros, assembled forms, and nodes at the vertices of the mesh."""
+"""Functions of DOLFINx: zeros, values of owned nodes, assembled forms, nodes at vertices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import dolfinx.la
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import GlobalNumbers, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, LocalNumbers
 from dolfinx_tresca._base.compat import geometry_dofmap
 
 
@@ -30,6 +30,27 @@ def zero_like(
     """
     result = kind(function.function_space, function.copy().x, name=name)
     result.x.array[:] = 0.0
+    return result
+
+
+def owned_values(u: fem.Function) -> Array:
+    """Return a view of a Function's values (n, d) at this rank's own nodes. Not collective."""
+    dofmap = u.function_space.dofmap
+    values: Array = u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local]
+    return values
+
+
+def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Function:
+    """Return the Function with given values at each rank's own nodes. Collective.
+
+    Args:
+        V: the space.
+        values: (n, d) or (n d,) values.
+        name: name of the result.
+    """
+    result = fem.Function(V, name=name)
+    result.x.array[: values.size] = values.ravel()
+    result.x.scatter_forward()
     return result
 
 

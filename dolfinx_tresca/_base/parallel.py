@@ -207,10 +207,6 @@ class RankReductions:
         """Return the first rank's x; on the other ranks, x may differ by rounding. Collective."""
         return broadcast_array(self.comm, x)
 
-    def minimum_over_ranks(self, value: float) -> float:
-        """Return the minimum of a value over all ranks. Collective."""
-        return float(self.comm.allreduce(value, op=MPI.MIN))
-
 
 _exchange_logger = logging.getLogger("dolfinx_tresca.exchange")
 

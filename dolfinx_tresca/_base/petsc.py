@@ -58,6 +58,32 @@ def free_unused(comm: MPI.Comm) -> None:
         PETSc.garbage_cleanup(comm)
 
 
+#: References to PETSc's communicators, of communicators that were freed since.
+_unused_references: list[Any] = []
+
+#: Attribute of a communicator: a reference to the communicator that PETSc has made for it.
+_REFERENCE = MPI.Comm.Create_keyval(
+    delete_fn=lambda comm, key, reference: _unused_references.append(reference)
+)
+
+
+def keep_inner_communicator(comm: MPI.Comm) -> None:
+    """Keep the communicator that PETSc makes for a communicator, as long as the latter exists.
+
+    PETSc duplicates a communicator for its first object on it, and frees the duplicate after the
+    last one. The vectors of Functions are freed by each rank on its own: if an exception keeps them
+    on one rank, the next vector would be the first one on the other ranks, which would wait for
+    ever. Collective.
+
+    Args:
+        comm: the communicator of an index map.
+    """
+    _unused_references.clear()
+    if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
+        # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists
+        comm.Set_attr(_REFERENCE, PETSc.Comm(MPI.Comm(comm)).duplicate())
+
+
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
     """Destroy an owner if the enclosed block raises; the block must raise on all ranks together."""

@@ -86,22 +86,46 @@ def refine(
         (24, 192)
     """
     check_type(tagged_mesh)
-    mesh = tagged_mesh.mesh
-    comm, dim = mesh.comm, mesh.topology.dim
-    with errors_on_all_ranks(comm):
+    with errors_on_all_ranks(tagged_mesh.mesh.comm):
         check_tagged_mesh(tagged_mesh)
         check_fraction(fraction)
+        checked_snap(tagged_mesh, snap)
+    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction), snap)
+
+
+def bisected(
+    tagged_mesh: TaggedMesh, cell_errors: fem.Function | Array | None, fraction: float
+) -> BisectedCells:
+    """Return the cells of the refined mesh, each on the rank of its parent. Collective.
+
+    Raises:
+        InputError: the errors are of the wrong type, negative, or all zero.
+    """
+    mesh = tagged_mesh.mesh
+    with errors_on_all_ranks(mesh.comm):
         errors = owned_values(mesh, cell_errors)
-        surfaces = checked_snap(tagged_mesh, snap)
-    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    largest = float(reduce_array(mesh.comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(comm, np.square(errors / largest), float(fraction))
-    cells = BisectedCells.from_marked(mesh, marked, fraction == 1.0 or dim == 2)
+    marked = largest_part(mesh.comm, np.square(errors / largest), float(fraction))
+    every_edge = fraction == 1.0 or mesh.topology.dim == 2
+    return BisectedCells.from_marked(mesh, marked, every_edge)
+
+
+def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells, snap: Snap | None) -> TaggedMesh:
+    """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
+
+    Args:
+        tagged_mesh: the mesh before.
+        cells: its bisected cells.
+        snap: see `refine`; it has been checked.
+    """
+    mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
+    comm, dim, surfaces = mesh.comm, mesh.topology.dim, checked_snap(tagged_mesh, snap)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
-    geometry, names = tagged_mesh.geometry, {tag: name for name, tag in tagged_mesh.tags.items()}
     with ExitStack() as session:
         if snap is None and geometry is not None and geometry.curved:
+            names = {tag: name for name, tag in tagged_mesh.tags.items()}
             with errors_on_all_ranks(comm):
                 projections = session.enter_context(geometry.projections())
             surfaces = {tag: (names[tag], projection) for tag, projection in projections.items()}
@@ -118,8 +142,8 @@ def refine(
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:
         cell_nodes, cell_values = cells.inherited_cells(cell_tags)
-        cell_tags = _distributed(fine, cell_tags, numbers[cell_nodes], cell_values)
-    facet_tags = _distributed(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
+        cell_tags = _with_names(fine, cell_tags, numbers[cell_nodes], cell_values)
+    facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
     if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
         facet_tags.cell_tags = cell_tags
     return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
@@ -130,6 +154,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
     except that cells whose errors nearly equal the least marked error are marked, too (`NEARLY`).
+    Every rank gets the errors of all cells, 8 bytes each.
 
     Args:
         comm: communicator of the ranks.
@@ -139,23 +164,11 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     Returns:
         (n,) whether each of this rank's cells is marked.
     """
-    ascending = np.sort(squares)
-    from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)
-
-    def beyond(least: float) -> float:
-        """Return the sum of the squared errors that are at least `least`. Collective."""
-        return float(reduce_array(comm, from_here[np.searchsorted(ascending, least)]))
-
-    high = float(comm.allreduce(squares.max(initial=0.0), op=MPI.MAX)) * (1.0 + TIE)
-    least = squares[squares > 0.0].min(initial=high)
-    low = float(comm.allreduce(least, op=MPI.MIN)) * (1.0 - TIE)
-    wanted = fraction * beyond(low) * (1.0 - TIE)
-    while high > low * (1.0 + TIE):
-        middle = np.sqrt(low) * np.sqrt(high)
-        low, high = (middle, high) if beyond(middle) >= wanted else (low, middle)
-    is_near = (squares >= NEARLY * low) & (squares <= low * (1.0 + TIE))
-    near = np.sort(np.concatenate(comm.allgather(squares[is_near])))
-    below = np.append(NEARLY * low, near[:-1])
+    descending = np.sort(np.concatenate(comm.allgather(squares)))[::-1]
+    sums = np.cumsum(descending)
+    least = descending[np.argmax(sums >= fraction * sums[-1] * (1.0 - TIE))]
+    near = descending[(descending >= NEARLY * least) & (descending <= least * (1.0 + TIE))][::-1]
+    below = np.append(NEARLY * least, near[:-1])
     gap = np.argmax(near / below)
     return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))
 
@@ -193,8 +206,21 @@ def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
         InputError: the cells cannot be bisected, or tags are of entities of another dimension.
     """
     mesh = tagged_mesh.mesh
-    _check_cells(mesh)
     dim = mesh.topology.dim
+    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
+    simplex = {2: "triangles", 3: "tetrahedra"}.get(dim)
+    if kind not in ("triangle", "tetrahedron") or mesh.geometry.dim != dim:
+        raise InputError(
+            f"only meshes of triangles in the plane and of tetrahedra in space can be refined "
+            f"locally, found cells of type {kind} in {mesh.geometry.dim}D. Mesh with "
+            f"{simplex or 'triangles or tetrahedra'}: in Gmsh, leave out Recombine."
+        )
+    nodes = compat.geometry_dofmap(mesh).shape[1]
+    if nodes != dim + 1:
+        raise InputError(
+            f"cells must have straight edges, found {nodes} nodes in each. Mesh with elements of "
+            "order 1, and give the curved surfaces as snap={tag: function}."
+        )
     for name, wanted in (("cell_tags", dim), ("facet_tags", dim - 1)):
         tags = getattr(tagged_mesh, name)
         if tags is None and name == "cell_tags":
@@ -207,28 +233,6 @@ def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
 def is_same(mesh: Any, other_mesh: Any) -> bool:
     """Return whether two meshes, perhaps in different wrappers, are the same. Not collective."""
     return other_mesh is mesh or other_mesh.topology is mesh.topology
-
-
-def _check_cells(mesh: Any) -> None:
-    """Check that cells can be bisected. Not collective.
-
-    Raises:
-        InputError: the cells cannot be bisected.
-    """
-    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
-    simplex = {2: "triangles", 3: "tetrahedra"}.get(mesh.topology.dim)
-    if kind not in ("triangle", "tetrahedron") or mesh.geometry.dim != mesh.topology.dim:
-        raise InputError(
-            f"only meshes of triangles in the plane and of tetrahedra in space can be refined "
-            f"locally, found cells of type {kind} in {mesh.geometry.dim}D. Mesh with "
-            f"{simplex or 'triangles or tetrahedra'}: in Gmsh, leave out Recombine."
-        )
-    nodes = compat.geometry_dofmap(mesh).shape[1]
-    if nodes != mesh.topology.dim + 1:
-        raise InputError(
-            f"cells must have straight edges, found {nodes} nodes in each. Mesh with elements of "
-            "order 1, and give the curved surfaces as snap={tag: function}."
-        )
 
 
 def owned_values(mesh: Any, cell_errors: Any) -> Array:
@@ -269,7 +273,7 @@ def owned_values(mesh: Any, cell_errors: Any) -> Array:
     return values.astype(np.float64)
 
 
-def _distributed(
+def _with_names(
     mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
 ) -> Any:
     """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.

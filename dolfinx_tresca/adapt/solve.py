@@ -16,7 +16,7 @@ import numpy as np
 import dolfinx
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
     each_warning_once,
@@ -27,9 +27,11 @@ from dolfinx_tresca._base.parallel import (
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import (
+    bisected,
     check_fraction,
     check_tagged_mesh,
     check_type,
+    distributed,
     is_same,
     refine,
 )
@@ -54,7 +56,7 @@ SMALL = 0.5
 LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
 
 #: `SolverOptions.mesh_part` and `local_accuracy` of solutions that only choose the cells to refine.
-ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
+ROUGH_PART = 0.3
 
 #: `SolverOptions.mesh_part` of solutions that only choose the cells to refine, if solves with K are
 #: iterative: then the preconditioner depends on the number of ranks, and so do the error of the
@@ -123,8 +125,8 @@ def solve_adaptively(
 
     Raises:
         InputError: an argument is wrong, `build` does not return a problem on the given mesh, the
-            mesh has cells that cannot be bisected, or the patch of the goal has no contact node on
-            any mesh.
+            mesh has cells that cannot be bisected, or the patch of the goal has no contact node and
+            smaller cells would bring none.
         ConvergenceError: the previous load step did not converge.
 
     Example:
@@ -178,11 +180,12 @@ def solve_adaptively(
         with errors_on_all_ranks(comm):
             _check_problem(problem, tagged_mesh)
         with problem:
+            options = problem.options
             if goal is not None:  # checked before a solve
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
-                finer = _with_node_in_patch(problem, tagged_mesh, goal, snap, most_dofs)
-                if finer is not tagged_mesh:
-                    tagged_mesh = finer
+                near = _cells_at_empty_patch(problem, goal)
+                if near is not None and problem.free_dofs <= most_dofs:
+                    tagged_mesh = refine(tagged_mesh, near, 1.0, snap)
                     continue
             if after is not None:
                 problem.start_from(after, accepted=True)
@@ -192,7 +195,7 @@ def solve_adaptively(
             solution = problem.solve(
                 accuracy="balanced",
                 mesh_part=ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART,
-                local_accuracy=max(ROUGH_LOCAL, problem.options.local_accuracy),
+                local_accuracy=max(ROUGH_PART, options.local_accuracy),
             )
             level = judged(len(levels), tagged_mesh, problem, solution, goal)
             level = replace(level, seconds=_seconds(comm, start))
@@ -207,14 +210,17 @@ def solve_adaptively(
             elif level.number + 1 >= most_levels:
                 status = AdaptiveStatus.MAX_LEVELS
             else:
-                finer = refine(tagged_mesh, level.cell_errors, fraction, snap)
-                growth = _cell_count(finer) / _cell_count(tagged_mesh)
+                cells = bisected(tagged_mesh, level.cell_errors, fraction)
+                growth = reduce_array(comm, len(cells.parent)) / _cell_count(tagged_mesh)
                 if growth * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
-                    tagged_mesh = finer
-            if status not in (None, AdaptiveStatus.FAILED):
-                solution = _solve_accurately(problem, level.error)
+                    tagged_mesh = distributed(tagged_mesh, cells, snap)
+            if status not in (None, AdaptiveStatus.FAILED):  # now with the options of the problem
+                local = options.local_accuracy
+                if options.balanced:
+                    local = max(local, min(LOCAL_PART * level.error, MOST_LOCAL))
+                solution = problem.solve(local_accuracy=local)
                 products = level.products + solution.products
                 level = replace(level, solution=solution, products=products)
         levels.append(replace(level, seconds=_seconds(comm, start)))
@@ -222,65 +228,31 @@ def solve_adaptively(
             return AdaptiveSolution(status, float(accuracy), tuple(levels))
 
 
-def _with_node_in_patch(
-    problem: ContactProblem, tagged_mesh: TaggedMesh, goal: Goal, snap: Snap | None, max_dofs: float
-) -> TaggedMesh:
-    """Return a mesh with smaller cells if the patch of a goal has no contact node. Collective.
+def _cells_at_empty_patch(problem: ContactProblem, goal: Goal) -> Array | None:
+    """Return 1 in the cells (n,) at the middle of the patch of a goal, 0 in others. Collective.
 
-    Without a contact node in its patch the goal has no value. In this case the cells next to the
-    middle of the patch are cut; otherwise the mesh itself is returned. The patch may have no node
-    on the new mesh either: call the function again with a problem on the new mesh.
-
-    Raises:
-        InputError: smaller cells bring no node into the patch, or there are more than `max_dofs`
-            unknowns.
+    Without a contact node in its patch the goal has no value; on finer meshes it may have one. None
+    if the patch has a node, or if cells are so small that smaller ones bring none.
     """
     if not isinstance(goal, MeanPressure | MeanSlip):
-        return tagged_mesh
-    mesh, points = problem.mesh, problem.operators[goal.pair].points
-    dim, comm = mesh.topology.dim, mesh.comm
+        return None
+    mesh = problem.mesh
+    dim = mesh.topology.dim
     middle = np.append(np.asarray(goal.point, dtype=np.float64), np.zeros(3 - dim))
-    away = np.linalg.norm(points - middle, axis=1)
-    if comm.allreduce(bool((away < goal.radius).any()), op=MPI.LOR):
-        return tagged_mesh
     cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
     sizes = mesh.h(dim, cells)
     distances = np.linalg.norm(dolfinx.mesh.compute_midpoints(mesh, dim, cells) - middle, axis=1)
     near = distances <= sizes
-    size = float(reduce_array(comm, sizes[near].max(initial=0.0), MPI.MAX))
-    if problem.free_dofs <= max_dofs and size > SMALL * goal.radius:
-        return refine(tagged_mesh, near.astype(np.float64), 1.0, snap)
-    reason = f"the cells next to its point have a size of {size:.3g}"
-    if problem.free_dofs > max_dofs:
-        reason = f"{AdaptiveStatus.MAX_DOFS.value} before smaller cells there have one"
-    elif not size:
-        reason = "no cell is next to its point"
-    raise InputError(
-        f"the patch of the goal has no contact node within {goal.radius:.3g} of its point, and "
-        f"{reason}. Take a larger radius, or a point on the secondary side that faces the other."
-    )
+    away = np.linalg.norm(problem.operators[goal.pair].points - middle, axis=1)
+    has_node = float((away < goal.radius).any())
+    size, has_node = reduce_array(mesh.comm, [sizes[near].max(initial=0.0), has_node], MPI.MAX)
+    return None if has_node or size <= SMALL * goal.radius else near.astype(np.float64)
 
 
 def _cell_count(tagged_mesh: TaggedMesh) -> int:
     """Return the number of cells on all ranks. Not collective."""
     topology = tagged_mesh.mesh.topology
     return int(topology.index_map(topology.dim).size_global)
-
-
-def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:
-    """Solve with the options of the problem; a large mesh error increases `local_accuracy`.
-
-    Collective.
-
-    Args:
-        problem: the problem on the last mesh.
-        error: relative discretisation error.
-    """
-    options = problem.options
-    if not options.balanced:
-        return problem.solve()
-    local = max(options.local_accuracy, min(LOCAL_PART * error, MOST_LOCAL))
-    return problem.solve(local_accuracy=local)
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:

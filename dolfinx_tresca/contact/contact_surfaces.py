@@ -15,7 +15,6 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, timed
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
 from dolfinx_tresca.contact.factorisation import Factorisation
-from dolfinx_tresca.contact.friction_checks import depends_on_pressure
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -85,7 +84,11 @@ class ContactSurfaces(PetscOwner):
         self.comm = self.linear.comm
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
-        self._depends_on_start = any(map(depends_on_pressure, pairs))
+        # the slip bound of a pair depends on the pressure, unless its coefficient is zero
+        coefficients = [pair.friction.terms.coefficient for pair in pairs]
+        self._depends_on_start = not all(
+            isinstance(c, int | float) and c == 0.0 for c in coefficients
+        )
         self.unknowns: fem.Function | None = None
         self._operators: tuple[ContactOperators, ...] | None = None
         self.obstacles = Obstacles(linear.V, pairs)
@@ -248,7 +251,8 @@ class ContactSurfaces(PetscOwner):
                         "surfaces that cannot touch give no pair."
                     )
         if self.comm.allreduce(any(changed), op=MPI.LOR):
-            self.jump.add_gaps(gaps)
+            operators = zip(self.jump.pairs, gaps, strict=True)
+            self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
             self._drop_operators()
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:

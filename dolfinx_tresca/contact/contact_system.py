@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 
@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
     largest_over_ranks,
@@ -22,11 +23,10 @@ from dolfinx_tresca._base.parallel import (
     reduce_array,
     timed,
 )
-from dolfinx_tresca._base.petsc import PetscOwner, free_unused
+from dolfinx_tresca._base.petsc import PetscOwner, free_unused, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.factorisation import Factorisation
-from dolfinx_tresca.contact.friction_checks import check_curves, check_curves_of_floating_bodies
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
@@ -43,15 +43,15 @@ from dolfinx_tresca.solution.scene_checks import (
     Limit,
     hint_at_overlap,
     hint_at_scene,
+    hint_at_weakening,
     motions_of_bodies,
     motions_of_pairs,
     reason_outside,
 )
-from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, pressed_values
-from dolfinx_tresca.solvers.history import History
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual
+from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, FrictionCones, pressed_values
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution, Point
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -73,6 +73,7 @@ class ContactSystem(PetscOwner):
         linear: the system K u = f with its Dirichlet conditions.
         pairs: the surfaces that may touch.
         surfaces: these surfaces as they are paired now, with B, A and the load steps.
+        bodies: the bodies of the mesh.
     """
 
     def __init__(
@@ -94,13 +95,16 @@ class ContactSystem(PetscOwner):
         self.comm = self.linear.comm
         self._destroyed = False
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
+        for space in (linear.space, linear.V):
+            keep_inner_communicator(space.dofmap.index_map.comm)
         try:
             free_unused(self.comm)  # objects of earlier problems that were not destroyed
             self.surfaces = ContactSurfaces(linear, pairs, stiffness)
         except ContactError:
             linear.destroy()
             raise
-        hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self._stiffness.bodies)
+        self.bodies: Bodies = stiffness.bodies
+        hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self.bodies)
 
     @property
     def solved(self) -> StepSolution | None:
@@ -109,11 +113,6 @@ class ContactSystem(PetscOwner):
         solution = state.solution or state.accepted.solution
         valid = solution is not None and solution.dual.compliance is self.surfaces.compliance
         return solution if valid else None
-
-    @property
-    def bodies(self) -> Bodies:
-        """The bodies of the mesh."""
-        return self._stiffness.bodies
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
@@ -147,12 +146,6 @@ class ContactSystem(PetscOwner):
         self.linear.destroy()
         free_unused(self.comm)
 
-    def forget(self) -> None:
-        """Drop multipliers and products: the next solve starts from zero. Not collective."""
-        state = self.surfaces.state
-        self.surfaces.state = state.started_at(np.zeros_like(state.multipliers))
-        self.surfaces.compliance.forget()
-
     def law_values(self, curves: Sequence[CurveAtNodes] = ()) -> list[Array]:
         """Return the present gaps, slip bounds and friction curves at contact nodes. Collective.
 
@@ -167,6 +160,12 @@ class ContactSystem(PetscOwner):
                 result += [bounds.ellipses.shape, bounds.ellipses.direction]
         with errors_on_all_ranks(self.comm):
             return result + [pressed_values(*curve) for curve in curves]
+
+    def advance_material(self, w: fem.Function) -> None:
+        """Advance the history of the material, if it has one, to the unknowns w. Collective.
+
+        If that fails, the step is not accepted.
+        """
 
     def check_no_tools(self, purpose: str) -> None:
         """Check that neither obstacles nor bolts have given forces. Not collective.
@@ -261,7 +260,7 @@ class ContactSystem(PetscOwner):
             solution: the solution at the end of a solve.
             linear: whether bodies are linear, so that rotations and deformations have limits.
         """
-        hint_at_overlap(solution.u, self.pairs, self.surfaces.jump)
+        hint_at_overlap(solution.u, self.pairs, self.surfaces.jump, solution.surfaces)
         status = solution.status
         if status in CHECKED and not solution.sliding:
             surfaces, u, v = self.surfaces, solution.u, solution.deformation
@@ -269,7 +268,7 @@ class ContactSystem(PetscOwner):
             step = surfaces.state.solution
             places = surfaces.obstacles.motions if step is None else step.motions
             departures = [
-                *(motions_of_bodies(v, self._stiffness.bodies) if linear else ()),
+                *(motions_of_bodies(v, self.bodies) if linear else ()),
                 *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions, places),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
@@ -283,16 +282,6 @@ class ContactSystem(PetscOwner):
         if solution.failure:
             log(self.comm, "%s", solution.failure, level=logging.WARNING)
         return solution
-
-    def update_stiffness(self) -> None:
-        """Assemble and factor K again. Collective.
-
-        Raises:
-            StiffnessError: K is not symmetric, or is indefinite.
-            ContactError: the problem was destroyed.
-        """
-        self.check_not_destroyed()
-        self.surfaces.update_stiffness()
 
     @one_thread()
     def solve(
@@ -319,7 +308,7 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         free_unused(self.comm)  # vectors of the solves before
-        surfaces, bodies = self.surfaces, self._stiffness.bodies
+        surfaces, bodies = self.surfaces, self.bodies
         requested = requested or options
         self._stiffness.check_suits(options)
         surfaces.compliance.operator.solver.check_ready()
@@ -340,14 +329,16 @@ class ContactSystem(PetscOwner):
             if tools is not None and options.method != "projected_newton":
                 raise InputError("forces on obstacles and bolts need method='projected_newton'.")
             try:
-                dual = DualProgram.from_bounds(
-                    surfaces.compliance, surfaces.guess, bounds, history, tools
-                )
+                dual = DualProgram(surfaces.compliance, surfaces.guess, bounds, history, tools)
             except MechanismError as error:
-                error.motion = _with_unit_maximum(error.motion, self.linear.V)
+                motion = with_owned_values(self.linear.V, error.motion, "motion")
+                lengths = np.linalg.norm(owned_values(motion), axis=1)
+                greatest = reduce_array(self.comm, lengths.max(initial=0.0), MPI.MAX)
+                motion.x.array[:] /= greatest or 1.0  # zero where tools move
+                error.motion = motion
                 raise
             if dual.equilibrium is not None:
-                check_curves_of_floating_bodies(self.pairs)
+                self._check_no_slip_dependence()
             dual.response.solve_load()
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
@@ -357,7 +348,7 @@ class ContactSystem(PetscOwner):
                 dual, secondary, bodies, dual_solution, estimate=estimate
             )
         status = _status_of_fields(dual, dual_solution, evaluation, options, requested)
-        curves = check_curves(dual, dual_solution, surfaces.friction)
+        curves = self._checked_curves(dual, dual_solution)
         inputs += [pressed_values(*curve) for curve in curves]
         sliding = ""
         if dual_solution.deficit is not None and dual.equilibrium is not None:
@@ -402,6 +393,46 @@ class ContactSystem(PetscOwner):
             **vars(evaluation),
         )
 
+    def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
+        """Check the friction curves F(pressure, slip) at the pressures and slips of a solution.
+
+        A hint is logged if F decreases so fast with the slip that there may be several solutions.
+        Collective.
+
+        Returns:
+            each curve with the pressures (n,) [stress] and slips (n,) [length] of its nodes.
+
+        Raises:
+            InputError: F is negative, NaN or infinite at a node under pressure.
+        """
+        x = solution.multipliers
+        cones = dual.admissible.at_point(x, solution.gradient)
+        if not isinstance(cones, FrictionCones) or cones.curves is None:
+            return []
+        arguments = cones.curve_arguments(x)
+        for curve in arguments:
+            self.surfaces.friction.check_curve(*curve)
+        hint_at_weakening(self.comm, cones, x, dual.known_products().largest_ritz_value)
+        return arguments
+
+    def _check_no_slip_dependence(self) -> None:
+        """Check for floating bodies that no coefficient of friction depends on the slip.
+
+        Such problems are refused since the solver may not converge: for a block held by viscous
+        friction alone, the solver found no multipliers within minutes. Not collective.
+
+        Raises:
+            InputError: a coefficient depends on the slip.
+        """
+        for pair in self.pairs:
+            curve = pair.friction.terms.curve
+            if curve is not None and curve.depends_on_slip:
+                raise InputError(
+                    f"contact pair {pair}: the coefficient of friction depends on the slip, and "
+                    "contact or soft springs hold a body, whose slip is not known in the "
+                    "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
+                )
+
 
 def _status_of_fields(
     dual: DualProgram,
@@ -442,16 +473,3 @@ def _status_of_fields(
         if met and evaluation.energy_error_bound <= SLACK * history.accuracy:
             return ContactStatus.CONVERGED
     return status
-
-
-def _with_unit_maximum(values: Array, V: Any) -> fem.Function:
-    """Return a motion of bodies in V, scaled so that the largest nodal displacement has length 1.
-
-    The motion is given by its values (owned degrees of freedom of V,). Collective.
-    """
-    motion = fem.Function(V, name="motion")
-    lengths = np.linalg.norm(values.reshape(-1, V.dofmap.bs), axis=1)
-    greatest = reduce_array(V.mesh.comm, lengths.max(initial=0.0), MPI.MAX)
-    motion.x.array[: len(values)] = values / (greatest or 1.0)  # zero where tools move
-    motion.x.scatter_forward()
-    return motion

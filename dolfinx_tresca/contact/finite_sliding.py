@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 from mpi4py import MPI
 
@@ -349,7 +350,7 @@ def solve_with_finite_sliding(
     """
     sliding = FiniteSliding(contact.surfaces)
     sliding.pair_first_configuration()
-    solutions: list[ContactSolution] = []
+    cost: dict[str, Any] = {}
     failure = ""
     last_iteration: Iteration | None = None
 
@@ -361,7 +362,7 @@ def solve_with_finite_sliding(
     while True:
         loosened = sliding.loosened(options)
         solution = contact.solve(loosened, units, in_configuration, options)
-        solutions.append(solution)
+        add_cost(cost, solution)
         number = f"configuration {sliding.configurations} of the surfaces"
         if solution.status is not ContactStatus.CONVERGED:
             if solution.status in (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED):
@@ -373,37 +374,31 @@ def solve_with_finite_sliding(
         sliding.observe(u, solution.residuals[0])
         if sliding.error <= options.geometry_accuracy:
             if loosened != options:
-                solutions.append(contact.solve(options, units, in_configuration))
+                solution = contact.solve(options, units, in_configuration)
+                add_cost(cost, solution)
             if last_iteration is not None:
                 observe(replace(last_iteration, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
             state = contact.surfaces.state
             contact.surfaces.state = state.with_status(ContactStatus.MAX_ITERATIONS)
-            solutions[-1] = replace(solution, status=ContactStatus.MAX_ITERATIONS)
+            solution = replace(solution, status=ContactStatus.MAX_ITERATIONS)
             failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break
         try:
             sliding.pair_next_configuration()
         except PairingError as error:
             raise PairingError(f"{error} This happened after {number}. {ADVICE}.") from error
-    return replace(
-        solutions[-1],
-        sliding=failure or solutions[-1].sliding,
-        iterations=sum(solution.iterations for solution in solutions),
-        products=sum(solution.products for solution in solutions),
-        krylov_iterations=sum(solution.krylov_iterations for solution in solutions),
-        timings=summed_timings(solution.timings for solution in solutions),
-    )
+    return replace(solution, sliding=failure or solution.sliding, **cost)
 
 
-def summed_timings(timings: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    """Return the seconds of each phase, summed over the parts."""
-    result: dict[str, float] = {}
-    for seconds_of_phase in timings:
-        for name, seconds in seconds_of_phase.items():
-            result[name] = result.get(name, 0.0) + seconds
-    return result
+def add_cost(total: dict[str, Any], solution: ContactSolution) -> None:
+    """Add iterations, products and seconds of a solution to a total, by the names of its fields."""
+    for name in ("iterations", "products", "krylov_iterations"):
+        total[name] = total.get(name, 0) + getattr(solution, name)
+    timings = total.setdefault("timings", {})
+    for phase, seconds in solution.timings.items():
+        timings[phase] = timings.get(phase, 0.0) + seconds
 
 
 def _ratio(square: float, size: float, rounding: float = 0.0) -> float:

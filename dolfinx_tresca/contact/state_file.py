@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, is_zipfile
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
@@ -23,6 +21,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.atomic_write import atomic_write
+from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, reduce_array
 from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -32,7 +31,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Name and version of the format of the file.
-FORMAT = "dolfinx_tresca state 6"
+FORMAT = "dolfinx_tresca state 7"
 
 #: Name of the column of a table with the `surroundings` of its nodes.
 PLACES = "places"
@@ -66,13 +65,12 @@ def write_state(
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     system, places = jump.system, surroundings(jump.system.V)
-    at_rest, start = fem.Function(system.V), accepted.configuration
     displacements = {
-        "configuration": _if_other(state.configuration, at_rest),
-        "geometry": _if_other(state.geometry, at_rest),
+        "configuration": state.configuration,
+        "geometry": state.geometry,
         "accepted displacement": accepted.displacement,
         "displacement before": accepted.before,
-        "accepted configuration": None if start is None else _if_other(start, state.configuration),
+        "accepted configuration": accepted.configuration,
     }
     functions = {f"material {k}": function for k, function in enumerate(material)}
     if state.unknowns is not None:
@@ -82,7 +80,9 @@ def write_state(
         further_unknowns = () if system.component is None else system.component.other_parts(w)
         functions |= {f"unknown {k}": function for k, function in enumerate(further_unknowns)}
     columns = {f"nodes/{PLACES}": places}
-    columns |= {f"nodes/{name}": values_of(u) for name, u in displacements.items() if u is not None}
+    columns |= {
+        f"nodes/{name}": owned_values(u) for name, u in displacements.items() if u is not None
+    }
     if history.begun:
         columns |= {f"nodes/slip of pair {k}": slip for k, slip in enumerate(history.slipped)}
     origin = history.origin * jump.length_scale
@@ -95,7 +95,7 @@ def write_state(
         columns[f"pair {k}/values"] = np.hstack([pressure, *vectors])
     for name, function in functions.items():
         columns[f"{name}/{PLACES}"] = surroundings(function.function_space)
-        columns[f"{name}/values"] = values_of(function)
+        columns[f"{name}/values"] = owned_values(function)
     ranks, laws = jump.comm.gather(columns, root=ROOT), _laws(jump)
     with errors_on_all_ranks(jump.comm):
         if ranks is not None:
@@ -144,11 +144,8 @@ class SavedState:
             raise self._refusal(f"with {len(self.motions)} pair(s), and here there are {pairs}")
         self._places = surroundings(system.V)
         self._nodes = self._rows("nodes", self._places)
-        none = np.zeros((len(self._places), system.V.dofmap.index_map_bs))
-        self.configuration, self.geometry = (
-            _function(system.V, self._nodes.get(name, none))
-            for name in ("configuration", "geometry")
-        )
+        self.configuration = with_owned_values(system.V, self._nodes["configuration"])
+        self.geometry = with_owned_values(system.V, self._nodes["geometry"])
 
     def _refusal(self, difference: str) -> InputError:
         """Return the error to raise if the file is of a problem with a difference in words."""
@@ -211,7 +208,7 @@ class SavedState:
         for number, function in enumerate(functions):
             V = function.function_space
             values = self._rows(f"{kind} {number}", surroundings(V))["values"]
-            result.append(_function(V, values).x.array.copy())
+            result.append(with_owned_values(V, values).x.array.copy())
         return result
 
     def state(self, present: StepState) -> StepState:
@@ -249,7 +246,7 @@ class SavedState:
             begun=bool(self._begun),
         )
         displacement, before, configuration = (
-            None if rows is None else _function(self._system.V, rows)
+            None if rows is None else with_owned_values(self._system.V, rows)
             for rows in map(
                 self._nodes.get,
                 ("accepted displacement", "displacement before", "accepted configuration"),
@@ -274,7 +271,7 @@ class SavedState:
                 f"the state in '{self.path}' has no displacement, since a ContactProblem "
                 "wrote it; a NonlinearContactProblem needs one."
             )
-        u, component = _function(self._system.V, self._nodes["u"]), self._system.component
+        u, component = with_owned_values(self._system.V, self._nodes["u"]), self._system.component
         if component is None:
             return np.array(u.x.array)
         w = fem.Function(self._system.space)
@@ -314,12 +311,6 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
     return content
 
 
-def _if_other(u: fem.Function, reference: fem.Function) -> fem.Function | None:
-    """Return a Function if its values differ from those of a reference, or None. Collective."""
-    differs = not np.array_equal(u.x.array, reference.x.array)
-    return u if u.function_space.mesh.comm.allreduce(differs, op=MPI.LOR) else None
-
-
 def _laws(jump: JumpOperator) -> list[str]:
     """Return the kind of law of each pair, which determines its multipliers. Collective."""
     tangential_rows = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
@@ -338,21 +329,6 @@ def _contact_places(pair: PairOperators, places: Array) -> Array:
     _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
     patch = np.arange(len(pair.nodes)) - start[row]
     return np.column_stack([places[pair.nodes], patch])
-
-
-def values_of(u: fem.Function) -> Array:
-    """Return a view of a Function's values (n, d) at this rank's own nodes. Not collective."""
-    dim = u.function_space.dofmap.index_map_bs
-    values: Array = u.x.array.reshape(-1, dim)[: u.function_space.dofmap.index_map.size_local]
-    return values
-
-
-def _function(V: Any, rows: Array) -> fem.Function:
-    """Return the Function with values (n, d) at each rank's own nodes. Collective."""
-    result = fem.Function(V)
-    values_of(result)[:] = rows
-    result.x.scatter_forward()
-    return result
 
 
 def surroundings(V: Any) -> Array:

@@ -28,9 +28,64 @@ from dolfinx_tresca.derivatives.change_of_data import (
 )
 from dolfinx_tresca.derivatives.goals import WeightedGoals, weights_of
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.dual.nodal_values import values_of
+from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.fields import Surface
+
+
+def checked_controls(controls: Any) -> list[Control]:
+    """Check that controls are a list of Constants and Functions, and return the list.
+
+    Not collective.
+
+    Args:
+        controls: the user's argument, which may have any type.
+
+    Raises:
+        InputError: controls are not such a list.
+    """
+    if not isinstance(controls, Sequence):
+        raise InputError(
+            "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
+            f"found {shown(controls)}."
+        )
+    for control in controls:
+        if not isinstance(control, fem.Constant | fem.Function):
+            raise InputError(
+                f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+            )
+    return list(controls)
+
+
+def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any]:
+    """Check changes of controls, and return them: arrays for Constants, or Functions.
+
+    Not collective.
+
+    Raises:
+        InputError: there is not one direction of the right type for each control.
+    """
+    result = list(directions) if isinstance(directions, Sequence) else [directions]
+    if len(result) != len(controls):
+        raise InputError(
+            f"directions must be a list with one for each control, found {len(result)} for "
+            f"{len(controls)} control(s)."
+        )
+    for k, (control, direction) in enumerate(zip(controls, result, strict=True)):
+        if isinstance(control, fem.Function):
+            kind = f"the Function {control.name} must be a Function on its space"
+            fits = getattr(direction, "function_space", None) == control.function_space
+        else:
+            result[k] = np.asarray(direction, dtype=np.float64)
+            kind = f"a Constant must have its shape {control.ufl_shape}"
+            fits = result[k].shape == control.ufl_shape
+        if not fits:
+            raise InputError(f"the direction of {kind}, found {shown(direction)}.")
+        values = values_of(direction) if isinstance(control, fem.Function) else result[k]
+        if not np.isfinite(values).all():
+            raise InputError(f"the direction of {shown(control)} is NaN or infinite.")
+    return result
 
 
 def derivatives_by_data(
@@ -59,29 +114,27 @@ def derivatives_by_data(
         ConvergenceError: the adjoint has no solution.
     """
     contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
-    owned, by_u = owned_size(u), fem.Function(u.function_space)
-    on_jump, on_x = on_jump.copy(), np.zeros_like(on_jump)
+    owned = owned_size(u)
+    on_jump, on_x, on_u = on_jump.copy(), np.zeros_like(on_jump), np.zeros(owned)
     if on_displacement is not None:
-        by_u.x.array[:owned] = on_displacement[:owned]
+        on_u += on_displacement[:owned]
     for weight, goal in goals:
-        if isinstance(goal, ufl.Form):
-            by_values = data.by_values(goal, u)
-            if by_values is None:
-                raise InputError(
-                    "the goal is a form that does not depend on the displacement of its solution: "
-                    "write it in terms of solution.u."
-                )
-            by_u.x.array[:owned] += weight * by_values
-        else:
+        if not isinstance(goal, ufl.Form):
             by_jump, by_x = weights_of(goal, jump, contact.multipliers)
             on_jump += weight * by_jump
             on_x += weight * by_x
-    prescribed = by_u.copy()
-    by_u.x.petsc_vec.array[jump.system.prescribed] = 0.0
-    z, y = contact.adjoint(on_jump, on_x, by_u.x.petsc_vec)
-    prescribed.x.array[:owned] += jump.whole_force(on_jump - y).array - data.reaction_of(z)
+        elif u in goal.coefficients():
+            on_u += weight * data.derivative(goal, u)
+        else:
+            raise InputError(
+                "the goal is a form that does not depend on the displacement of its solution: "
+                "write it in terms of solution.u."
+            )
+    free = np.where(jump.system.prescribed, 0.0, on_u)
+    z, y = contact.adjoint(on_jump, on_x, free)
+    on_u += jump.whole_force(on_jump - y).array - data.reaction_of(z)
     radius = contact.face.radial_parts(on_x - jump.of_displacement(z))
-    return DataVector(z, prescribed, y, radius)
+    return DataVector(z.x.array[:owned], on_u, y, radius)
 
 
 def gradient(
@@ -90,7 +143,7 @@ def gradient(
     controls: Sequence[Control],
     on_origin: Array | None = None,
     on_displacement: Array | None = None,
-) -> tuple[list[Any], Array]:
+) -> tuple[list[Array], Array]:
     """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
     The derivative with respect to the slip origin s is y, like the derivative with respect to the
@@ -108,8 +161,7 @@ def gradient(
 
     Returns:
         for each control the derivatives with respect to its values (for a Function, those that this
-        rank owns), or None if nothing depends on the control; and (size,) the derivatives with
-        respect to the slip origin of this step.
+        rank owns); and (size,) the derivatives with respect to the slip origin of this step.
 
     Raises:
         InputError: the patch of a goal has no node, or a form does not depend on u; or the
@@ -118,12 +170,12 @@ def gradient(
     """
     data.check_controls(controls)
     discs, sticks = data.contact.face.discs, data.contact.face.stick
-    sticking, other_rows = np.zeros((2, discs.size), dtype=np.bool_)
+    sticking, moving = np.zeros((2, discs.size), dtype=np.bool_)
     sticking[discs.tangential] = sticks[discs.node]
-    other_rows[discs.tangential] = ~sticks[discs.node]
+    moving[discs.tangential] = ~sticks[discs.node]
     if on_origin is None:
         on_origin = np.zeros(discs.size)
-    on_jump = np.where(other_rows, on_origin, 0.0)
+    on_jump = np.where(moving, on_origin, 0.0)
     derivatives = derivatives_by_data(data, goals, on_jump, on_displacement)
     y = derivatives.offset
     by_controls = [
@@ -132,17 +184,17 @@ def gradient(
         else _by_constant(data, derivatives, goals, on_jump, control)
         for control in controls
     ]
-    return by_controls, np.where(sticking, y + on_origin, np.where(other_rows, y, 0.0))
+    return by_controls, np.where(sticking, y + on_origin, np.where(moving, y, 0.0))
 
 
 def _by_function(
     data: DataOfSolution, derivatives: DataVector, goals: WeightedGoals, control: fem.Function
-) -> Array | None:
+) -> Array:
+    """Return derivatives by the values of a Function that this rank owns. Collective."""
     result = data.pulled_back(control, derivatives)
     for weight, goal in goals:
-        explicit = data.by_values(goal, control) if isinstance(goal, ufl.Form) else None
-        if explicit is not None:
-            result = weight * explicit + (0.0 if result is None else result)
+        if isinstance(goal, ufl.Form):
+            result += weight * data.derivative(goal, control)
     return result
 
 
@@ -152,29 +204,26 @@ def _by_constant(
     goals: WeightedGoals,
     on_jump: Array,
     control: fem.Constant,
-) -> Array | None:
-    inner, depends = data.contact.dual.inner, False
-    result = np.zeros(control.value.size)
+) -> Array:
+    """Return derivatives by the values of a Constant, an array of its shape. Collective."""
+    inner, result = data.contact.dual.inner, np.zeros(control.value.size)
     for k, unit in enumerate(np.eye(result.size)):
         direction = unit.reshape(control.ufl_shape)
-        change, (data_depend,) = data.change([control], [direction])
-        rates = [data.explicit_rate(goal, [control], [direction], change) for _, goal in goals]
-        depends |= data_depend or any(rate is not None for rate in rates)
+        change = data.change([control], [direction])
         result[k] = derivatives.inner(change, inner)
+        for weight, goal in goals:
+            result[k] += weight * data.explicit_rate(goal, [control], [direction], change)
         for rows in change.moved:  # the jumps of this step, from which the next step's slip counts
             result[k] += float(inner(on_jump, rows.rate(lambda _, jump_of_u: jump_of_u)))
-        result[k] += sum(
-            weight * (rate or 0.0) for (weight, _), rate in zip(goals, rates, strict=True)
-        )
-    return result.reshape(control.ufl_shape) if depends else None
+    return result.reshape(control.ufl_shape)
 
 
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
     """Return derivatives of `gradient` as arrays and Functions. Collective.
 
     Args:
-        values: for each control the derivatives with respect to its values; None: nothing depends
-            on the control, and the log says so.
+        values: for each control the derivatives with respect to its values, or the number 0. If
+            they are all zero, the log says so.
         controls: the Constants and Functions to which the derivatives belong.
         comm: communicator.
 
@@ -183,15 +232,14 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
     """
     result: list[Any] = []
     for control, derivatives in zip(controls, values, strict=True):
-        if derivatives is None:
+        if not comm.allreduce(bool(np.any(derivatives)), op=MPI.LOR):
             name = getattr(control, "name", control)
-            log(comm, "gradient: nothing depends on the control %s: its derivative is zero", name)
-        by_values = 0.0 if derivatives is None else derivatives
+            log(comm, "gradient: no goal depends on the control %s: its derivative is zero", name)
         if isinstance(control, fem.Constant):
-            result.append(np.array(np.broadcast_to(by_values, control.ufl_shape)))
+            result.append(np.array(np.broadcast_to(derivatives, control.ufl_shape)))
             continue
         function = fem.Function(control.function_space, name=f"derivative by {control.name}")
-        function.x.array[: owned_size(control)] = by_values
+        function.x.array[: owned_size(control)] = derivatives
         function.x.scatter_forward()
         result.append(function)
     return result
@@ -288,43 +336,21 @@ def tangent_of(
     data.check_controls(controls)
     contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
     x, comm, prescribed = contact.multipliers, data.comm, jump.system.prescribed
-    change, depends = data.change(controls, directions)
-    for control, is_input in zip(controls, depends, strict=True):
-        if not is_input:
-            log(
-                comm,
-                "tangent: nothing depends on the control %s",
-                getattr(control, "name", control),
-            )
-    force, owned = change.force.x.petsc_vec, owned_size(contact.u)
-    if comm.allreduce(bool(change.prescribed.x.array.any()), op=MPI.LOR):
-        force.array -= data.pull_of(change.prescribed)
-    force.array[prescribed] = change.prescribed.x.array[:owned][prescribed]
+    change = data.change(controls, directions)
+    force = np.where(prescribed, change.prescribed, change.force - data.pull_of(change.prescribed))
     du, dx = contact.tangent(force, change.offset, change.radius)
     jump_change = jump.of_displacement(du)
-    # gap and slip count from offsets, but not from those that stretch the rows of ellipses
-    apart = sum((rows.offset for rows in change.moved), np.zeros_like(dx))
-    for normal, _ in jump.slices:
-        apart[normal] = change.offset[normal]
-    slip, stress = (jump_change - apart) * jump.length_scale, dx * jump.stress_scale
+    # gap and slip count from the offsets
+    slip = (jump_change - change.offset) * jump.length_scale
+    stress = dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
         goal = checked_goal(goal)
-        explicit = data.explicit_rate(goal, controls, directions, change) or 0.0
+        explicit = data.explicit_rate(goal, controls, directions, change)
         if isinstance(goal, ufl.Form):
-            return explicit + (data.explicit_rate(goal, [contact.u], [du], change) or 0.0)
+            return explicit + float(data.derivative(goal, contact.u, du))
         on_jump, on_x = weights_of(goal, jump, x)
         return explicit + float(dual.inner(on_jump, jump_change) + dual.inner(on_x, dx))
-
-    def turned(k: int, values: Array, scale: str) -> Array:
-        """Return the change of a pair's tangential vectors (n, d) with the tangents of its rows."""
-
-        def vectors(operator: JumpOperator, _: Array) -> Array:
-            rows = operator.by_pair[k]
-            components = values * getattr(operator, scale)
-            return rows.operators.tangential_vectors(components[rows.tangential])
-
-        return np.asarray(sum(moved.rate(vectors) for moved in change.moved))
 
     result = []
     for k, (rows, surface) in enumerate(zip(jump.by_pair, surfaces, strict=True)):
@@ -335,9 +361,17 @@ def tangent_of(
             ("traction", stress, x, "stress_scale"),
             ("slip", slip, -contact.gradient, "length_scale"),
         ):
-            vectors = pair.tangential_vectors(components[rows.tangential])
-            vectors = vectors + turned(k, values, scale)
-            friction[name] = surface.function(name, pair.nodes, vectors)
+
+            def vectors(operator: JumpOperator, _: Any) -> Array:
+                """Return the present vectors (n, d) along the tangents of another B."""
+                of_pair = operator.by_pair[k]  # noqa: B023
+                physical = values * getattr(operator, scale)  # noqa: B023
+                return of_pair.operators.tangential_vectors(physical[of_pair.tangential])
+
+            changes = pair.tangential_vectors(components[rows.tangential])
+            for moved in change.moved:
+                changes = changes + moved.rate(vectors)
+            friction[name] = surface.function(name, pair.nodes, changes)
         has_friction = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
         result.append(
             SurfaceTangent(

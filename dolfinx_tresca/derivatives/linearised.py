@@ -45,8 +45,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps, NodalPattern
-from dolfinx_tresca.solvers.reductions import norm
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern, norm
 
 #: Relative error of the multipliers of a tangent or adjoint in the energy norm, for derivatives.
 #: `ACCURACY` is for a K that is factored; `ITERATIVE_ACCURACY` is for an iterative solver for K,
@@ -132,8 +131,8 @@ class LinearisedContact:
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
         lam = cones.section(x)
         face = lam.face(target)
-        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
-        if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
+        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face.slip)[1].any())
+        if reduce_array(dual.jump.comm, float(follows)) > 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
@@ -157,7 +156,7 @@ class LinearisedContact:
             )
 
     def tangent(
-        self, force: PETSc.Vec, offset: Array, radius: Array, accuracy: float | None = None
+        self, force: Array, offset: Array, radius: Array, accuracy: float | None = None
     ) -> tuple[fem.Function, Array]:
         """Return the tangent (du, dx): the change of the solution by given changes of the data.
 
@@ -165,8 +164,8 @@ class LinearisedContact:
         are kept for later solves. Collective.
 
         Args:
-            force: change df of the right-hand side of K u = f; rows of prescribed values have the
-                change of these values.
+            force: (owned degrees of freedom,) change df of the right-hand side of K u = f; rows of
+                prescribed values have the change of these values.
             offset: (size,) change of (d; s), divided by `JumpOperator.length_scale`.
             radius: (n_discs,) change of the radii of the discs.
             accuracy: relative error of dx in the energy norm; None: `accuracy`.
@@ -176,16 +175,15 @@ class LinearisedContact:
         """
         grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
         right = self.dual.jump.contact_force(grown).copy()
-        right.aypx(-1.0, force)
+        right.array = force - right.array
         du, dx = self._solve(right, offset, accuracy, transpose=False)
-        right.destroy()
         return du, dx + grown
 
     def adjoint(
         self,
         on_jump: Array,
         on_x: Array,
-        on_u: PETSc.Vec | None = None,
+        on_u: Array | None = None,
         accuracy: float | None = None,
     ) -> tuple[fem.Function, Array]:
         """Return the adjoint (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
@@ -196,7 +194,8 @@ class LinearisedContact:
         Args:
             on_jump: (size,) derivative of the goal with respect to B u.
             on_x: (size,) derivative of the goal with respect to x.
-            on_u: derivative of the goal with respect to u, zero where u is prescribed; None: zeros.
+            on_u: (owned degrees of freedom,) derivative of the goal with respect to u, zero where u
+                is prescribed; None: zeros.
             accuracy: relative error of y in the energy norm; None: `accuracy`.
 
         Raises:
@@ -204,10 +203,8 @@ class LinearisedContact:
         """
         right = self.dual.jump.contact_force(on_jump).copy()
         if on_u is not None:
-            right.axpy(1.0, on_u)
-        z, y = self._solve(right, on_x, accuracy, transpose=True)
-        right.destroy()
-        return z, y
+            right.array += on_u
+        return self._solve(right, on_x, accuracy, transpose=True)
 
     def _solve(
         self, force: PETSc.Vec, offset: Array, accuracy: float | None, transpose: bool

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 from weakref import ref
@@ -19,14 +20,13 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.change_of_data import (
-    Control,
-    DataOfSolution,
-    checked_controls,
-    inputs_of_problem,
-)
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
 from dolfinx_tresca.derivatives.goals import WeightedGoals, checked_form_or_goal
-from dolfinx_tresca.derivatives.gradient_and_tangent import as_derivatives, gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import (
+    as_derivatives,
+    checked_controls,
+    gradient,
+)
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -154,8 +154,9 @@ class ProcessTape:
         self._compliance = self._surfaces.compliance if same else None
         solution = LinearisedContact.of_last_solve(contact)
         # without the sum of slips at all nodes, which takes as much memory as u
-        history = replace(solution.dual.history, slipped=())
-        solution = replace(solution, dual=replace(solution.dual, history=history))
+        dual = copy(solution.dual)
+        dual.history = replace(dual.history, slipped=())
+        solution = replace(solution, dual=dual)
         yield
         self._history = self._surfaces.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -197,13 +198,9 @@ class ProcessTape:
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
         controls = checked_controls(controls)
-        steps = self._derivatives(goals, controls)
-        totals: list[Any] = [None] * len(controls)
-        for by_control in steps:
-            for k, values in enumerate(by_control):
-                if values is not None:
-                    totals[k] = values if totals[k] is None else totals[k] + values
-        return as_derivatives(totals, controls, self.comm)
+        by_step = self._derivatives(goals, controls)
+        columns = zip([0.0] * len(controls), *by_step, strict=True)
+        return as_derivatives([sum(column) for column in columns], controls, self.comm)
 
     @collective(comm_of_self)
     def gradient_by_step(
@@ -257,7 +254,7 @@ class ProcessTape:
                 "before obstacles are moved."
             )
         self._check_places(controls)
-        result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
+        result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
             step = self._steps[number]

@@ -117,7 +117,8 @@ class SaddleLift:
         except StiffnessError:  # dependent rows
             self._solver = None
         self._matrix = whole
-        if self._solver is None and _independent(jump):
+        rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
+        if self._solver is None and np.isfinite(Lift(jump).energy_norm(rough)):
             raise StiffnessError(
                 "the contact and the conditions close in a body that cannot change its volume: its "
                 "pressure is not determined where it touches everywhere, and gaps of another "
@@ -144,12 +145,6 @@ class SaddleLift:
         if not self._product.norm() <= DEPENDENT_ROWS * size:  # or NaN
             return np.inf
         return float(np.sqrt(max(energy, 0.0)))
-
-
-def _independent(jump: JumpOperator) -> bool:
-    """Return whether the rows of B are linearly independent. Collective."""
-    rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
-    return bool(np.isfinite(Lift(jump).energy_norm(rough)))
 
 
 class EnergyBound:

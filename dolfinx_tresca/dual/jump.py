@@ -11,13 +11,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, kron
+from scipy.sparse import kron
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices
 from dolfinx_tresca._base.parallel import RankReductions
-from dolfinx_tresca._base.petsc import PetscOwner, product
+from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.dual.slip_bounds import FrictionDiscs, NodalBounds, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import (
     PairOperators,
@@ -90,7 +90,6 @@ class JumpOperator(PetscOwner):
         """Assemble B. Collective."""
         self.system, self.frames = system, frames
         self.comm = self.system.comm
-        self.pairs = list(pairs)
         rows = [(len(pair.normal_node), len(pair.tangent_node)) for pair in pairs]
         ends = np.cumsum([0, *chain.from_iterable(rows)]).tolist()
         blocks = [slice(start, end) for start, end in pairwise(ends)]
@@ -112,7 +111,7 @@ class JumpOperator(PetscOwner):
             self.matrix = frames.columns(self._of_V)
         self._force, self.work = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
-        self.gap = self._gaps()
+        self.set_gaps(pairs)
         self.unbounded = self._without_bounds()
         self.discs = self._separated()
 
@@ -153,29 +152,11 @@ class JumpOperator(PetscOwner):
             result.append(RowsOfPair(joined(operators), *rows))
         return result
 
-    def _gaps(self) -> Array:
-        """Return the gaps of the pairs in normal rows (size,), divided by `length_scale`."""
-        result = np.zeros(len(self.length_scale))
+    def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
+        """Set the pairs, which may be copies with other distances or gaps. Not collective."""
+        self.pairs, self.gap = list(pairs), np.zeros(len(self.length_scale))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
-            result[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
-        return result
-
-    def set_distances(self, pairs: Sequence[PairOperators]) -> None:
-        """Replace the pairs by copies with other surface distances; update gaps. Not collective."""
-        self.pairs = list(pairs)
-        self.gap = self._gaps()
-
-    def add_gaps(self, gaps: Sequence[Array]) -> None:
-        """Set the users' gaps, which are added to the distance of the surfaces. Not collective.
-
-        Args:
-            gaps: for each pair (n,) values at its nodes [length].
-        """
-        self.pairs = [
-            dataclasses.replace(pair, added_gap=gap)
-            for pair, gap in zip(self.pairs, gaps, strict=True)
-        ]
-        self.gap = self._gaps()
+            self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
 
     def _without_bounds(self) -> FeasibleSet:
         """Return Lambda with infinite slip bounds. Not collective."""
@@ -315,15 +296,6 @@ class JumpOperator(PetscOwner):
         axes = np.eye(dofmap.index_map_bs)
         rows = [kron(pair.jump, axes, format="csr") for pair in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
-
-    def of_values(self, u: Array) -> Array:
-        """Return B u for the values of u on this rank. Collective."""
-        self.work.array = u
-        return self.of_unknowns(self.work)
-
-    def of_columns(self, columns: csr_array) -> csr_array:
-        """Return B U (size, k) for a sparse matrix U (unknowns of this rank, k). Collective."""
-        return product(self.matrix, columns)
 
     def whole_force(self, x: Array) -> PETSc.Vec:
         """Return B'x [force], also where u is prescribed; the next call overwrites the vector."""

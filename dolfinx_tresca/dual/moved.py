@@ -80,7 +80,7 @@ def moved_jump(
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
                 distance = new.distance + new.secondary_sagitta - raised + closings[k]
                 operators[k] = dataclasses.replace(new, distance=distance, secondary_sagitta=raised)
-        jump.set_distances(operators)
+        jump.set_gaps(operators)
     return jump
 
 

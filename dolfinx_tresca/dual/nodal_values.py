@@ -136,11 +136,11 @@ class NodalValues:
         """Drop the interpolation matrices. Not collective."""
         self._interpolations.clear()
 
-    def scalars_at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present values of a scalar at nodes of this rank. Collective.
+    def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
+        """Return the present values of a scalar (n,) at nodes of this rank. Collective.
 
         Args:
-            bound: the scalar, such as a slip bound or a gap.
+            field: the scalar, such as a slip bound or a gap.
             nodes: (n,) local numbers of the nodes.
             name: name of the scalar in error messages.
 
@@ -148,22 +148,35 @@ class NodalValues:
             InputError: the scalar is on another mesh, or a function returns neither a number nor
                 one number for each point.
         """
-        if isinstance(bound, fem.Expression):
-            bound = bound.ufl_expression
-        if isinstance(bound, fem.Constant):
-            return np.full(len(nodes), float(bound.value))
-        if isinstance(bound, fem.Function):
-            self._check_mesh(bound, name)
-            field, position = self._scalar_field
-            field.interpolate(bound)
-            values: Array = field.x.array[position[nodes]]
+        return self._values_at(field, nodes, name, 1)[:, 0]
+
+    def vectors_at(self, field: VectorField, nodes: LocalNumbers, name: str) -> Array:
+        """Return the present vectors (n, 3) at nodes of this rank. Collective.
+
+        Raises:
+            InputError: the field is on another mesh, or a function returns neither a vector nor one
+                vector for each point.
+        """
+        return self._values_at(field, nodes, name, 3)
+
+    def _values_at(self, field: Any, nodes: LocalNumbers, name: str, components: int) -> Array:
+        """Return the present values (n, components) of a scalar or vector field. Collective."""
+        if isinstance(field, fem.Expression):
+            field = field.ufl_expression
+        if isinstance(field, fem.Function):
+            self._check_mesh(field, name)
+            nodal, position = self._scalar_field if components == 1 else self._vector_field
+            nodal.interpolate(field)
+            values: Array = nodal.x.array.reshape(-1, components)[position[nodes]]
             return values
-        if isinstance(bound, Expr):
-            return self._of_expression(bound, nodes, name).ravel()
-        if callable(bound):
+        if isinstance(field, fem.Constant):
+            field = field.value
+        if isinstance(field, Expr):
+            return self._of_expression(field, nodes, name)
+        if callable(field):
             with errors_on_all_ranks(self._V.mesh.comm):
-                return self._of_function(bound, nodes, name, 1).ravel()
-        return np.full(len(nodes), float(bound))
+                return self._of_function(field, nodes, name, components).T
+        return np.tile(np.asarray(field, dtype=np.float64), (len(nodes), 1))
 
     def pulled_back(
         self,
@@ -268,29 +281,6 @@ class NodalValues:
             self._interpolations[id(space)] = space, matrix
         return self._interpolations[id(space)][1]
 
-    def vectors_at(self, direction: VectorField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present vectors (n, 3) at nodes of this rank. Collective.
-
-        Raises:
-            InputError: the direction is on another mesh, or a function returns neither a vector
-                nor one vector for each point.
-        """
-        if isinstance(direction, fem.Expression):
-            direction = direction.ufl_expression
-        if isinstance(direction, fem.Function):
-            self._check_mesh(direction, name)
-            self._vector_field.interpolate(direction)
-            values: Array = self._vector_field.x.array.reshape(-1, 3)[nodes]
-            return values
-        if isinstance(direction, fem.Constant):
-            direction = direction.value
-        if isinstance(direction, Expr):
-            return self._of_expression(direction, nodes, name)
-        if callable(direction):
-            with errors_on_all_ranks(self._V.mesh.comm):
-                return self._of_function(direction, nodes, name, 3).T
-        return np.tile(np.asarray(direction, dtype=np.float64), (len(nodes), 1))
-
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
     ) -> Array:
@@ -373,6 +363,6 @@ class NodalValues:
         return fem.Function(scalar), position
 
     @cached_property
-    def _vector_field(self) -> fem.Function:
-        """A vector Function with the nodes of V. Collective."""
-        return fem.Function(self._V)
+    def _vector_field(self) -> tuple[fem.Function, LocalNumbers]:
+        """A Function on V, and the position of each node in its values. Collective."""
+        return fem.Function(self._V), np.arange(len(self._first_seen), dtype=np.int32)

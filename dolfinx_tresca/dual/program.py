@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,11 +13,9 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.parallel import RankReductions, reduce_array
-from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.mesh_error import total
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
-from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.dual.response import ElasticResponse, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -27,7 +24,6 @@ from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.problem import KnownProducts
 
 #: A node counts as about to change its contact state if a change of its traction by at most the
 #: error of the tractions leads to another state. This number times the largest traction is the
@@ -35,7 +31,6 @@ from dolfinx_tresca.solvers.problem import KnownProducts
 EDGE = 1e-9
 
 
-@dataclass(frozen=True)
 class DualProgram:
     """The quadratic program of one solve: A, b, Lambda, constraints and energies.
 
@@ -43,30 +38,27 @@ class DualProgram:
 
     Attributes:
         compliance: A, and all data that depend on K only.
+        jump: B.
+        operator: A.
+        reductions: sums over all ranks, and values on which all ranks agree.
         response: the displacements caused by multipliers and the present load.
         admissible: all multipliers that the present laws of friction allow.
         equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
         constraints: linear equations of the multipliers: this equilibrium.
+        of_tools: positions of the motions of tools among the multipliers of the constraints.
         history: slip and dissipation of the accepted load steps.
+        is_load_step: whether this is a load step of a process: a step was accepted before.
     """
 
-    compliance: ContactCompliance
-    response: ElasticResponse
-    admissible: FeasibleSet
-    equilibrium: Equilibrium | None
-    constraints: EqualityConstraints
-    history: SlipHistory
-
-    @classmethod
-    def from_bounds(
-        cls,
+    def __init__(
+        self,
         compliance: ContactCompliance,
         guess: InitialGuess,
         slip_bounds: Sequence[NodalBounds],
         history: SlipHistory | None = None,
         tools: Tools | None = None,
-    ) -> DualProgram:
-        """Return the program for the system's present load, before any solve with K. Collective.
+    ) -> None:
+        """Make the program for the system's present load, before any solve with K. Collective.
 
         The caller must then call `response.solve_load()`.
 
@@ -80,23 +72,34 @@ class DualProgram:
         Raises:
             MechanismError: contact cannot hold a floating body or a tool.
         """
-        jump = compliance.jump
-        history = SlipHistory.none(jump) if history is None else history
-        admissible = jump.bounded(slip_bounds)
-        equilibrium = None
-        constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
-        floating, load = compliance.floating, jump.system.f.x.petsc_vec.array
+        jump = self.jump = compliance.jump
+        self.compliance, self.operator = compliance, compliance.operator
+        self.known_products = compliance.known_products
+        self.complete_products = compliance.complete_products
+        self.reductions, self.inner = jump.reductions, jump.reductions.inner
+        self.history = SlipHistory.none(jump) if history is None else history
+        self.is_load_step = self.history.begun
+        self.admissible = jump.bounded(slip_bounds)
+        self.equilibrium: Equilibrium | None = None
+        self.constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
+        self.of_tools = slice(0)
+        bodies, load = compliance.floating, jump.system.f.x.petsc_vec.array
         if tools is not None:
-            if floating is None:
+            if bodies is None:
                 modes = RigidBodyModes.none(jump.system.V, tools.bodies)
-                U, jumps = csr_array((len(load), 0)), csr_array((len(jump.gap), 0))
-                floating = FloatingBodies(modes, U, csr_array((0, 0)), jumps, jump.row_nodes)
-            floating = floating.with_tools(tools)
-        if floating is not None:
-            equilibrium = floating.under(load, admissible, jump.reductions)
-            constraints = equilibrium.constraints
-        response = ElasticResponse.from_compliance(compliance, guess, history.origin)
-        return cls(compliance, response, admissible, equilibrium, constraints, history)
+                U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
+                bodies = FloatingBodies(modes, U, stiffness, jumps, jump.row_nodes)
+            self.of_tools = slice(len(bodies.modes), None)
+            bodies = bodies.with_tools(tools)
+        if bodies is not None:
+            self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
+            self.constraints = self.equilibrium.constraints
+        self.response = ElasticResponse(compliance, guess, self.history.origin)
+
+    @property
+    def b(self) -> Array:
+        """The linear term (size,)."""
+        return self.response.b
 
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point.
@@ -106,43 +109,6 @@ class DualProgram:
             r: (size,) gradient at x, with the terms of the equality constraints.
         """
         return self.admissible.at_point(x, r).section(x)
-
-    @property
-    def is_load_step(self) -> bool:
-        """Whether this is a load step of a process: a step was accepted before."""
-        return self.history.begun
-
-    @property
-    def jump(self) -> JumpOperator:
-        """B."""
-        return self.compliance.jump
-
-    @property
-    def operator(self) -> DualOperator:
-        """A."""
-        return self.compliance.operator
-
-    @property
-    def b(self) -> Array:
-        """The linear term (size,)."""
-        return self.response.b
-
-    def known_products(self) -> KnownProducts:
-        """Return all known products with A; the first call may compute A whole. Collective."""
-        return self.compliance.known_products()
-
-    def complete_products(self) -> bool:
-        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
-        return self.compliance.complete_products()
-
-    @property
-    def reductions(self) -> RankReductions:
-        """Sums over all ranks, and values on which all ranks agree."""
-        return self.jump.reductions
-
-    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
-        return self.jump.reductions.inner(x, y)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
@@ -231,14 +197,11 @@ class DualProgram:
 
     def tool_motions(self, c: Array) -> Array:
         """Return the motions of all tools at multipliers c of the constraints."""
-        if self.equilibrium is None:
-            return np.empty(0)
-        return np.asarray((self.equilibrium.factors * c)[len(self.equilibrium.bodies.modes) :])
+        return c if self.equilibrium is None else (self.equilibrium.factors * c)[self.of_tools]
 
     def jump_of_tools(self, c: Array) -> Array:
         """Return G c (size,) for the motions of tools alone."""
-        k = len(c) - len(self.tool_motions(c))
-        return np.asarray(self.constraints.columns[:, k:] @ c[k:])
+        return np.asarray(self.constraints.columns[:, self.of_tools] @ c[self.of_tools])
 
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
@@ -285,8 +248,7 @@ class DualProgram:
         elastic = float(self.inner(inside, system.signs * force.array))
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.response.gradient_of(u) - self.jump_of_tools(c)
-        k = len(c) - len(self.tool_motions(c))
-        work += float(self.constraints.values[k:] @ c[k:])
+        work += float(self.constraints.values[self.of_tools] @ c[self.of_tools])
         friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -120,11 +118,12 @@ ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
 
 
-class ElasticResponse(ABC):
+class ElasticResponse:
     """The displacement for the present load and given multipliers, (38.1).
 
-    There are two kinds: `DirectResponse` and `IterativeResponse`. Call `solve_load` first. An
-    object is valid until the load or K changes.
+    With a direct solver for K, displacements are exact to rounding, whatever is requested; with an
+    iterative one, only as accurate as requested. Call `solve_load` first. An object is valid until
+    the load or K changes.
 
     Attributes:
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
@@ -150,21 +149,12 @@ class ElasticResponse(ABC):
         self._compliance, self._guess = compliance, guess
         self._operator, self._solver = compliance.operator, compliance.operator.solver
         self._jump = compliance.jump
-        self._system = self._jump.system
+        self._system, self._inner = self._jump.system, self._jump.reductions.inner
         self.offset = self._jump.gap + slip_origin - self._jump.of_frames
         self._u = self._jump.work
         self._load_terms: tuple[float, Array] | None = None
-
-    @classmethod
-    def from_compliance(
-        cls, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
-    ) -> ElasticResponse:
-        """Return the response of the kind that suits the solver for K. Not collective.
-
-        The arguments are those of `__init__`.
-        """
-        kind = DirectResponse if compliance.operator.exact else IterativeResponse
-        return kind(compliance, guess, slip_origin)
+        self._is_refined = self._solver.exact
+        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
 
     def solve_load(self) -> None:
         """Compute b from the displacement without contact: one solve with K. Collective.
@@ -193,9 +183,16 @@ class ElasticResponse(ABC):
         terms: Array = np.abs(self.b + self.offset) + np.abs(self.offset)
         return terms
 
-    @abstractmethod
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K, once. Collective."""
+        if self._is_refined:
+            return
+        self._is_refined = True
+        self._compute_b(FULL_ACCURACY)
+        # includes rounding, which the iteration does not see
+        self._u.array = self._guess.load
+        rounding = self._solver.error(self._system.f.x.petsc_vec, self._u)
+        self.b_error = max(self.b_error, rounding)
 
     def _check_units(self) -> None:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective.
@@ -213,17 +210,16 @@ class ElasticResponse(ABC):
                     "computed. Choose units in which they are nearer to 1."
                 )
 
-    @abstractmethod
     def gradient(
         self, x: Array, accuracy: float, origin: Array | None = None
     ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        An iterative solver for K starts from a known displacement near x and solves to the
-        requested accuracy only. Such a solve counts as a product, unless the known displacement is
-        already accurate enough. The error includes the rounding of r: products are differences of
-        gradients, and if steps are small compared with the gaps, these differences may be pure
-        rounding.
+        A direct solver takes one product, unless x is zero. An iterative solver for K starts from a
+        known displacement near x and solves to the requested accuracy only. Such a solve counts as
+        a product, unless the known displacement is already accurate enough. The error includes the
+        rounding of r: products are differences of gradients, and if steps are small compared with
+        the gaps, these differences may be pure rounding.
 
         Args:
             x: (size,) multipliers.
@@ -233,6 +229,27 @@ class ElasticResponse(ABC):
             accuracy: requested error of the displacement in the energy norm; the returned error is
                 larger if the solver does not reach it.
         """
+        if self._solver.exact:
+            presses = float(self._inner(x, x)) > 0.0
+            return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
+        if origin is not None:
+            self._guess.begin_at(origin)
+        before = self._solver.krylov_iterations
+        self._u.array = self._guess.near(x)
+        error = self._improve(x, self._u, accuracy)
+        self._operator.products += self._solver.krylov_iterations > before
+        self._guess.add(x, self._u.array.copy())
+        r = self.gradient_of(self._u)
+        terms = np.abs(self.offset) + np.abs(self.offset - r)
+        # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
+        square = float(self._inner(terms, self._compliance.nodal_stiffness * terms))
+        return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
+
+    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
+        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
+        return self._solver.improve(
+            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
+        )
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
@@ -253,12 +270,29 @@ class ElasticResponse(ABC):
             accuracy: largest error of u in the energy norm, without effect on a direct solver;
                 None: the accuracy in the solver's options.
         """
-        self._solver.solve(self._jump.net_force(x), u)
-        return self.error(x, u)
+        solved = self._solved
+        if solved is not None and float(self._inner(x - solved[0], x - solved[0])) == 0.0:
+            u.array = solved[1]
+        elif accuracy is None or self._solver.exact:
+            self._solver.solve(self._jump.net_force(x), u)
+        else:
+            u.array = self._guess.near(x)
+            if (error := self.error(x, u)) <= SLACK * accuracy:
+                return error
+            self._improve(x, u, accuracy)
+        return self.error(x, u)  # includes rounding, which an iteration does not see
 
-    @abstractmethod
     def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement from which the gradient at x was computed. Collective."""
+        """Set u to the displacement at x, and keep it. Collective.
+
+        A direct solver takes one solve with K; with an iterative solver, the gradient at x was
+        computed from this displacement.
+        """
+        if self._solver.exact:
+            self._solver.solve(self._jump.net_force(x), u)
+            self._solved = x.copy(), u.array.copy()
+        else:
+            u.array = self._guess.near(x)
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
         """Solve like `displacement`, and let the next solve start from the result. Collective."""
@@ -283,8 +317,7 @@ class ElasticResponse(ABC):
             error: error of the displacement in the energy norm.
         """
         energy, jump = self._solved_load_terms()
-        inner = self._jump.reductions.inner
-        square = energy + float(inner(x, r + self.b - 2.0 * jump))
+        square = energy + float(self._inner(x, r + self.b - 2.0 * jump))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
@@ -319,89 +352,3 @@ class ElasticResponse(ABC):
             jump = self._jump.of_unknowns(u)
         self._load_terms = max(energy, 0.0), jump  # the energy of a rigid motion is rounding
         return self._load_terms
-
-
-class DirectResponse(ElasticResponse):
-    """The displacement with a direct solver for K: exact to rounding, whatever is requested."""
-
-    _solved: tuple[Array, Array] | None = None  # multipliers, with this rank's displacement
-
-    def refine_b(self) -> None:
-        """Do nothing: b is exact."""
-
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
-        """Return r = A x - b and 0: one product, unless x is zero. Collective."""
-        presses = float(self._jump.reductions.inner(x, x)) > 0.0
-        return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
-
-    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement at x, and keep it: one solve with K. Collective."""
-        self._solver.solve(self._jump.net_force(x), u)
-        self._solved = x.copy(), u.array.copy()
-
-    def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
-        """Solve K u = f - B'x, unless u was kept, and return its error. Collective."""
-        if self._solved is not None:
-            change = x - self._solved[0]
-            if float(self._jump.reductions.inner(change, change)) == 0.0:
-                u.array = self._solved[1]
-                return self.error(x, u)
-        return super().displacement(x, u, accuracy)
-
-
-class IterativeResponse(ElasticResponse):
-    """The displacement with an iterative solver for K, only as accurate as requested."""
-
-    _is_refined = False
-
-    def refine_b(self) -> None:
-        """Compute b to the highest accuracy of the solver for K, once. Collective."""
-        if self._is_refined:
-            return
-        self._is_refined = True
-        self._compute_b(FULL_ACCURACY)
-        # includes rounding, which the iteration does not see
-        self._u.array = self._guess.load
-        rounding = self._solver.error(self._system.f.x.petsc_vec, self._u)
-        self.b_error = max(self.b_error, rounding)
-
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error, including rounding. Collective."""
-        if origin is not None:
-            self._guess.begin_at(origin)
-        before = self._solver.krylov_iterations
-        self.set_known_displacement(x, self._u)
-        error = self._improve(x, self._u, accuracy)
-        self._operator.products += self._solver.krylov_iterations > before
-        self._guess.add(x, self._u.array.copy())
-        r = self.gradient_of(self._u)
-        terms = np.abs(self.offset) + np.abs(self.offset - r)
-        # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
-        inner = self._jump.reductions.inner
-        square = float(inner(terms, self._compliance.nodal_stiffness * terms))
-        return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
-
-    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
-        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
-        return self._solver.improve(
-            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
-        )
-
-    def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
-        """Solve K u = f - B'x, unless u is known well enough; return its error. Collective."""
-        if accuracy is None:
-            return super().displacement(x, u)
-        self.set_known_displacement(x, u)
-        error = self.error(x, u)
-        if error > SLACK * accuracy:
-            self._improve(x, u, accuracy)
-            error = self.error(x, u)  # includes rounding, which the iteration does not see
-        return error
-
-    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement from which the gradient at x was computed. Collective."""
-        u.array = self._guess.near(x)

@@ -16,12 +16,10 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.floating.tools import Tools
-from dolfinx_tresca.solvers.balance import balance
-from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.constraints import EqualityConstraints, balance
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.linear_algebra import Reductions, eigenpairs, is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
-from dolfinx_tresca.solvers.reductions import Reductions
-from dolfinx_tresca.solvers.sparse_factors import eigenpairs, is_positive_definite
 
 #: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
 UNBALANCED_PART = 1e-8
@@ -185,7 +183,8 @@ class FloatingBodies:
         if tools is not None:
             owners = [self.modes.bodies.number + motion.pairs[0] for motion in tools.motions]
             bodies = np.append(bodies, owners)
-        carrying = scaled_rows(self.jumps, feasible_set.carrying.astype(np.float64))
+        carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
+        carrying = scaled_rows(self.jumps, carries.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
         length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
         # compared for each body by itself, since jumps depend on the size and the mesh of a body

@@ -11,12 +11,12 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import Mask, splitmix64
+from dolfinx_tresca._base.arrays import splitmix64
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product, sparse_matrix
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
-from dolfinx_tresca.solvers.sparse_factors import eigenpairs
+from dolfinx_tresca.solvers.linear_algebra import eigenpairs
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Mean number of a body's nodes on which springs act. (Too few nodes to hold a body are drawn once
@@ -49,32 +49,24 @@ class FixingSprings:
     def columns(self) -> csr_array:
         """The matrix Z (owned degrees of freedom, k) of the springs, sparse. Collective.
 
-        The springs act on a few nodes of each body, spread over the body, and make the body about
-        as stiff against its rigid modes as it is against deformation. There are few such nodes,
-        since the springs couple each of these nodes with all the others; but there are more nodes
-        than modes, since the body would be deformed locally around a single node.
-        """
-        modes = self.modes
-        chosen = diags_array(np.repeat(self._are_fixed(), modes.dim).astype(np.float64))
-        fixed_modes = csr_array(chosen @ modes.basis)
-        fixed_modes.eliminate_zeros()
-        gram = RankReductions(modes.comm).sparse_inner(fixed_modes, fixed_modes)
-        values, vectors = modes.comm.bcast(eigenpairs(gram))
-        inverse = vectors @ diags_array(1.0 / values) @ vectors.T
-        return csr_array(fixed_modes @ inverse @ diags_array(np.sqrt(modes.stiffness)))
-
-    def _are_fixed(self) -> Mask:
-        """Choose about `FIXING_NODES` nodes of each body at random, and mark them (n,). Collective.
-
-        The choice depends on a pseudorandom number of each node: nodes at regular intervals might
-        all be on one edge.
+        The springs act on about `FIXING_NODES` nodes of each body, chosen at random, since nodes at
+        regular intervals might all be on one edge. They make the body about as stiff against its
+        rigid modes as it is against deformation. There are few such nodes, since the springs couple
+        each of these nodes with all the others; but there are more nodes than modes, since the body
+        would be deformed locally around a single node.
         """
         modes, label = self.modes, self.modes.bodies.label
         moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.number))
         start = modes.comm.scan(len(label)) - len(label)
         chance = splitmix64(np.arange(start, start + len(label), dtype=np.uint64)) / 2.0**64
-        return np.asarray(moves & (chance * numbers[label] <= FIXING_NODES))
+        chosen = moves & (chance * numbers[label] <= FIXING_NODES)
+        fixed_modes = csr_array(diags_array(np.repeat(chosen, modes.dim) * 1.0) @ modes.basis)
+        fixed_modes.eliminate_zeros()
+        gram = RankReductions(modes.comm).sparse_inner(fixed_modes, fixed_modes)
+        values, vectors = modes.comm.bcast(eigenpairs(gram))
+        inverse = vectors @ diags_array(1.0 / values) @ vectors.T
+        return csr_array(fixed_modes @ inverse @ diags_array(np.sqrt(modes.stiffness)))
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""

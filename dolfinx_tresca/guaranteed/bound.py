@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -10,9 +10,10 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
+import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
@@ -28,8 +29,8 @@ from dolfinx_tresca.guaranteed.cells import (
 )
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
-from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread
-from dolfinx_tresca.guaranteed.stars import CellData, Stars
+from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, spread
+from dolfinx_tresca.guaranteed.stars import Stars
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -42,7 +43,7 @@ PENETRATION = 1e-10
 
 #: Steps of the conjugate gradient method by which the stress comes nearer to the stress of the
 #: displacement. With the double of it the bound is 2 % (triangles) or 10 % (tetrahedra) smaller.
-STEPS = 5
+STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,207 @@ class GuaranteedError:
         )
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """What multipliers and displacements of a load say about the exact solution.
+
+    Attributes:
+        surfaces: the contact surfaces, with admissible tractions.
+        loads: loads, and tractions on the whole boundary.
+        v: a displacement that does not penetrate.
+        balanced: (n, d + 1, d, d) stress of a displacement that balances the loads.
+    """
+
+    surfaces: list[ContactSurface]
+    loads: Loads
+    v: fem.Function
+    balanced: Array
+
+
+@dataclass(frozen=True)
+class Distance:
+    """The distance of a stress in equilibrium from that of a displacement v, by cell.
+
+    Attributes:
+        difference: data of the difference of both stresses, see `StressEnergies`.
+        stress: (n,) its norm.
+        oscillation: (n,) bounds of what loads do that the stress does not balance.
+        defects: (2, n) integrals of complementarity and of friction.
+    """
+
+    difference: Array
+    stress: Array
+    oscillation: Array
+    defects: Array
+
+
+class Bodies:
+    """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium."""
+
+    def __init__(self, linear: LinearSystem, pairs: list[ContactPair], dual: DualProgram) -> None:
+        """Check what the bound covers, and factor the equations of all stars. Collective.
+
+        Raises:
+            InputError: the bound does not cover the problem.
+        """
+        a, _ = _checked_forms(linear, dual)
+        self.linear, self.pairs, self.V = linear, pairs, linear.V
+        self.comm = self.V.mesh.comm
+        self.owned = owned = OwnedCells.from_space(self.V)
+        self.stiffness = elasticity(a, owned, linear.entity_maps)
+        self.moduli = np.asarray(np.linalg.eigvalsh(self.stiffness))
+        self.energies = StressEnergies(owned.cells, np.asarray(np.linalg.inv(self.stiffness)))
+        prescribed = linear.prescribed.reshape(-1, owned.cells.d)
+        self.prescribed = spread(self.V, prescribed) > 0.0
+        exterior = dolfinx.mesh.exterior_facet_indices(self.V.mesh.topology)
+        self.inside = ~np.isin(owned.facets, exterior)[:, :, None]
+        self.held = self.prescribed[owned.nodes[:, owned.on_facets]].all(axis=2) & ~self.inside
+        self.stars = Stars(owned, self.energies.facet_stiffness(), self.held | self.inside)
+
+    def stresses(self, w: fem.Function) -> Array:
+        """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of cells."""
+        owned = self.owned
+        values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
+        slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
+        tensors = stress_element(owned.cells.d).basis
+        strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
+        return np.asarray(np.tensordot(strains @ self.stiffness, tensors, axes=1))
+
+    def candidate(
+        self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
+    ) -> Candidate:
+        """Return admissible tractions and displacements, with one solve with K. Collective.
+
+        Args:
+            dual: the dual problem that was solved.
+            multipliers: (size,) multipliers.
+            u: the displacement.
+            L: the load.
+
+        Raises:
+            InputError: the bound does not cover the loads or the contact pairs.
+        """
+        given = loads(L, self.owned, self.linear.entity_maps)
+        at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
+        areas = np.concatenate([on.weights for on in dual.jump.pairs])
+        bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
+        surfaces = [
+            ContactSurface(self.owned, dual, pair, rows, multipliers, bounds, self.prescribed)
+            for pair, rows in zip(self.pairs, dual.jump.by_pair, strict=True)
+        ]
+        for surface in surfaces:
+            for cell, facet, tractions in surface.sides:
+                given.traction[cell, facet] += tractions
+        v = u.copy()
+        for surface in surfaces:
+            surface.lift(v, self.moduli[:, -1])
+        return Candidate(surfaces, given, v, self.stresses(self._in_equilibrium(dual, u, given)))
+
+    def _in_equilibrium(self, dual: DualProgram, u: fem.Function, given: Loads) -> fem.Function:
+        """Return the displacement, near u, that balances loads and tractions. Collective."""
+        owned, cells, basis = self.owned, self.owned.cells, self.owned.basis
+        weights = np.einsum("kab,abc->kc", basis, mean_products(cells.d + 1, 3))
+        forces = cells.volumes[:, None, None] * (weights @ given.load)
+        for j, ends in enumerate(opposite(cells.d)):
+            on_facet = basis[:, ends][:, :, ends]
+            weights = np.einsum("kab,abc->kc", on_facet, mean_products(cells.d, 3))
+            forces += cells.areas[:, j, None, None] * (weights @ given.traction[:, j])
+        right, change, result = zero_like(u, "force"), zero_like(u, "change"), u.copy()
+        right.x.array[:] = summed_at_nodes(owned.V.dofmap.index_map, owned.nodes, forces).ravel()
+        residual = self.linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
+        dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
+        residual.destroy()
+        change.x.scatter_forward()
+        result.x.array[:] += change.x.array
+        return result
+
+    def distance(
+        self, candidate: Candidate, v: fem.Function, target: Array, steps: int
+    ) -> Distance:
+        """Return the distance of a stress in equilibrium from that of a displacement. Collective.
+
+        Args:
+            candidate: that whose loads and tractions the stress balances.
+            v: displacement that does not penetrate.
+            target: data of the stress that is to be near, see `StressEnergies`.
+            steps: steps of the conjugate gradient method.
+
+        Raises:
+            InputError: displacements are prescribed on contact surfaces, or penetrate.
+            ContactError: the displacement is not in equilibrium.
+        """
+        cells, given = self.owned.cells, candidate.loads
+        defects = self._defects(candidate.surfaces, v)
+        difference = self._nearest_stress(candidate, target, steps)
+        oscillation = cells.poincare_factors * given.load_distance
+        loaded = given.traction_distance * ~self.held.all(axis=2)
+        oscillation += (cells.trace_factors * loaded).sum(axis=1)
+        oscillation /= np.sqrt(self.moduli[:, 0])
+        stress = np.sqrt(self.energies.squared_norms(difference))
+        return Distance(difference, stress, oscillation, defects)
+
+    def _defects(self, surfaces: list[ContactSurface], v: fem.Function) -> Array:
+        """Return by how much tractions and jumps miss the law of contact (2, n). Collective."""
+        result = np.zeros((2, len(self.held)))
+        largest = float(reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX))
+        for surface in surfaces:
+            pressed, slipping, deepest = surface.defects(v)
+            np.add.at(result[0], surface.cell, pressed)
+            np.add.at(result[1], surface.cell, slipping)
+            with errors_on_all_ranks(self.comm):
+                if self.held[surface.cell, surface.facet].any():
+                    raise InputError(
+                        "a guaranteed bound needs contact surfaces without prescribed "
+                        f"displacements, and some facets of contact pair {surface.pair} have them."
+                    )
+                if deepest > PENETRATION * largest:
+                    raise InputError(
+                        f"prescribed displacements penetrate at contact pair {surface.pair}, by "
+                        f"{deepest:.2e}: there is no exact solution."
+                    )
+        return result
+
+    def _nearest_stress(self, candidate: Candidate, target: Array, steps: int) -> Array:
+        """Return a stress in equilibrium minus the target. Collective."""
+        cells, d, load = self.owned.cells, self.owned.cells.d, candidate.loads.load
+        n, count = len(load), d * (d + 1)
+        discrete = stress_data(cells, candidate.balanced)[:, :count].reshape(n, d + 1, d, d)
+        free = (self.held | self.inside)[:, :, None]
+        near = np.where(free, discrete, candidate.loads.traction)
+        flux = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / (d + 1)
+        loaded = cells.volume_forces(load)
+        tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * flux - loaded)
+
+        forces = cells.facet_forces(tractions)
+        largest = np.abs(forces).max(initial=0.0)
+        arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
+        lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
+        lacking = np.abs(lacking).max(initial=0.0)
+        lacking, largest = reduce_array(self.comm, [lacking, largest], MPI.MAX)
+        if lacking > IMBALANCE * largest:
+            raise ContactError(
+                f"the displacement is not in equilibrium: on a cell, forces of {lacking:.1e} are "
+                f"missing, where forces on cells are up to {largest:.1e}. A displacement that is "
+                "prescribed at a point, and not on facets, cannot hold a force."
+            )
+        result: Array = np.concatenate([tractions.reshape(n, count, d), -load], axis=1) - target
+        descent = -self.energies.derivative(result)[:, :count]
+        direction, previous = np.zeros_like(descent), 0.0
+        for _ in range(steps):
+            step = self.stars.preconditioned(descent.reshape(tractions.shape))
+            step = step.reshape(descent.shape)
+            slope = float(reduce_array(self.comm, (step * descent).sum()))
+            if not slope > 0.0:
+                break
+            direction = step + (slope / previous * direction if previous else 0.0)
+            previous = slope
+            change = self.energies.derivative(direction)
+            length = slope / float(reduce_array(self.comm, (direction * change).sum()))
+            result[:, :count] += length * direction
+            descent -= length * change
+        return result
+
+
 def guaranteed_error(
     linear: LinearSystem,
     pairs: list[ContactPair],
@@ -108,54 +310,30 @@ def guaranteed_error(
         InputError: the bound does not cover the problem.
         ContactError: the displacement is not in equilibrium.
     """
-    a, L = _checked_forms(linear, dual)
-    owned = OwnedCells.from_space(linear.V)
-    cells, comm, d = owned.cells, linear.V.mesh.comm, owned.cells.d
-    stiffness = elasticity(a, owned, linear.entity_maps)
-    given = loads(L, owned, linear.entity_maps)
-    prescribed = spread(linear.V, linear.prescribed.reshape(-1, d)) > 0.0
-    exterior = dolfinx.mesh.exterior_facet_indices(linear.V.mesh.topology)
-    held = prescribed[owned.nodes[:, owned.on_facets]].all(axis=2)
-    held &= np.isin(owned.facets, exterior)[:, :, None]
-    at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
-    areas = np.concatenate([on.weights for on in dual.jump.pairs])
-    bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
-    surfaces = [
-        ContactSurface(owned, dual, pair, rows, multipliers, bounds, prescribed)
-        for pair, rows in zip(pairs, dual.jump.by_pair, strict=True)
-    ]
-    for surface in surfaces:
-        for cell, facet, tractions in surface.sides:
-            given.traction[cell, facet] += tractions
-    v, moduli = u.copy(), np.asarray(np.linalg.eigvalsh(stiffness))
-    for surface in surfaces:
-        surface.lift(v, moduli[:, -1])
-    defects = _defects(owned, surfaces, held, v)
-    energies = StressEnergies(cells, np.asarray(np.linalg.inv(stiffness)))
-    balanced = _in_equilibrium(linear, dual, u, owned, given)
-    of_balanced, of_u, of_v = (_stresses(owned, stiffness, w) for w in (balanced, u, v))
-    of_u, of_v = stress_data(cells, of_u), stress_data(cells, of_v)
-    difference = _nearest_stress(owned, energies, of_balanced, given, held, of_v, steps)
+    bodies = Bodies(linear, pairs, dual)
+    candidate = bodies.candidate(dual, multipliers, u, linear.ufl_forms[1])
+    v, energies, cells = candidate.v, bodies.energies, bodies.owned.cells
+    of_u, of_v = (stress_data(cells, bodies.stresses(w)) for w in (u, v))
+    distance = bodies.distance(candidate, v, of_v, steps)
 
-    distances = np.sqrt(energies.squared_norms(difference))
-    oscillation = cells.poincare_factors * given.load_distance
-    oscillation += (cells.trace_factors * given.traction_distance * ~held.all(axis=2)).sum(axis=1)
-    oscillation /= np.sqrt(moduli[:, 0])
-    moved, lack = energies.squared_norms(of_u - of_v), defects.sum(axis=0)
+    moved, lack = energies.squared_norms(of_u - of_v), distance.defects.sum(axis=0)
     # the mean of both stresses is the centre of a ball that contains the exact stress
-    from_centre = energies.squared_norms(of_u - of_v - 0.5 * difference)
+    from_centre = energies.squared_norms(of_u - of_v - 0.5 * distance.difference)
     whole = energies.squared_norms(of_u)
-    terms = [(distances + oscillation) ** 2, distances**2, oscillation**2, *defects]
-    totals = reduce_array(comm, [term.sum() for term in (*terms, moved, from_centre, whole)])
-    eta, stress, oscillations = np.sqrt(totals[:3])
-    lift, offset, norm = np.sqrt(totals[5:])
-    gap = max(float(totals[3] + totals[4]), 0.0)
+    squares = [(distance.stress + distance.oscillation) ** 2]
+    squares += [distance.stress**2, distance.oscillation**2, moved, from_centre, whole]
+    sums = [term.sum() for term in (*squares, *distance.defects)]
+    *roots, complementarity, friction = reduce_array(bodies.comm, sums)
+    eta, stress, oscillations, lift, offset, norm = np.sqrt(roots)
+    gap = max(float(complementarity + friction), 0.0)
     error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + gap)
     radius = np.sqrt(0.25 * stress**2 + gap + oscillations * error_of_v)
     error = float(min(error_of_v + lift, offset + radius))
-    result = fem.Function(fem.functionspace(owned.V.mesh, ("DG", 0)), name="guaranteed_cell_errors")
-    squares = terms[0] + 2.0 * np.maximum(lack, 0.0) + moved
-    result.x.array[result.function_space.dofmap.list[: len(squares), 0]] = np.sqrt(squares)
+    result = fem.Function(
+        fem.functionspace(linear.V.mesh, ("DG", 0)), name="guaranteed_cell_errors"
+    )
+    by_cell = np.sqrt(squares[0] + 2.0 * np.maximum(lack, 0.0) + moved)
+    result.x.array[result.function_space.dofmap.list[: len(by_cell), 0]] = by_cell
     result.x.scatter_forward()
     return GuaranteedError(
         error=error,
@@ -163,8 +341,8 @@ def guaranteed_error(
         cell_errors=result,
         stress=float(stress),
         oscillation=float(oscillations),
-        complementarity=float(totals[3]),
-        friction=float(totals[4]),
+        complementarity=float(complementarity),
+        friction=float(friction),
         lift=float(lift),
     )
 
@@ -189,131 +367,3 @@ def _checked_forms(linear: LinearSystem, dual: DualProgram) -> tuple[Any, Any]:
             "holds a body against some motion."
         )
     return linear.ufl_forms
-
-
-def _stresses(owned: OwnedCells, stiffness: Array, w: fem.Function) -> Array:
-    """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of owned cells."""
-    values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
-    slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
-    tensors = stress_element(owned.cells.d).basis
-    strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
-    return np.asarray(np.tensordot(strains @ stiffness, tensors, axes=1))
-
-
-def _in_equilibrium(
-    linear: LinearSystem, dual: DualProgram, u: fem.Function, owned: OwnedCells, given: Loads
-) -> fem.Function:
-    """Return the displacement, near u, that balances loads and tractions. Collective."""
-    cells, basis = owned.cells, owned.basis
-    weights = np.einsum("kab,abc->kc", basis, mean_products(cells.d + 1, 3))
-    forces = cells.volumes[:, None, None] * (weights @ given.load)
-    for j, ends in enumerate(opposite(cells.d)):
-        on_facet = basis[:, ends][:, :, ends]
-        weights = np.einsum("kab,abc->kc", on_facet, mean_products(cells.d, 3))
-        forces += cells.areas[:, j, None, None] * (weights @ given.traction[:, j])
-    right, change, result = zero_like(u, "force"), zero_like(u, "change"), u.copy()
-    right.x.array[:] = summed_at_nodes(owned.V.dofmap.index_map, owned.nodes, forces).ravel()
-    residual = linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
-    dual.operator.solver.improve(residual, change.x.petsc_vec, rtol=1e-12, accuracy=0.0)
-    residual.destroy()
-    change.x.scatter_forward()
-    result.x.array[:] += change.x.array
-    return result
-
-
-def _defects(
-    owned: OwnedCells, surfaces: list[ContactSurface], held: Mask, v: fem.Function
-) -> Array:
-    """Return by how much tractions and jumps miss the law of contact (2, n), by cell. Collective.
-
-    The rows are the integrals of complementarity and of friction.
-
-    Raises:
-        InputError: displacements are prescribed on contact surfaces, or penetrate.
-    """
-    result = np.zeros((2, len(held)))
-    comm = owned.V.mesh.comm
-    largest = float(reduce_array(comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX))
-    for surface in surfaces:
-        pressed, slipping, deepest = surface.defects(v)
-        np.add.at(result[0], surface.cell, pressed)
-        np.add.at(result[1], surface.cell, slipping)
-        with errors_on_all_ranks(comm):
-            if held[surface.cell, surface.facet].any():
-                raise InputError(
-                    "a guaranteed bound needs contact surfaces without prescribed displacements, "
-                    f"and some facets of contact pair {surface.pair} have them."
-                )
-            if deepest > PENETRATION * largest:
-                raise InputError(
-                    f"prescribed displacements penetrate at contact pair {surface.pair}, by "
-                    f"{deepest:.2e}: there is no exact solution."
-                )
-    return result
-
-
-def _nearest_stress(
-    owned: OwnedCells,
-    energies: StressEnergies,
-    of_balanced: Array,
-    given: Loads,
-    held: Mask,
-    of_v: Array,
-    steps: int,
-) -> Array:
-    """Return a stress in equilibrium minus the stress of v, as `StressEnergies` data. Collective.
-
-    Args:
-        owned: the cells.
-        energies: the energies of stresses in them.
-        of_balanced: (n, d + 1, d, d) stress of a displacement that balances loads and tractions.
-        given: loads and tractions.
-        held: see `CellData`.
-        of_v: data of the stress of v.
-        steps: steps of the conjugate gradient method.
-
-    Raises:
-        ContactError: the displacement is not in equilibrium.
-    """
-    cells, comm, d = owned.cells, owned.V.mesh.comm, owned.cells.d
-    n, count = len(held), d * (d + 1)
-    copies, owner = Copies.around_vertices(owned)
-    numbers = owned.V.mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
-    spread = (
-        *(cells.points, owned.vertices, numbers.reshape(owned.facets.shape), owner),
-        *(energies.facet_stiffness(), of_balanced, given.load, given.traction, held),
-    )
-    data = CellData(*map(copies.spread, spread))
-    with errors_on_all_ranks(comm):
-        stars = Stars(replace(data, owned=data.owned == comm.rank))
-        tractions = stars.equilibrated()
-    tractions = copies.summed(tractions, n)
-
-    forces = cells.facet_forces(tractions)
-    largest = np.abs(forces).max(initial=0.0)
-    forces += cells.volume_forces(given.load)
-    arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
-    lacking = np.abs(np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces)).max(initial=0.0)
-    lacking, largest = reduce_array(comm, [lacking, largest], MPI.MAX)
-    if lacking > IMBALANCE * largest:
-        raise ContactError(
-            f"the displacement is not in equilibrium: on a cell, forces of {lacking:.1e} are "
-            f"missing, where forces on cells are up to {largest:.1e}. A displacement that is "
-            "prescribed at a point, and not on facets, cannot hold a force."
-        )
-    result: Array = np.concatenate([tractions.reshape(n, count, d), -given.load], axis=1) - of_v
-    descent = -energies.derivative(result)[:, :count]
-    direction, previous = np.zeros_like(descent), 0.0
-    for _ in range(steps):
-        residual = copies.spread(descent.reshape(tractions.shape))
-        near = copies.summed(stars.preconditioned(residual), n).reshape(descent.shape)
-        slope = float(reduce_array(comm, (near * descent).sum()))
-        if not slope > 0.0:
-            break
-        direction = near + (slope / previous * direction if previous else 0.0)
-        previous = slope
-        change = energies.derivative(direction)
-        length = slope / float(reduce_array(comm, (direction * change).sum()))
-        result[:, :count] += length * direction
-        descent -= length * change
-    return result

@@ -71,18 +71,12 @@ class Grid:
         """
         try:
             import pyvista
-        except (ImportError, AttributeError) as error:
-            if isinstance(error, ModuleNotFoundError) and error.name == "pyvista":
-                reason = (
-                    "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
-                    "pyvista (conda, pip)."
-                )
-            else:  # the installed VTK lacks something that pyvista needs
-                reason = (
-                    f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
-                    "brings one that goes with its VTK."
-                )
-            raise ContactError(reason) from error
+        except (ImportError, AttributeError) as error:  # AttributeError: VTK lacks something
+            raise ContactError(
+                f"pictures and to_pyvista() need pyvista, which does not import ({error}): install "
+                "python3-pyvista (Debian) or pyvista (conda, pip); `pip install -U pyvista` brings "
+                "one that goes with its VTK."
+            ) from error
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         for name, values in self.values.items():
             grid.point_data[name] = values

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
@@ -65,17 +64,13 @@ def _series_options(writer: SolutionWriter) -> dict[str, Any]:
 
 @collective(_comm_of_solution, ignored=("path",))
 def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = ()) -> None:
-    """Write displacement and contact fields for ParaView.
+    """Write displacement and contact fields for ParaView, as a `.pvd`.
 
     There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
-    several pairs, there are blocks named after the pairs, such as "upper_on_lower". The suffix
-    selects the format; the parent folder is created:
-
-    * `.pvd`: best for ParaView, since its blocks have names. Beside the file is a folder, to which
-      each rank writes its part of the grids. The folder also has the names and colours of the
-      states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
-    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids. The first rank gathers them, and
-      needs about 1 kB of memory for each node of the whole mesh: on many ranks take `.pvd`.
+    several pairs, there are blocks named after the pairs, such as "upper_on_lower". The parent
+    folder is created. Beside the file is a folder, to which each rank writes its part of the grids
+    as `.vtu`. The folder also has the names and colours of the states for ParaView (`state.json`).
+    For several solutions see `SolutionWriter`.
 
     Displacements of degree 2 and curved meshes are kept: contact fields then have values at the
     middles of edges as well, and at the middle of an edge `state` has the value of one end of the
@@ -103,23 +98,8 @@ def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = (
             or the file cannot be written.
     """
     blocks = blocks_of(solution, fields)
-    comm: MPI.Comm = solution.u.function_space.mesh.comm
-    path = Path(comm.bcast(str(path), root=ROOT))
-    if path.suffix == ".pvd":
-        grids = _grids(solution, blocks, local_grid)
-        SolutionWriter(path)._add_step(comm, grids, 0.0)
-    elif path.suffix == ".vtu":
-        grids = _grids(solution, blocks, gather_grid)
-        with errors_on_all_ranks(comm):
-            if comm.rank == ROOT:
-                with atomic_write(path) as volume:
-                    for name, grid in grids.items():
-                        beside = volume.with_name(f"{path.stem}_{name}.vtu")
-                        write_vtu(volume if name == "volume" else beside, grid)
-    else:
-        raise InputError(
-            f"write knows the suffixes .pvd and .vtu, found '{path}': they say the format."
-        )
+    path = solution.u.function_space.mesh.comm.bcast(str(path), root=ROOT)
+    SolutionWriter(path)._add_step(solution, blocks, 0.0)
 
 
 @collective(_comm_of_solution)
@@ -171,7 +151,10 @@ class SolutionWriter:
             InputError: the suffix is not `.pvd`.
         """
         if Path(path).suffix != ".pvd":
-            raise InputError(f"a time series is a '.pvd', found '{path}'.")
+            raise InputError(
+                f"files for ParaView are '.pvd', found '{path}'; to_pyvista() returns the data for "
+                "files of other kinds."
+            )
         self._path = Path(path)
         self._append = append
         self._latest_time = -math.inf
@@ -192,18 +175,20 @@ class SolutionWriter:
         """
         blocks = blocks_of(solution, fields)
         comm: MPI.Comm = solution.u.function_space.mesh.comm
-        time = comm.bcast(time, root=ROOT)
+        time, path = comm.bcast((time, str(self._path)), root=ROOT)
         if not isinstance(time, Real) or not self._latest_time < time < math.inf:
             beyond = f" above {self._latest_time:g}, the last one"
             raise InputError(
                 f"time must be a number{beyond if self._latest_time > -math.inf else ''}, "
                 f"found {time!r}."
             )
-        self._path = Path(comm.bcast(str(self._path), root=ROOT))
-        self._add_step(comm, _grids(solution, blocks, local_grid), float(time))
+        self._path = Path(path)
+        self._add_step(solution, blocks, float(time))
         self._latest_time = float(time)
 
-    def _add_step(self, comm: MPI.Comm, grids: Mapping[str, Grid], time: float) -> None:
+    def _add_step(
+        self, solution: Evaluation, blocks: Mapping[str, Sequence[fem.Function]], time: float
+    ) -> None:
         """Write this rank's part of each grid to a new folder, and then an index with this step.
 
         Until the index replaces the old one, all files of the older steps are as they were.
@@ -212,31 +197,33 @@ class SolutionWriter:
         Raises:
             InputError: a file cannot be written, or the existing series cannot be continued.
         """
+        comm: MPI.Comm = solution.u.function_space.mesh.comm
+        grids = _grids(solution, blocks, local_grid)
         series: list[DataSet] = []
         folder = Path()
-        with _file_named_on_all_ranks(comm, self._path):
+        with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:
                 series, folder = self._begin_step(time)
         folder = comm.bcast(folder, root=ROOT)
         cells = comm.gather({name: len(grid.cells) for name, grid in grids.items()}, root=ROOT)
         try:
-            with _file_named_on_all_ranks(comm, self._path):
+            with errors_on_all_ranks(comm), file_named_in_errors(self._path):
                 for name, grid in grids.items():
                     if comm.size == 1:
                         write_vtu(folder / f"{name}.vtu", grid)
                     elif len(grid.cells):
                         write_vtu(folder / f"{name}_{comm.rank}.vtu", grid)
-            with _file_named_on_all_ranks(comm, self._path):
-                if cells is not None:
+            with errors_on_all_ranks(comm), file_named_in_errors(self._path):
+                for name, grid in grids.items() if cells is not None else ():
+                    file = f"{folder.parent.name}/{folder.name}/{name}.vtu"
                     if comm.size > 1:
-                        for name, grid in grids.items():
-                            ranks = [rank for rank, count in enumerate(cells) if count[name]]
-                            pieces = [f"{name}_{rank}.vtu" for rank in ranks]
-                            write_pvtu(folder / f"{name}.pvtu", grid, pieces)
-                    suffix = "vtu" if comm.size == 1 else "pvtu"
-                    place = f"{folder.parent.name}/{folder.name}"
-                    step = [DataSet(time, name, f"{place}/{name}.{suffix}") for name in grids]
-                    self._finish_step([*series, *step])
+                        ranks = [rank for rank, count in enumerate(cells) if count[name]]
+                        pieces = [f"{name}_{rank}.vtu" for rank in ranks]
+                        write_pvtu(folder / f"{name}.pvtu", grid, pieces)
+                        file = file.replace(".vtu", ".pvtu")
+                    series.append(DataSet(time, name, file))
+                if cells is not None:
+                    self._finish_step(series)
         except Exception:  # raised on all ranks
             if comm.rank == ROOT:
                 _remove_grids(folder)
@@ -252,20 +239,19 @@ class SolutionWriter:
         Raises:
             InputError: the older series cannot be read.
         """
-        series = self._series
-        if series is None and self._append and self._path.exists():
+        series = self._series or []
+        if self._series is None and self._append and self._path.exists():
             try:
                 series = [data for data in read_pvd(self._path) if data.time < time]
                 for data in series:
                     int(_step_folder(data))
             except ValueError as error:  # also if the name of a folder is not a number
                 raise InputError(f"cannot add to '{self._path}': {error}.") from error
-        series = series or []
         count = len({_step_folder(data) for data in series})
         folders = (self._path.with_suffix("") / f"{i:04}" for i in itertools.count(count))
         folder = next(folder for folder in folders if not folder.exists())
         folder.mkdir(parents=True)
-        return series, folder
+        return [*series], folder
 
     def _finish_step(self, series: list[DataSet]) -> None:
         """Write the index of all steps; after the first step, remove other steps. Not collective.
@@ -273,8 +259,7 @@ class SolutionWriter:
         Other steps are those of an older series, and what a killed run has left.
         """
         folder = self._path.with_suffix("")
-        if self._series is None:
-            (folder / "state.json").write_text(paraview_preset())
+        (folder / "state.json").write_text(paraview_preset())
         with atomic_write(self._path) as index:
             write_pvd(index, series)
         if self._series is None:
@@ -307,17 +292,6 @@ def _remove_grids(folder: Path) -> None:
             file.unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
-
-
-@contextmanager
-def _file_named_on_all_ranks(comm: MPI.Comm, path: Path) -> Iterator[None]:
-    """Raise an error with the file's name on all ranks if any rank cannot write it. Collective.
-
-    Raises:
-        InputError: the block raised OSError; see `errors_on_all_ranks`.
-    """
-    with errors_on_all_ranks(comm), file_named_in_errors(path):
-        yield
 
 
 def _grids(

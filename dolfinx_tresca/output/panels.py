@@ -25,19 +25,14 @@ from dolfinx_tresca.units import Units
 
 LEFT = 0.15  #: inches between the left end of a panel and its title
 HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
-GREY = "#404040"  #: colour of legends and other small text
 CURVE_COLOUR = "#c8102e"  #: colour of a contact curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
-OPEN_BACKGROUND = "#ebebeb"  #: background of open parts of a curve
+OPEN_COLOUR = "#e2e2e2"  #: colour of open surfaces, and of the background of open parts of a curve
 
 #: A range of colours ends below its largest value if this value is more than `PEAK` times the value
 #: at the percentile `PEAK_PERCENTILE`: otherwise most values would have one colour. With twice
 #: `PEAK` the colours of the two bricks end at the pressure of their edge.
 PEAK, PEAK_PERCENTILE = 2.5, 85.0
-
-#: What is drawn on sticking nodes: the value of "mark", the text of the legend, and the colour of
-#: the middle of the mark.
-MARKS = ((1, "sticks", "black"), (2, "open, sticks", "white"))
 
 
 @dataclass(frozen=True)
@@ -46,9 +41,8 @@ class Contact:
 
     Attributes:
         grid: the fields of the surface. Its "slip" is the slip of this step, and zero at sticking
-            nodes. Only pairs with friction have it, and only pairs with finite sliding a
-            "slip_path". "pressed" is 1 at nodes that are drawn as touching, 0 at open ones, "mark"
-            the number in `MARKS` of nodes that stick.
+            nodes; only pairs with friction have it. "pressed" is 1 at nodes that are drawn as
+            touching, 0 at open ones; "sticks" is 1 at nodes that stick.
         title: name of the pair with its number; "" for a single pair.
         label: number of the pair; "" for a single pair.
         slip_name: name of the slip in titles and labels: "slip", or "slip of step" after an
@@ -61,12 +55,6 @@ class Contact:
     label: str = ""
     slip_name: str = "slip"
     obstacle: RigidObstacle | None = None
-
-    def marks(self) -> list[Any]:
-        """Return entries of a legend for the nodes that stick."""
-        present = set(self.grid.values.get("mark", ()))
-        kinds = [(text, middle) for mark, text, middle in MARKS if mark in present]
-        return [handle(text, "black", "o", markerfacecolor=middle) for text, middle in kinds]
 
 
 def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
@@ -86,14 +74,11 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     beside = np.ones(len(carries), dtype=np.bool_)
     beside[facets[~closed]] = False
     values["pressed"] = np.where(carries, touches, beside).astype(float)
+    values["sticks"] = np.isin(values["state"], STICKING).astype(float)
+    if "slip_increment" in values:
+        slip_name, values["slip"] = "slip of step", values["slip_increment"]
     if "slip" in values:
-        sticks = np.isin(values["state"], STICKING)
-        values["mark"] = sticks * np.where(touches, 1, 2)
-        if "slip_increment" in values:
-            slip_name, values["slip"] = "slip of step", values.pop("slip_increment")
-        values["slip"][sticks] = 0.0  # the error of the iteration is removed
-        if not surface.slides_far:
-            values.pop("slip_path", None)
+        values["slip"][values["sticks"] > 0.0] = 0.0  # the error of the iteration is removed
     title = f" {label}: {shorten(surface.name, 40, placeholder=' ...')}" if label else ""
     return Contact(grid, title, label, slip_name, surface.obstacle)
 
@@ -114,20 +99,18 @@ def write_header(panel: Any, title: str, legend: Sequence[Any]) -> None:
     """Write a title and below it the legend, at the top of a panel."""
     width, height = size_of(panel)
     panel.text(LEFT / width, 1.0 - 0.3 / height, title, fontsize=11.0)
-    narrow = 0.6 if len(legend) > 3 else 1.0  # four entries may be wider than half a picture
     panel.legend(
-        handles=legend, ncols=max(len(legend), 1), loc="upper left", labelcolor=GREY,
+        handles=legend, ncols=max(len(legend), 1), loc="upper left", labelcolor="#404040",
         bbox_to_anchor=(LEFT / width, 1.0 - 0.36 / height), borderpad=0.0, borderaxespad=0.0,
-        handlelength=1.6 * narrow, handletextpad=0.5, columnspacing=1.4 * narrow, fontsize=8.5,
-        frameon=False,
+        handlelength=1.0, handletextpad=0.5, columnspacing=0.9, fontsize=8.5, frameon=False,
     )  # fmt: skip
 
 
-def handle(label: str, color: str, marker: str = "", width: float = 0.0, **options: Any) -> Any:
-    """Return an entry of a legend: a line of some width, or a marker as in matplotlib."""
+def handle(label: str, color: str, marker: str = "", **options: Any) -> Any:
+    """Return an entry of a legend: a marker as in matplotlib, or a line."""
     from matplotlib.lines import Line2D
 
-    style = {"linestyle": "-" if width else "", "linewidth": width, "markersize": 5.0, **options}
+    style = {"linestyle": "" if marker else "-", "markersize": 5.0, **options}
     return Line2D([], [], color=color, marker=marker, label=label, **style)
 
 
@@ -157,16 +140,17 @@ def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float
         limits: see `colour_range`.
     """
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
 
     low, high, largest = limits
     factor, label = scaled(name, unit, high)
     peak = f", at most {quantity(largest, unit)}" if largest > high else ""
-    colours = ScalarMappable(cmap=cmap)
-    colours.set_clim(low / factor, high / factor)
     width, _ = size_of(panel)
     axes = axes_at(panel, 0.27 * width, 0.42, 0.58 * width, 0.12)
-    style = {"orientation": "horizontal", "extend": "max" if peak else "neither"}
-    panel.colorbar(colours, cax=axes, label=label + peak, **style)
+    panel.colorbar(
+        ScalarMappable(Normalize(low / factor, high / factor), cmap), cax=axes, label=label + peak,
+        orientation="horizontal", extend="max" if peak else "neither",
+    )  # fmt: skip
     axes.tick_params(width=0.6, length=2.5, pad=2.0)
     axes.locator_params(nbins=5)
     axes.xaxis.labelpad = 1.5
@@ -185,11 +169,10 @@ def scaled(name: str, unit: str, largest: float) -> tuple[float, str]:
 
 
 def quantity(value: float, unit: str) -> str:
-    """Return a value with three digits and its unit, such as "18.9 · 10⁻⁶ m"."""
-    factor, label = scaled("", unit, abs(value))
-    digits, inside = value / factor, label.strip(" []")
-    number = f"{digits:.0f}" if abs(digits) >= 99.95 else f"{digits:.3g}"
-    return f"{number}{' ·' if factor != 1.0 else ''} {inside}".strip()
+    """Return a value of at least 0 with three digits and its unit, such as "18.9 · 10⁻⁶ m"."""
+    factor, label = scaled("", unit, value)
+    number = f"{value / factor:.0f}" if value >= 99.95 * factor else f"{value / factor:.3g}"
+    return f"{number}{' ·' if factor != 1.0 else ''} {label.strip(' []')}".strip()
 
 
 def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
@@ -197,30 +180,30 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
 
     An open piece begins at one of its ends, a closed piece at one of its nodes: at the least one if
     they are sorted by x, then by y. A closed piece runs counterclockwise and ends with the node
-    with which it begins. Pieces are sorted by the lower left corners of their bounding boxes.
+    with which it begins. Pieces are sorted by the nodes at which they begin.
 
     Returns:
         for each piece: its k nodes; (k,) arc lengths [length], which increase from piece to piece,
         with a gap of 4 %; and (k, 3) unit vectors along the curve.
     """
-    points, (begins, ends) = grid.points, grid.cells[:, 1:].T
-    neighbours = coo_array((np.ones(len(begins)), (begins, ends)), shape=2 * (len(points),)).tocsr()
-    count = np.bincount(grid.cells[:, 1:].ravel(), minlength=len(points))
+    points, lines = grid.points, grid.cells[:, 1:]
+    neighbours = coo_array((np.ones(len(lines)), lines.T), shape=2 * (len(points),)).tocsr()
+    count = np.bincount(lines.ravel(), minlength=len(points))
     x, y, _ = np.round(points.T, 12)
     order = np.lexsort((y, x, count != 1))  # the ends of open pieces come before other nodes
     _, piece_of = connected_components(neighbours, directed=False)
-    pieces, start_of_arc, curves = [], 0.0, []
-    for start in order[np.unique(piece_of[order], return_index=True)[1]]:
+    starts = order[np.unique(piece_of[order], return_index=True)[1]]
+    start_of_arc, curves = 0.0, []
+    for start in starts[np.lexsort((y[starts], x[starts]))]:
         nodes = depth_first_order(neighbours, start, directed=False, return_predecessors=False)
-        if count[start] == 2:
+        closed = count[start] == 2
+        if closed:
             nodes = np.append(nodes, start)
-            x, y, _ = points[nodes].T
-            nodes = nodes if np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0.0 else nodes[::-1]
-        pieces.append(nodes)
-    for nodes in sorted(pieces, key=lambda nodes: tuple(points[nodes].min(axis=0))):
+            a, b = points[nodes[:-1], :2].T, points[nodes[1:], :2].T
+            nodes = nodes if np.sum(a[0] * b[1] - b[0] * a[1]) > 0.0 else nodes[::-1]
         places = points[nodes]
         directions = np.gradient(places, axis=0)
-        if nodes[0] == nodes[-1]:  # closed: both neighbours of the node count
+        if closed:  # both neighbours of the node count
             directions[[0, -1]] = places[1] - places[-2]
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -230,7 +213,7 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
 
 
 def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
-    """Draw pressure, traction and slip, or its path, against arc length. Not collective.
+    """Draw pressure, traction and slip against arc length. Not collective.
 
     Args:
         panel: the panel of the picture.
@@ -241,16 +224,14 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
-        path = "slip_path" in values
-        slip = (["slip_path"], "slip path", length) if path else (["slip"], "slip", length)
-        charts = [(["traction", "pressure"], "stress", stress), slip]
-        legend.append(handle("pressure", CURVE_COLOUR, width=1.8))
-        name = f"traction, {'slip path' if path else contact.slip_name}"
-        legend.append(handle(name, TANGENT_COLOUR, width=1.8))
-        signed = "traction" if path else "traction and slip"
-        title += "" if contact.label else f": {signed} positive along it"
+        charts = [(["traction", "pressure"], "stress", stress), (["slip"], "slip", length)]
+        legend.append(handle("pressure", CURVE_COLOUR))
+        legend.append(handle(f"traction, {contact.slip_name}", TANGENT_COLOUR))
+        title += "" if contact.label else ": traction and slip positive along it"
     if not values["pressed"].all():
-        legend.append(handle("open", OPEN_BACKGROUND, "s", markersize=8.0))
+        legend.append(handle("open", OPEN_COLOUR, "s", markersize=8.0))
+    if values["sticks"].any():
+        legend.append(handle("sticks", "black", "o"))
     curves = unrolled(contact.grid)
     divisor, arc_label = scaled("arc length", length, float(curves[-1][1][-1]))
     width, height = size_of(panel)
@@ -263,6 +244,7 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
         factor, text = scaled(label, unit, largest)
         for nodes, arc, directions in curves:
             s, opened = arc / divisor, values["pressed"][nodes] == 0.0
+            sticks = values["sticks"][nodes] > 0.0
             for name in names:
                 y = values[name][nodes] / factor
                 y = y if y.ndim == 1 else np.sum(y * directions, axis=1)
@@ -270,12 +252,11 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
                 axes.plot(s, y, color=colour, linewidth=1.6, marker=".", markersize=5)
                 if name == "pressure":
                     axes.fill_between(s, y, color=colour, alpha=0.15, lw=0)
-                for mark, _, middle in MARKS if name == "traction" else ():
-                    shown, style = values["mark"][nodes] == mark, {"markersize": 5, "zorder": 3}
-                    axes.plot(s[shown], y[shown], "o", color="black", mfc=middle, **style)
+                elif name == "traction":
+                    axes.plot(s[sticks], y[sticks], "o", color="black", markersize=5, zorder=3)
             borders = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
             for begin, end in zip(borders[:-1][opened], borders[1:][opened], strict=True):
-                axes.axvspan(begin, end, color=OPEN_BACKGROUND, lw=0, zorder=0, aa=False)
+                axes.axvspan(begin, end, color=OPEN_COLOUR, lw=0, zorder=0, aa=False)
         axes.set_ylabel(text)
         axes.locator_params(nbins=5)
         axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
@@ -283,4 +264,4 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     all_axes[-1].set_xlabel(arc_label)
     panel.align_ylabels(all_axes)
-    write_header(panel, title, [*legend, *contact.marks()])
+    write_header(panel, title, legend)

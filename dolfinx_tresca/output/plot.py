@@ -60,16 +60,13 @@ def plot(
     mean normal; closed ones, like holes and shafts, obliquely from outside, so that their far side
     is hidden (`to_pyvista` returns the data for other views). Colours show the pressure, and arrows
     the slip of the secondary side against the primary side (after an accepted load step the slip of
-    the new step; with finite sliding the legend then also has the longest path of the slip over all
-    steps). Black discs mark pressed nodes that stick, rings open nodes that stick; open parts are
-    grey.
+    the new step). Black discs mark nodes that stick; open parts are grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
-    its arc length. After an accepted load step with finite sliding, the length of the slip's path
-    over all steps replaces the slip. On the bodies the curve is thick and red where it is pressed,
-    thin and black where it is open. Its start is marked by a dot and, with several pairs, by the
-    number of the pair; a closed curve runs counterclockwise. Without friction there are no arrows,
-    marks, tractions and slips.
+    its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
+    where it is open. Its start is marked by a dot and, with several pairs, by the number of the
+    pair; a closed curve runs counterclockwise. Without friction there are no arrows, marks,
+    tractions and slips.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
     the others, the range of colours ends below these, and the colour bar has an arrow and the

@@ -20,7 +20,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Quantity, Units, with_unit
@@ -171,15 +171,24 @@ def contact_rows(
     def number(value: float, quantity: Quantity, error: float = results.local_error) -> str:
         return with_unit(significant(value, error), units, quantity, dim)
 
-    def force(resultant: Resultant) -> str:
-        text = vector(scale * resultant.force, results.local_error)
-        return with_unit(text, units, "force", dim).replace(" ", UNBROKEN)
+    def components(values: Array, quantity: Quantity) -> str:
+        text = vector(scale * values, results.local_error)
+        return with_unit(text, units, quantity, dim).replace(" ", UNBROKEN)
 
+    def force(resultant: Resultant) -> str:
+        return components(resultant.force, "force")
+
+    def opening_of(pair: PairState) -> str:
+        is_open = pair.pressed < pair.nodes and scale * pair.opening > 0.0
+        return f", opens by up to {number(pair.opening, 'length')}" if is_open else ""
+
+    states = results.pair_states
+    opening = opening_of(states[0]) if len(states) == 1 else ""
     open_nodes = counts.nodes - counts.contact - counts.bonded
     rows = [
         ("contact nodes", f"{counts.nodes}"),
         ("  pressed", nodes(counts.contact, counts.contact_stick)),
-        ("  open", nodes(open_nodes, counts.stick - counts.contact_stick, counts.idle)),
+        ("  open", nodes(open_nodes, counts.stick - counts.contact_stick, counts.idle) + opening),
     ]
     if counts.bonded:
         rows.append(("  bonded", f"{counts.bonded}"))
@@ -202,8 +211,14 @@ def contact_rows(
         rows.append(("force", f"{normal}, {forces[0]} on the secondary side"))
     else:
         rows.append(("force", f"{normal}; on the secondary side of each pair:"))
-        named = zip(results.surfaces, forces, strict=True)
-        rows += abridged([("", f"{surface.name}: {text}") for surface, text in named], "pairs")
+        pair_rows = [
+            (
+                "",
+                f"{surface.name}: {text}, {pair.pressed} of {pair.nodes} pressed{opening_of(pair)}",
+            )
+            for surface, text, pair in zip(results.surfaces, forces, states, strict=True)
+        ]
+        rows += abridged(pair_rows, "pairs")
     if len(results.between_bodies) > 1:
         names = results.body_names
         between = [
@@ -212,6 +227,10 @@ def contact_rows(
         ]
         rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
         rows += abridged(between, "pairs of bodies")
+    rows += [
+        ("support", f"{name}: {force(resultant)}, moment {components(resultant.moment, 'energy')}")
+        for name, resultant in results.reactions.items()
+    ]
     bolt_rows = [
         ("bolt", f"{name}: {number(bolt.force, 'force')}, change {number(bolt.change, 'force')}")
         for name, bolt in bolts.items()

@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output import panels
 from dolfinx_tresca.output.grid import Grid
-from dolfinx_tresca.output.panels import Contact, handle
+from dolfinx_tresca.output.panels import CURVE_COLOUR, OPEN_COLOUR, Contact, handle
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.units import Units
 
@@ -23,9 +23,8 @@ _LOGGER = logging.getLogger("dolfinx_tresca")
 DPI = 200  #: pixels per inch of rendered views
 OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: direction from which bodies are seen
 ALONG_Y, ALONG_Z = np.eye(3)[1:]  #: up in views of 2D; up in views of 3D
-
 OUTLINE, OPEN_LINE = "#6e6e6e", "#202020"  #: colours of undeformed edges, of open curves
-OBSTACLE_COLOUR, OPEN_COLOUR = "#a9b8c6", "gainsboro"  #: colours of obstacles, of open surfaces
+OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
 
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
 INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
@@ -51,7 +50,9 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     """
     import pyvista
 
-    with closing(pyvista.Plotter(off_screen=True)) as plotter:
+    theme = pyvista.themes.DocumentTheme()
+    theme.allow_empty_mesh, theme.show_scalar_bar = True, False
+    with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
         right = np.cross(up, normal)
@@ -63,7 +64,6 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         spans, centre = high - low, 0.5 * (low + high) @ directions
         half = 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 * height / width) or 1.0
         eye = centre + 2.0 * max(plotter.length, half) * directions[2]
-        plotter.set_background("white")
         plotter.enable_parallel_projection()
         plotter.camera_position = [tuple(eye), tuple(centre), tuple(directions[1])]
         plotter.camera.parallel_scale = half
@@ -74,13 +74,13 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     view = panels.axes_at(panel, 0.0, panels.FOOTER, width, height)
     view.imshow(image, aspect="auto", interpolation="none")
     view.set_axis_off()
-    places = {"xycoords": "subfigure points", "textcoords": "offset points"}
     shape = {"arrowstyle": "<|-", "mutation_scale": 5, "lw": 0.8, "shrinkA": 1, "shrinkB": 0}
     arrow = {"ha": "center", "va": "center", "fontsize": 8, "arrowprops": shape}
+    arrow |= {"xycoords": "subfigure points", "textcoords": "offset points"}
     start = 16.0 - 21.0 * np.minimum(directions[:2].min(axis=1), 0.0)
     for name, end in zip("xyz", 21.0 * directions[:2].T, strict=True):
         if np.linalg.norm(end) > 4.0:
-            view.annotate(name, start, end, annotation_clip=False, **places, **arrow)
+            view.annotate(name, start, end, annotation_clip=False, **arrow)
 
 
 def skin(grid: Any) -> Any:
@@ -93,7 +93,6 @@ def skin(grid: Any) -> Any:
 
     surface = import_module("vtkmodules.vtkFiltersGeometry").vtkDataSetSurfaceFilter()
     surface.SetInputData(grid)
-    surface.SetNonlinearSubdivisionLevel(1)
     surface.Update()
     return pyvista.wrap(surface.GetOutput())
 
@@ -115,41 +114,28 @@ def draw_bodies(
     normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
     name, bodies = next(iter(volume.values)), volume.to_pyvista()
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
-    deformed = bodies.warp_by_vector(name, factor=scale)
-    faces = skin(deformed)
-    # no creases in 2D: orientations of triangles may differ
-    outline = (
-        skin(bodies)
-        .clean()
-        .extract_feature_edges(
-            40.0, feature_edges=not flat, non_manifold_edges=False, manifold_edges=False
-        )
-    )
     limits = panels.colour_range(bodies.point_data["|u|"])
-    lift = 4e-3 * bodies.length * normal
-    seen = np.concatenate([bodies.points, faces.points])
+    deformed = bodies.warp_by_vector(name, factor=scale)
+    faces, lift = skin(deformed), 4e-3 * bodies.length * normal
+    # no creases in 2D: orientations of triangles may differ
+    kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
+    outline = skin(bodies).clean().extract_feature_edges(40.0, **kinds)
+    near = np.concatenate([bodies.points, faces.points])
     obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
-    legend = []
+    legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
     with view_in(panel, normal, up) as plotter:
-        light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7, "show_scalar_bar": False}
+        light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7}
         plotter.add_mesh(faces, scalars="|u|", cmap="viridis", clim=limits[:2], **light)
         edges = deformed.extract_all_edges().translate(0.4 * lift)
         plotter.add_mesh(edges, color="white", opacity=0.3, line_width=1.0, lighting=False)
-        if outline.n_points:
-            plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
-            legend.append(handle("undeformed", OUTLINE, width=1.2))
-        if any(
-            [draw_obstacle(plotter, obstacle, seen, volume.dim) for obstacle in obstacles.values()]
-        ):
+        plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
+        if any([draw_obstacle(plotter, obstacle, near, flat) for obstacle in obstacles.values()]):
             legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
         if flat and contacts:
             for contact in contacts:
                 draw_line(plotter, contact, scale, 2.0 * lift)
-            pressed = np.concatenate([contact.grid.values["pressed"] for contact in contacts])
-            if pressed.any():
-                legend.append(handle("contact", panels.CURVE_COLOUR, width=2.8))
-            if not pressed.all():
-                legend.append(handle("open", OPEN_LINE, width=0.8))
+            legend.append(handle("contact", CURVE_COLOUR, linewidth=2.8))
+            legend.append(handle("open", OPEN_LINE, linewidth=0.8))
             legend.append(handle("start", OPEN_LINE, "o"))
     panels.draw_bar(panel, "displacement", unit, "viridis", limits)
     title = "Displacement" + (f", magnified {scale:,.12g} times" if scale != 1.0 else "")
@@ -171,19 +157,18 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
     scale = VISIBLE * length / largest
     for contact in contacts:
         values = contact.grid.values
-        pressed = values["pressed"] > 0.0
-        closed = values["initial_gap"] - np.where(pressed, 0.0, values["gap"])
-        closed = np.where(pressed, np.abs(closed), closed)
-        room = INVISIBLE * length + np.where(pressed, 0.0, np.maximum(values["gap"], 0.0))
-        limits = closed > 0.0
-        scale = min(scale, 1.0 + float(np.min(room[limits] / closed[limits], initial=math.inf)))
+        gap = np.where(values["pressed"] > 0.0, 0.0, values["gap"])
+        closed = values["initial_gap"] - gap
+        closed = np.where(values["pressed"] > 0.0, np.abs(closed), closed)
+        room = (INVISIBLE * length + np.maximum(gap, 0.0))[closed > 0.0] / closed[closed > 0.0]
+        scale = min(scale, 1.0 + float(room.min(initial=math.inf)))
     if scale < max(1.0, 2.0 * INVISIBLE * length / largest):
         return 1.0
     power = 10.0 ** math.floor(math.log10(scale))
     return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= scale + 1e-9)
 
 
-def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int) -> bool:
+def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
     """Draw an obstacle near points.
 
     In 2D all of it is drawn, where its signed distance is negative. In 3D its surface is drawn. The
@@ -194,13 +179,14 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int
         plotter: a plotter of pyvista.
         obstacle: the obstacle to draw.
         points: (n, 3) points of the bodies [length].
-        dim: dimension of space.
+        flat: whether the bodies are in the plane.
 
     Returns:
         whether the surface of the obstacle is near the points, and its distance can be computed.
     """
     import pyvista
 
+    dim = 2 if flat else 3
     length = float(np.linalg.norm(np.ptp(points, axis=0)))
     margin = MARGIN * length * (np.arange(3) < dim)
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
@@ -215,17 +201,17 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int
     if not distance.min() < 0.0 <= distance.max():
         return False
     grid.point_data["distance"] = distance
-    options = {"color": OBSTACLE_COLOUR, "show_scalar_bar": False}
-    if dim == 2:
+    if flat:
         inside = grid.clip_scalar(scalars="distance", value=0.0, invert=True)
-        plotter.add_mesh(inside.translate((0.0, 0.0, -0.01 * length)), lighting=False, **options)
+        below = inside.translate((0.0, 0.0, -0.01 * length))
+        plotter.add_mesh(below, color=OBSTACLE_COLOUR, lighting=False)
         return True
     # normals point to where distances grow
     sides = {"auto_orient_normals": False, "consistent_normals": False}
     surface = grid.contour([0.0]).compute_normals(cell_normals=False, **sides)
-    options |= {"smooth_shading": True, "ambient": 0.4, "diffuse": 0.6}
-    plotter.add_mesh(surface, culling="front", **options)
-    plotter.add_mesh(surface, culling="back", opacity=0.15, **options)
+    light = {"color": OBSTACLE_COLOUR, "smooth_shading": True, "ambient": 0.4, "diffuse": 0.6}
+    plotter.add_mesh(surface, culling="front", **light)
+    plotter.add_mesh(surface, culling="back", opacity=0.15, **light)
     return True
 
 
@@ -237,14 +223,13 @@ def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None
     curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
     pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
     plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
-    if pressed.n_points:
-        plotter.add_mesh(pressed, color=panels.CURVE_COLOUR, line_width=5.6, lighting=False)
+    plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
     start = curve.points[panels.unrolled(contact.grid)[0][0][:1]]
     dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
     plotter.add_points(start, color=OPEN_LINE, **dot)
     if contact.label:
-        text = {"text_color": "white", "font_size": 24, "bold": False, "always_visible": True}
-        box = {"shape_color": panels.CURVE_COLOUR, "shape_opacity": 1.0, "show_points": False}
+        box = {"shape_color": CURVE_COLOUR, "shape_opacity": 1.0, "always_visible": True}
+        text = {"text_color": "white", "font_size": 24, "bold": False, "show_points": False}
         plotter.add_point_labels(start, [contact.label], **text, **box)
 
 
@@ -262,11 +247,10 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
     import pyvista
 
     length, stress = (units.length, units.stress) if units else ("", "")
-    surface = with_normals(skin(contact.grid.to_pyvista()))
+    surface = with_normals(contact.grid.to_pyvista())
     contact_normals = surface.point_data_to_cell_data()["normal"]
     facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > FACING
-    if not facing.all():
-        surface = with_normals(skin(surface.extract_cells(facing)))
+    surface = with_normals(surface.extract_cells(facing))
     normal, up = direction(surface)
     lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
     values, pressed = surface.point_data, surface.point_data["pressed"] > 0.0
@@ -277,48 +261,42 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
         light = {"lighting": False}
     spacing = math.sqrt(surface.area / np.clip(surface.n_points, COARSE, ARROWS))
     closed, opened = surface.clip_scalar(scalars="pressed", value=0.5, invert=False, both=True)
-    legend = []
+    legend = [handle("open", OPEN_COLOUR, "s", markersize=8.0)] if opened.n_points else []
     with view_in(panel, normal, up) as plotter:
         if closed.n_points:
             colours = {"scalars": "pressure", "cmap": "YlOrRd", "clim": limits[:2]}
-            plotter.add_mesh(closed, show_scalar_bar=False, **colours, **light)
-        if opened.n_points:
-            plotter.add_mesh(opened, color=OPEN_COLOUR, **light)
-            legend.append(handle("open", OPEN_COLOUR, "s", markersize=8.0))
+            plotter.add_mesh(closed, **colours, **light)
+        plotter.add_mesh(opened, color=OPEN_COLOUR, **light)
         edges = surface.extract_all_edges().translate(0.2 * lift)
         plotter.add_mesh(edges, color="white", opacity=0.5, line_width=1.0, lighting=False)
-        slip = values["slip"] if "slip" in values else np.zeros((surface.n_points, 3))
-        lengths = np.linalg.norm(slip, axis=1)
+        lengths = np.linalg.norm(values.get("slip", np.zeros((surface.n_points, 3))), axis=1)
         largest = float(lengths[pressed if pressed.any() else slice(None)].max())
         if largest > 0.0:
             # shorter arrows on open parts, which may have moved by far more
-            values["slip"] = slip * np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
+            values["slip"] *= np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
             apart = 0.9 * spacing / surface.length if surface.n_points > ARROWS else None
             scale = {"scale": "slip", "factor": 1.3 * spacing / largest, "tolerance": apart}
             arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
             colours = {"scalars": "pressed", "cmap": ["#707070", "black"], "clim": (0.0, 1.0)}
-            plotter.add_mesh(arrows, lighting=False, show_scalar_bar=False, **colours)
+            plotter.add_mesh(arrows, lighting=False, **colours)
             text = f"{contact.slip_name}, at most {panels.quantity(largest, length)}"
-            if "slip_path" in values:
-                text += f", path {panels.quantity(float(values['slip_path'].max()), length)}"
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
-        for mark, _, middle in panels.MARKS if "mark" in values else ():
-            places = pyvista.PolyData(surface.points[values["mark"] == mark] + 2.0 * lift)
+        if (values["sticks"] > 0.0).any():
+            places = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
             size = 0.17 * math.sqrt(surface.area / max(surface.n_points, COARSE))
-            hole = 0.0 if middle == "black" else 0.65 * size
-            disc = pyvista.Disc(inner=hole, outer=size, normal=normal, c_res=20)
-            if places.n_points:
-                discs = places.glyph(geom=disc, orient=False, scale=False)
-                plotter.add_mesh(discs, color="black", lighting=False)
+            disc = pyvista.Disc(inner=0.0, outer=size, normal=normal, c_res=20)
+            discs = places.glyph(geom=disc, orient=False, scale=False)
+            plotter.add_mesh(discs, color="black", lighting=False)
+            legend.append(handle("sticks", "black", "o"))
     if pressed.any():
         name = f"contact pressure {contact.label}".rstrip()
         panels.draw_bar(panel, name, stress, "YlOrRd", limits)
-    panels.write_header(panel, f"Contact surface{contact.title}", [*legend, *contact.marks()])
+    panels.write_header(panel, f"Contact surface{contact.title}", legend)
 
 
-def with_normals(surface: Any) -> Any:
-    """Return a surface with normals of its cells and points, all on one side of the surface."""
-    return surface.compute_normals(consistent_normals=True, split_vertices=False)
+def with_normals(grid: Any) -> Any:
+    """Return the surface of a grid with normals of its cells and points, all on one side of it."""
+    return skin(grid).compute_normals(consistent_normals=True, split_vertices=False)
 
 
 def direction(surface: Any) -> tuple[Array, Array]:

@@ -87,8 +87,11 @@ class SmoothSurface:
     over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
     size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
     is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
-    large as the difference, and the height is zero. At the ends of a curve in 2D, where the nodal
-    normal is a mean over one side, the normal is turned until the sum is zero.
+    large as the difference: there the surface is the facet itself, with its normal, and the height
+    is zero. So two surfaces with kinks at the same place, such as a dovetail in its slot, touch
+    along the normal of the flat facets, and not along the mean normals at the kinks. At the ends of
+    a curve in 2D, where the nodal normal is a mean over one side, the normal is turned until the
+    sum is zero.
 
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
@@ -96,14 +99,15 @@ class SmoothSurface:
         nonzero: whether any facet of this rank has a fitted height above rounding.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
-            angle that the facet spans.
+            angle that the facet spans; next to a kink it is zero.
         turning: whether normals of this rank's facets turn, or facets have a height.
         across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
             facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
             curve (2D) the body is taken to go on at right angles, as at the corner of a box.
-        turns_to_ends: (n,) the `turns`, at least a right angle where the smooth surface ends [rad].
-            It ends at sharp edges and at rims, in 3D only if it is curved there, so that normals at
-            the rim are less accurate.
+        turns_to_ends: (n,) the `turns`, but next to a kink those of the mean normals there, and at
+            least a right angle where the smooth surface ends [rad]: normals are less accurate at
+            both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only
+            if it is curved there.
         corner_normals: (n, corners, 3) outward unit normals of the fitted surface at the corners of
             facets.
     """
@@ -122,13 +126,19 @@ class SmoothSurface:
         smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        cosines = np.einsum("nci,ni->nc", self.corner_normals, self._facet_normals)
+        turns_at_kinks = turned_angles(self._cosines())
+        blend = smooth[:, None, None]
+        self.corner_normals = (
+            blend * self.corner_normals + (1.0 - blend) * self._facet_normals[:, None]
+        )
+        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
+        cosines = self._cosines()
         self.turns = turned_angles(cosines)
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        self._heights = 0.5 * (end - start) / stretch
         size = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (HEIGHT_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
@@ -150,10 +160,15 @@ class SmoothSurface:
             x = np.tile(lagrange_points(facets.cell, 1), (len(facet) // facets.corners, 1))
             normals = normals_at(facets, facet, x)
             cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
-            self.turns[self._exact] = turned_angles(cosines.reshape(-1, facets.corners))
+            exact_turns = turned_angles(cosines.reshape(-1, facets.corners))
+            self.turns[self._exact] = turns_at_kinks[self._exact] = exact_turns
             ends &= sharp | ~self._exact
         self.turning = self.nonzero or bool((self.turns > FLAT_ANGLE).any())
-        self.turns_to_ends = np.where(ends, np.maximum(self.turns, 0.5 * np.pi), self.turns)
+        self.turns_to_ends = np.where(ends, np.maximum(turns_at_kinks, 0.5 * np.pi), turns_at_kinks)
+
+    def _cosines(self) -> Array:
+        """Return the cosines (n, corners) between the normals at corners and of the facet."""
+        return np.asarray(np.einsum("nci,ni->nc", self.corner_normals, self._facet_normals))
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""

@@ -234,7 +234,8 @@ class ContactProblem(ContactProcess):
             StiffnessError: K is not symmetric, or is indefinite.
             ContactError: the problem was destroyed.
         """
-        self._contact.update_stiffness()
+        self._contact.check_not_destroyed()
+        self._contact.surfaces.update_stiffness()
         self._has_warned_of_changed_form = False
 
     @collective(comm_of_self, ignored=("observer",), extra_values=_values_to_agree)

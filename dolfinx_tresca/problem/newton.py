@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca._base.parallel import agreed_observer, log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
-from dolfinx_tresca.contact.finite_sliding import FiniteSliding, summed_timings
-from dolfinx_tresca.errors import PairingError, StiffnessError
+from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
+from dolfinx_tresca.errors import InputError, PairingError, StiffnessError, shown
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.newton_record import NewtonOptions, NewtonStep
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
@@ -67,6 +68,130 @@ OFTEN = 3
 FIRST_SLOW = 3
 
 
+@dataclass(frozen=True)
+class NewtonOptions:
+    """Options of Newton's method.
+
+    Attributes:
+        accuracy: requested residual |R(u) + B'lambda|_{K^-1}, where R(u) are internal minus
+            external forces and K is the tangent of the last step. It is relative to the larger of
+            |u|_K and |u - u_0|_K, where u_0 is the displacement at the start of the solve; if
+            stiffness was added to the tangent, whose energy is then no measure, relative to at most
+            100 |B'lambda|_{K^-1}. A larger residual is accepted if it no longer halves and has the
+            size of its rounding errors: a rigid motion has no energy and no other residual. The
+            residual of the contact conditions has an accuracy of its own, in `SolverOptions`.
+        max_iterations: largest number of Newton steps for a part of the load. Up to four times this
+            number are taken while the error (with finite sliding also the error of the
+            configuration) falls fast enough to reach the requested error within these steps.
+        max_halvings: largest number of halvings of the part of the load that is applied at once.
+    """
+
+    accuracy: float = 1e-6
+    max_iterations: int = 15
+    max_halvings: int = 6
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            InputError: a value is of the wrong type or out of its range.
+        """
+        accuracy = real(self.accuracy)
+        if accuracy is None or not 0.0 < accuracy < 1.0:
+            raise InputError(
+                f"accuracy of Newton's method must be a number in (0, 1), found "
+                f"{shown(self.accuracy)}."
+            )
+        object.__setattr__(self, "accuracy", accuracy)
+        for name, least in (("max_iterations", 1), ("max_halvings", 0)):
+            value = getattr(self, name)
+            number = integer(value)
+            if number is None or number < least:
+                raise InputError(
+                    f"{name} of Newton's method must be an integer from {least} on, found "
+                    f"{shown(value)}."
+                )
+            object.__setattr__(self, name, number)
+
+
+@dataclass(frozen=True)
+class NewtonStep:
+    """One step of Newton's method: one contact problem.
+
+    Attributes:
+        number: number of the step, from 1 for each part of the load.
+        fraction: fraction of the whole change of load at which the step seeks the equilibrium.
+        correction: |u_{k+1} - u_k|_K relative to the larger of |u_{k+1}|_K and |u_{k+1} - u_0|_K,
+            where u_0 is the displacement at the start of the solve.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, see `NewtonOptions.accuracy`, divided by the same
+            norm as `correction`; NaN if it cannot be computed.
+        contact_residual: natural residual of the contact problem, relative to its value without
+            contact.
+        iterations: iterations of the contact solver.
+        products: products with A in this step.
+        pressed: number of nodes in contact, of all pairs and ranks.
+        added: stiffness that was added to the tangent, in words; empty if there was none.
+    """
+
+    number: int
+    fraction: float
+    correction: float
+    residual: float
+    contact_residual: float
+    iterations: int
+    products: int
+    pressed: int
+    added: str
+
+
+@dataclass(frozen=True)
+class NewtonRecord:
+    """The steps of Newton's method in one `solve`.
+
+    It is shown as a table.
+
+    Attributes:
+        steps: all steps, including the steps of parts of the load that failed.
+        fraction: part of the change of load to which the solution belongs: 1, or less after a
+            failure.
+        message: the failure, and advice; empty after a success.
+        released: energy that is neither stored nor dissipated by friction between the displacement
+            from which the solve started and the solution [energy]: the work of loads, prescribed
+            values and obstacles, minus the change of the stored energy, minus `dissipation`. Where
+            bodies snap, it becomes motion and heat; in smooth steps it is small, of third order in
+            the size of the step. NaN if it cannot be computed, or after a failure.
+        snaps: whether most of the energy that the bodies exchange in this step is released: they
+            jump to another equilibrium, or the step is too large to follow them.
+        unbalanced: after a failure the forces R(u) + B'lambda [force] that are out of balance in
+            its last Newton step, zero where prescribed; else None.
+        flips: after a failure the number of Newton steps in which contact at each node began or
+            ended, for the last part of the load that was tried; else None.
+    """
+
+    steps: tuple[NewtonStep, ...]
+    fraction: float
+    message: str
+    released: float = math.nan
+    snaps: bool = False
+    unbalanced: fem.Function | None = None
+    flips: fem.Function | None = None
+
+    @property
+    def residual(self) -> float:
+        """The residual of the last step."""
+        return self.steps[-1].residual if self.steps else math.nan
+
+    def __repr__(self) -> str:
+        lines = ["   load  step  correction  residual  contact  pressed  products  added to K"]
+        for step in self.steps:
+            lines.append(
+                f"{step.fraction:7.4f}  {step.number:4d}  {step.correction:10.1e}  "
+                f"{step.residual:8.1e}  {step.contact_residual:7.0e}  {step.pressed:7d}  "
+                f"{step.products:8d}  {step.added}".rstrip()
+            )
+        return "\n".join([*lines, self.message] if self.message else lines)
+
+
 class Newton:
     """Newton's method for one `solve`: the change of load in as few parts as possible.
 
@@ -76,13 +201,12 @@ class Newton:
         solution: the solution for `fraction` of the change of load; if no part was solved, the
             solution of the last step; None if no step could be made.
         failure: why the last part of the load failed; empty after a success.
-        timings: seconds of each phase, summed over the steps.
-        krylov_iterations: Krylov iterations, summed over the steps.
+        cost: iterations, products and seconds of all steps; see `add_cost`.
         level: index into `ADDED` of the last tangent.
         stopped: whether the observer stopped the solve.
         stuck: whether no step is possible from the present displacement, with any part of the load.
-        unbalanced: forces out of balance at the last failure (`NewtonRecord.unbalanced`).
-        flips: changes of contact before the last failure (`NewtonRecord.flips`).
+        unbalanced: forces out of balance after a failure (`NewtonRecord.unbalanced`); else None.
+        flips: changes of contact before a failure (`NewtonRecord.flips`); else None.
     """
 
     unbalanced: fem.Function | None = None
@@ -108,12 +232,11 @@ class Newton:
         self.solution: ContactSolution | None = None
         self.failure = ""
         self.level = level
-        self.timings: dict[str, float] = {}
-        self.krylov_iterations = 0
+        self.cost: dict[str, Any] = {}
         self.stopped = False
         self.stuck = False
         self._sliding: FiniteSliding | None = None  # of the present part of the load
-        self._flips = np.zeros(problem.owned_nodes)  # of each node in this part of the load
+        self._flips = np.zeros(0)  # of each node in this part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
 
     def run(self) -> None:
@@ -136,7 +259,7 @@ class Newton:
             except PairingError as error:
                 self.failure = f"{fraction:.4g} of the load: {str(error).rstrip('.')}"
             if not self.failure:
-                self.fraction = fraction
+                self.fraction, self.unbalanced, self.flips = fraction, None, None
                 step *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
                     self._observe(replace(self._iteration, newton=self._progress(ended=True)))
@@ -188,7 +311,8 @@ class Newton:
         number, slow = 0, False
         errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
-        self._flips, pressed = np.zeros(problem.owned_nodes), None
+        pressed = problem.surfaces.normal_forces_at_nodes() > 0.0
+        self._flips = np.zeros(pressed.shape[1])
         if problem.surfaces.slides_far:
             self._sliding = FiniteSliding(problem.surfaces)
             self.level = 0  # springs would hold the partners of another configuration
@@ -210,7 +334,7 @@ class Newton:
             change = problem.energy_norm(solution.w.x.array - before)
             problem.u.x.array[:] = solution.w.x.array
             pressed_before, pressed = pressed, problem.surfaces.normal_forces_at_nodes() > 0.0
-            if pressed_before is not None:
+            if number > 1:
                 self._flips += (pressed != pressed_before).any(axis=0)
             reason = "forces are NaN or infinite, as cells turn inside out"
             try:
@@ -222,8 +346,7 @@ class Newton:
             size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
             size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
-            self.krylov_iterations += solution.krylov_iterations
-            self.timings = summed_timings((self.timings, solution.timings))
+            add_cost(self.cost, solution)
             was_slow, slow = slow, self.level >= FIRST_SLOW
             grows = (
                 number > 2 and residual * size >= GROWTH * norm and not (was_slow or self.level > 0)
@@ -253,14 +376,17 @@ class Newton:
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
                 return f"{where}: {reason}"
-            if self._settled(reached, solution.residuals[0]):
-                return ""
-            # residuals in two configurations are not comparable
-            if grows and self._sliding is None:
-                return f"{where} diverges: residual {residual:.1e}, after {norm / size:.1e}"
-            errors.append(1.0 if reached else residual / self.options.accuracy)
+            excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
-                errors[-1] = max(errors[-1], self._sliding.error / self.contact.geometry_accuracy)
+                self._sliding.observe(problem.displacement, solution.residuals[0])
+                excess = max(excess, self._sliding.error / self.contact.geometry_accuracy)
+            if reached and excess <= 1.0:
+                return ""
+            errors.append(excess)
+            if self._sliding is not None:
+                self._sliding.pair_next_configuration()
+            elif grows:  # residuals in two configurations would not be comparable
+                return f"{where} diverges: residual {residual:.1e}, after {norm / size:.1e}"
             if not self._may_continue(errors):
                 failure = (
                     f"{where} converges too slowly: residual {residual:.1e}, after "
@@ -270,26 +396,6 @@ class Newton:
                     failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
                 return failure
             norm = residual * size
-
-    def _settled(self, reached: bool, start: float) -> bool:
-        """Return whether u is an equilibrium; if not, pair surfaces in the next configuration.
-
-        Only pairs with finite sliding are paired. Collective.
-
-        Args:
-            reached: whether the residual of Newton's method has reached the requested accuracy.
-            start: relative residual that the step's contact problem started with.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-        """
-        if self._sliding is None:
-            return reached
-        self._sliding.observe(self.problem.displacement, start)
-        if reached and self._sliding.error <= self.contact.geometry_accuracy:
-            return True
-        self._sliding.pair_next_configuration()
-        return False
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""
@@ -347,9 +453,7 @@ class Newton:
                 options = self.contact.at_least(self.options.accuracy * forcing)
                 if self._sliding is not None and level == 0:
                     options = self._sliding.loosened(options)
-                return self.problem.contact.solve(
-                    options, self._units, self._observed, self.contact
-                )
+                return self.problem.solve(options, self._units, self._observed, self.contact)
             except StiffnessError as error:
                 failure = error
         if failure.evidence:

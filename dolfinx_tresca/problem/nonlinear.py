@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 import numpy as np
@@ -20,15 +20,12 @@ from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.newton import Newton
-from dolfinx_tresca.problem.newton_record import (
-    NewtonOptions,
-    NewtonRecord,
-    NonlinearContactSolution,
-)
+from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
 from dolfinx_tresca.problem.process import ContactProcess, check_units
 from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
+from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.status import ContactStatus
@@ -37,6 +34,42 @@ from dolfinx_tresca.units import Units
 
 #: Number of Newton steps in a solve beyond which the log warns; most load steps take 4 to 8.
 MANY_STEPS = 30
+
+#: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
+#: quadratic problem of the last step.
+OF_LINEAR_BODIES = ("energy error", "energy")
+
+
+@dataclass(frozen=True, repr=False)
+class NonlinearContactSolution(ContactSolution):
+    """A `ContactSolution` of nonlinear bodies: the last Newton step, and the record of all steps.
+
+    Iterations, products and seconds are sums over all Newton steps. Energies and errors belong to
+    the quadratic problem of the last step, and the norm |u|_K is that of this step's tangent K.
+
+    Attributes:
+        newton: record of Newton's method.
+    """
+
+    newton: NewtonRecord
+
+    @property
+    def failure(self) -> str:
+        """Reason why the iterations failed, and what helps; empty if they converged."""
+        if self.status is ContactStatus.NO_EQUILIBRIUM:
+            return self.newton.message
+        return super().failure
+
+    def _rows(self) -> list[Row]:
+        steps = self.newton.steps
+        fractions = len({step.fraction for step in steps})
+        newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
+        newton += f", load in {fractions} parts" * (fractions > 1)
+        rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
+        result = [rows[0], ("Newton", newton), *rows[1:]]
+        if self.newton.snaps:
+            result.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
+        return result
 
 
 def _check_options(options: Any, newton: Any) -> None:
@@ -114,6 +147,8 @@ class NonlinearContactProblem(ContactProcess):
         options: options of the contact algorithm.
         newton: options of Newton's method.
     """
+
+    _contact: TangentProblem
 
     @collective(comm_of("u", "F", "bcs", "J"), ignored=("entity_maps",))
     def __init__(
@@ -212,10 +247,8 @@ class NonlinearContactProblem(ContactProcess):
         self._forms, self._is_symmetrized = (F, J), symmetrize
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         solver = stiffness, petsc_options, petsc_options_prefix
-        self._linearised = TangentProblem(
-            tangent, on_accept, Factorisation(tangent, self.pairs, *solver)
-        )
-        self._contact = self._linearised.contact
+        factorisation = Factorisation(tangent, self.pairs, *solver)
+        self._contact = TangentProblem(tangent, on_accept, factorisation)
         self._solves = 0
         self._level = 0
 
@@ -233,7 +266,7 @@ class NonlinearContactProblem(ContactProcess):
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with the tangent failed.
         """
-        self._contact.update_geometry(self._linearised.displacement if u is None else u)
+        self._contact.update_geometry(self._contact.displacement if u is None else u)
 
     def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, repeated with the tangent at the solution. Collective.
@@ -248,13 +281,13 @@ class NonlinearContactProblem(ContactProcess):
             ConvergenceError: the tangent at the solution is not positive definite without the
                 contact.
         """
-        contact, problem = self._contact, self._linearised
-        if contact.linear.component is not None:
+        problem = self._contact
+        if problem.linear.component is not None:
             raise InputError(
                 f"{purpose} needs the form F of the displacement alone, and not that of a mixed "
                 "space: compare two solutions."
             )
-        if contact.solved is None or contact.surfaces.state.solution is None:
+        if problem.solved is None or problem.surfaces.state.solution is None:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
             )
@@ -276,14 +309,14 @@ class NonlinearContactProblem(ContactProcess):
                     f"solution contact alone holds them: of the tangent, {error.evidence}. Compare "
                     "two solutions."
                 ) from error
-            contact.solve(self.options, self.units, lambda _: False)
+            problem.solve(self.options, self.units, lambda _: False)
             solved = problem.surfaces.state.acceptable(unconverged=True)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
-            solved = dataclasses.replace(
+            solved = replace(
                 solved, status=former.status, history=former.history, fields=former.fields
             )
-            state = dataclasses.replace(state, solution=solved)
+            state = replace(state, solution=solved)
         finally:
             problem.surfaces.return_to(state)
         if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
@@ -318,11 +351,8 @@ class NonlinearContactProblem(ContactProcess):
         def residual(z: fem.Function) -> Any:
             return ufl.replace(F, {F.arguments()[0]: z})
 
-        tangent = self._linearised.tangent
+        tangent = self._contact.tangent
         return Forms(residual, J, tangent.bcs, tangent.entity_maps)
-
-    def _advance_material(self, u: fem.Function) -> None:
-        self._linearised.advance_material(u)
 
     @collective(comm_of_self, ignored=("observer",), extra_values=_options_to_agree)
     def solve(
@@ -356,17 +386,17 @@ class NonlinearContactProblem(ContactProcess):
         options = self.options if options is None else options
         newton = self.newton if newton is None else newton
         _check_options(options, newton)
-        self._linearised.begin()
+        self._contact.begin()
         self._solves += 1
-        run = Newton(self._linearised, newton, options, self.units, observer, self._level)
+        run = Newton(self._contact, newton, options, self.units, observer, self._level)
         try:
             run.run()
         finally:
-            self._linearised.end_load()
+            self._contact.end_load()
         self._contact.surfaces.end_solve()
         released, snaps = np.nan, False
         if run.solution is not None and run.fraction == 1.0:
-            released, snaps = self._linearised.balance.released(run.solution.dissipation)
+            released, snaps = self._contact.balance.released(run.solution.dissipation)
         if snaps:
             log(
                 self._contact.comm,
@@ -384,7 +414,7 @@ class NonlinearContactProblem(ContactProcess):
                 *(self._solves, len(run.steps)),
                 level=logging.WARNING,
             )
-        self._linearised.note_forces()
+        self._contact.note_forces()
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "
@@ -406,15 +436,8 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
-        failed = (run.unbalanced, run.flips) if run.fraction < 1.0 else (None, None)
-        values = vars(solution) | {
-            "status": status,
-            "iterations": sum(step.iterations for step in run.steps),
-            "products": sum(step.products for step in run.steps),
-            "krylov_iterations": run.krylov_iterations,
-            "timings": run.timings,
-            "newton": NewtonRecord(
-                tuple(run.steps), run.fraction, message, released, snaps, *failed
-            ),
-        }
+        record = NewtonRecord(
+            tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
+        )
+        values = vars(solution) | run.cost | {"status": status, "newton": record}
         return self._contact.checked(NonlinearContactSolution(**values), linear=False)

@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 import ufl
@@ -19,15 +20,13 @@ from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.change_of_data import (
-    DataOfSolution,
-    checked_controls,
-    checked_directions,
-)
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
 from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
 from dolfinx_tresca.derivatives.gradient_and_tangent import (
     ContactTangent,
     as_derivatives,
+    checked_controls,
+    checked_directions,
     gradient,
     tangent_of,
 )
@@ -41,7 +40,8 @@ from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at, reaction_form
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -138,7 +138,9 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Accepted load steps stay: the slip still counts from the last accepted step. Not collective.
         """
-        self._contact.forget()
+        surfaces = self._contact.surfaces
+        surfaces.state = surfaces.state.started_at(np.zeros_like(surfaces.state.multipliers))
+        surfaces.compliance.forget()
 
     @collective(comm_of_self)
     def accept(self, *, unconverged: bool = False) -> None:
@@ -165,14 +167,8 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             surfaces = self._contact.surfaces
-            self._advance_material(surfaces.state.acceptable(unconverged).fields.w)
+            self._contact.advance_material(surfaces.state.acceptable(unconverged).fields.w)
             surfaces.accept(unconverged)
-
-    def _advance_material(self, u: fem.Function) -> None:
-        """Advance the history of the material, if it has one, to the state at u. Collective.
-
-        If that fails, the step is not accepted.
-        """
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
@@ -378,8 +374,8 @@ class ContactProcess(PetscOwner, Tabulated):
         Returns:
             for each control the derivatives with respect to its values [unit of the goal divided by
             the unit of the control]: for a Constant, an array of its shape; for a Function, a
-            Function on its space. If nothing depends on the control, the derivatives are zero, and
-            the log says so.
+            Function on its space. If all derivatives with respect to a control are zero, the log
+            says so.
 
         Raises:
             ContactError: there is no converged solution for the present inputs; or, for nonlinear
@@ -391,7 +387,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
-        goal = self._checked_goal(goal)
+        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         controls = checked_controls(controls)
         data = self._data_of_solution()
         goals = [(1.0, self._goal_at(goal, data.u))]
@@ -433,16 +429,17 @@ class ContactProcess(PetscOwner, Tabulated):
             self._contact.surfaces.secondary,
             controls,
             directions,
-            lambda goal: self._goal_at(self._checked_goal(goal), data.u),
+            lambda goal: self._goal_at(goal, data.u),
         )
 
-    def _checked_goal(self, goal: Any) -> Goal | ufl.Form:
-        """Check a goal and return it; see `checked_form_or_goal`. Not collective."""
-        return checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
+    def _goal_at(self, goal: Any, u: fem.Function) -> Goal | ufl.Form:
+        """Return a checked goal in which u replaces the `u` of a nonlinear problem. Not collective.
 
-    def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
-        """Return a goal in which u replaces the `u` of a nonlinear problem. Not collective."""
+        Raises:
+            InputError: the goal is wrong.
+        """
         present = self._contact.surfaces.unknowns
+        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         if isinstance(goal, ufl.Form) and present is not None:
             return ufl.replace(goal, {present: u})
         return goal
@@ -475,7 +472,8 @@ class ContactProcess(PetscOwner, Tabulated):
         of `pair_resultants` do.
 
         Args:
-            where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`.
+            where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`. The
+                solution's table and report show the result, by the name of the tag.
             point: (d,) reference point of the moment [length]; None: the middle of the box of all
                 points at which these forces act.
 
@@ -489,23 +487,59 @@ class ContactProcess(PetscOwner, Tabulated):
 
             >>> problem.reaction(7).force[2]  # doctest: +SKIP
         """
+        fields, supports = self._supports()
+        surfaces = self._contact.surfaces
+        result = reaction_at(
+            **supports,
+            where=where,
+            point=point,
+            moved=fields.u if surfaces.slides_far else None,
+            frames=surfaces.jump.frames,
+        )
+        tag = integer(where)
+        if tag is None:
+            name = f"bcs[{[where is bc for bc in supports['forms'].bcs].index(True)}]"
+        else:
+            name = getattr(supports["facet_tags"], "names", {}).get(tag, f"tag {tag}")
+        fields.reactions[name] = result
+        return result
+
+    @collective(comm_of_self)
+    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> ufl.Form:
+        """Return a component of a support's force, as a goal of derivatives. Collective.
+
+        The form of rank 0 depends on the last solution's `u`; `gradient` and `tangent` take it.
+
+        Args:
+            where: see `reaction`.
+            direction: (d,) vector by which the force is multiplied.
+
+        Raises:
+            ContactError: there is no solution.
+            InputError: see `reaction`; the direction is no vector; contact acts on nodes of the
+                support; or a pair has finite sliding.
+        """
+        self._check_pairing_fixed()
+        return reaction_form(**self._supports()[1], where=where, direction=direction)
+
+    def _supports(self) -> tuple[Evaluation, dict[str, Any]]:
+        """Return the last solution, and arguments of `reaction_at`. Not collective.
+
+        Raises:
+            ContactError: there is no solution.
+        """
         self._contact.check_not_destroyed()
         solved = self._contact.solved
         if solved is None:
             raise ContactError("there is no solution for reaction(): call solve() first.")
-        surfaces, fields = self._contact.surfaces, solved.fields
-        u = getattr(self, "u", fields.deformation)
-        return reaction_at(
-            self._forms_at(u),
-            u,
-            fields.contact_force,
-            self.prescribed,
-            self.pairs[0].given_tags("secondary")[0],
-            where,
-            point,
-            moved=fields.u if surfaces.slides_far else None,
-            frames=surfaces.jump.frames,
-        )
+        u = getattr(self, "u", solved.fields.deformation)
+        return solved.fields, {
+            "forms": self._forms_at(u),
+            "u": u,
+            "contact_force": solved.fields.contact_force,
+            "prescribed": self.prescribed,
+            "facet_tags": self.pairs[0].given_tags("secondary")[0],
+        }
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.

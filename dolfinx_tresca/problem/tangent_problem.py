@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,6 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import collapse
+from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -37,17 +37,13 @@ TOUCHING = 1e-6
 UNCHANGED = 1e-3
 
 
-class TangentProblem:
+class TangentProblem(ContactSystem):
     """The contact problem of a Newton step; its unknown is the total displacement, not a change.
-
-    The `contact` system owns the PETSc objects.
 
     Attributes:
         u: the present displacement u_k, or all unknowns of a mixed space, at which the tangent is
             taken.
         tangent: the linear system of a step.
-        contact: the contact problem whose K is the tangent.
-        surfaces: the contact surfaces of this problem.
         balance: the balance of energy of the present solve.
     """
 
@@ -65,7 +61,7 @@ class TangentProblem:
         history, it is the tangent at the displacement from which the present solve starts.
 
         Args:
-            tangent: the linear system of a step. The `contact` system owns it.
+            tangent: the linear system of a step. The problem owns it.
             on_accept: see `NonlinearContactProblem`.
             factorisation: object that factors the tangent.
 
@@ -84,8 +80,7 @@ class TangentProblem:
         with self.at_unknowns(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
-            self.contact = ContactSystem(self.tangent, factorisation.pairs, factorisation)
-        self.surfaces = self.contact.surfaces
+            super().__init__(tangent, factorisation.pairs, factorisation)
         self.surfaces.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.surfaces.obstacles.motions,) * 2
@@ -108,11 +103,11 @@ class TangentProblem:
         """The present displacement: u, or in a mixed space a copy of the displacement in u."""
         return self.tangent.displacement(self.u, self.u.name)
 
-    def advance_material(self, u: fem.Function) -> None:
-        """Make the material's state at u the history. Collective.
+    def advance_material(self, w: fem.Function) -> None:
+        """Make the material's state at w the history. Collective.
 
         Args:
-            u: displacement of the accepted step [length], or all unknowns of a mixed space.
+            w: displacement of the accepted step [length], or all unknowns of a mixed space.
 
         Raises:
             ContactError: the forces at u have changed since the solve, for example through another
@@ -122,7 +117,7 @@ class TangentProblem:
         if not self._has_history:
             return
         try:
-            with self.at_unknowns(u.x.array):
+            with self.at_unknowns(w.x.array):
                 self.tangent.forget_material()
                 forces = self.tangent.internal_forces()
                 if self._solved_forces is not None:
@@ -162,11 +157,6 @@ class TangentProblem:
                 "change them. Only on_accept may make a solution the history."
             )
 
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self.contact.comm
-
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
@@ -195,12 +185,10 @@ class TangentProblem:
             added[0].axpy(1.0, matrix, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = added[0] if added else None
         try:
-            self.contact.update_stiffness()
+            self.surfaces.update_stiffness()
             self._tangent_is_plain = not added
         finally:
             self.tangent.added = None
-            for matrix in added:
-                matrix.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
         """Return the springs B_a'C B_a, where B_a are the rows of B in contact. Collective.
@@ -228,8 +216,6 @@ class TangentProblem:
         rows.array *= missing
         B.multTranspose(rows, columns)
         tangent.added_forces = np.array(columns.array)
-        for owned in (B, rows, columns):
-            owned.destroy()
         return springs
 
     def _nodal_stiffness(self) -> Array:
@@ -282,8 +268,6 @@ class TangentProblem:
         free, moves = stiffness.createVecs()
         free.array, moves.array = factor * self.tangent.moves, self.tangent.moves
         stiffness.diagonalScale(free, moves)
-        free.destroy()
-        moves.destroy()
         return stiffness
 
     def begin(self) -> None:
@@ -296,7 +280,7 @@ class TangentProblem:
             ContactError: the problem was destroyed.
             InputError: u has values that are NaN or infinite; or a slip bound is wrong.
         """
-        self.contact.check_not_destroyed()
+        self.check_not_destroyed()
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(self.u.x.array).all():
                 raise InputError(
@@ -378,18 +362,15 @@ class TangentProblem:
         force = self.surfaces.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):
-            force.destroy()
-            return float("nan")
+            return math.nan
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
         solver = self.surfaces.compliance.operator.solver
         solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
-        square = float(force.dot(motion))
-        force.destroy()
         if self._norm is not None:
             correction.x.scatter_forward()
             return self._norm.of_function(correction)
-        return float(np.sqrt(max(square, 0.0)))
+        return math.sqrt(max(float(force.dot(motion)), 0.0))
 
     def rounding_norm(self) -> float:
         """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
@@ -405,7 +386,6 @@ class TangentProblem:
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
         diagonal = K.getDiagonal()
         terms = np.abs(diagonal.array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
-        diagonal.destroy()
         total = entries * self.comm.allreduce(float(terms.sum()))
         return ROUNDING * math.hypot(math.sqrt(total), self.energy_norm(self._position()))
 
@@ -425,20 +405,13 @@ class TangentProblem:
         x -= middle
         return self.tangent.whole(position)
 
-    @property
-    def owned_nodes(self) -> int:
-        """The number of this rank's nodes of the displacement."""
-        return int(self.tangent.V.dofmap.index_map.size_local)
-
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
-        forces = fem.Function(self.tangent.space)
         try:
             residual = self.tangent.residual(self.surfaces.contact_forces())
         except StiffnessError:  # the user's function has no stresses here
             residual = np.full(len(self.tangent.prescribed), np.nan)
-        forces.x.array[: len(residual)] = residual
-        forces.x.scatter_forward()
+        forces = with_owned_values(self.tangent.space, residual)
         return self.tangent.displacement(forces, "unbalanced")
 
     def function_at_nodes(self, name: str, values: Array) -> fem.Function:
@@ -447,11 +420,8 @@ class TangentProblem:
         Collective.
         """
         space, dofs = collapse(self.tangent.V.sub(0))
-        function = fem.Function(space, name=name)
-        owned = space.dofmap.index_map.size_local
-        function.x.array[:owned] = values[dofs[:owned] // self.tangent.V.dofmap.bs]
-        function.x.scatter_forward()
-        return function
+        owned = dofs[: space.dofmap.index_map.size_local]
+        return with_owned_values(space, values[owned // self.tangent.V.dofmap.bs], name)
 
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.
@@ -462,4 +432,4 @@ class TangentProblem:
         v.x.array[:] = values
         if self._norm is not None:
             return self._norm.of_function(v)
-        return float(np.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0)))
+        return math.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0))

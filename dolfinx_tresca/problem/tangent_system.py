@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,7 +17,6 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.dual.jump import entrywise
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.component import Component
@@ -41,6 +41,7 @@ class TangentSystem(LinearSystem):
 
     Attributes:
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
+        has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
         added_forces: forces [force] at owned degrees of freedom that are added to the load; None:
@@ -90,6 +91,7 @@ class TangentSystem(LinearSystem):
             )
         self.u = u
         self._before_assembly = before_assembly
+        self.has_material = before_assembly is not None
         forms = [form for form in (F, J) if isinstance(form, ufl.Form)]
         self._functions = {f: None for form in forms for f in form.coefficients() if f != u}
         self._updated_at: Array | None = None
@@ -100,16 +102,6 @@ class TangentSystem(LinearSystem):
         self._tangent = self.K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
         self._initial_residual: Array = np.zeros(len(self.prescribed))
-
-    @property
-    def has_material(self) -> bool:
-        """Whether a function of the user computes coefficients of the forms."""
-        return self._before_assembly is not None
-
-    @property
-    def form_of_displacement(self) -> bool:
-        """False: the tangent's energy of the displacement is not the energy of nonlinear bodies."""
-        return False
 
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
@@ -262,13 +254,11 @@ class TangentSystem(LinearSystem):
         if self.added_forces is not None:
             owned += self.added_forces
         owned[self.prescribed] = values
-        for vector in (inside, load, moved):
-            vector.destroy()
         self.f.x.scatter_forward()
         self._check_load()
 
 
-class MixedNorm(PetscOwner):
+class MixedNorm:
     """|(u, p)| = sqrt(u'A u + p'S p) with S = C + diag(B diag(A)^-1 B'), of K = (A, B'; B, -C).
 
     A, B and C are here the blocks of K, the tangent of the undeformed bodies. The energy of a later
@@ -277,8 +267,6 @@ class MixedNorm(PetscOwner):
     of the usual preconditioner for K (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but
     S is reduced to its diagonal. Without this reduction, S is approximately C plus the mass matrix
     of the pressures divided by the shear modulus.
-
-    Owns PETSc objects: call `destroy()`.
     """
 
     def __init__(self, tangent: TangentSystem, component: Component) -> None:
@@ -291,7 +279,6 @@ class MixedNorm(PetscOwner):
             component: the displacement in its mixed space.
         """
         self._component = component
-        self.comm = self._component.comm
         tangent.update_material()
         tangent.assemble_form()
         K = tangent.K
@@ -304,13 +291,6 @@ class MixedNorm(PetscOwner):
         squares.mult(compliance, self._S)
         self._S.array = np.where(component.mask, 0.0, self._S.array - diagonal.array)
         self._product: PETSc.Vec = self._A.createVecLeft()
-        for owned in (squares, diagonal, compliance):
-            owned.destroy()
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        for owned in (self._A, self._S, self._product):
-            owned.destroy()
 
     def of_function(self, w: fem.Function) -> float:
         """Return the norm of a Function on the mixed space, whose ghosts are up to date.
@@ -323,5 +303,4 @@ class MixedNorm(PetscOwner):
         weighted = self._S.duplicate()
         weighted.pointwiseMult(self._S, w.x.petsc_vec)
         square += float(weighted.dot(w.x.petsc_vec))
-        weighted.destroy()
-        return float(np.sqrt(max(square, 0.0)))
+        return math.sqrt(max(square, 0.0))

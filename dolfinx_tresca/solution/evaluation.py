@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.mesh_error import total
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.solution.fields import Surface, SurfaceFields, contact_states
+from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields, contact_states
 from dolfinx_tresca.solution.forces import (
     Resultant,
     centre_of_forces,
@@ -29,8 +29,8 @@ from dolfinx_tresca.solution.forces import (
     resultants_on,
     shares_of_bodies,
 )
+from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.history import energy_norm, relative_error
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 
 
@@ -65,6 +65,20 @@ class NodeCounts:
         return self.nodes - self.stick - self.idle - self.bonded
 
 
+class PairState(NamedTuple):
+    """How far a pair is closed.
+
+    Attributes:
+        pressed: number of nodes with pressure.
+        nodes: number of nodes.
+        opening: largest distance by which its sides have moved apart [length].
+    """
+
+    pressed: int
+    nodes: int
+    opening: float
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """The results of a solve; see `ContactSolution` for the attributes."""
@@ -90,12 +104,14 @@ class Evaluation:
     tangential_force: float
     bound_error: float
     pair_resultants: tuple[Resultant, ...]
+    pair_states: tuple[PairState, ...]
     body_resultants: tuple[Resultant, ...]
     between_bodies: dict[tuple[int, int], Resultant]
     body_names: tuple[str, ...]
     peak_pressure: float
     greatest_slip: float
     greatest_total_slip: float
+    reactions: dict[str, Resultant]
 
 
 def evaluate(
@@ -183,6 +199,7 @@ def evaluate(
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
     shares: list[tuple[Array, Array, Indices]] = []
+    pair_states: list[PairState] = []
     state, before, step, closing = map(np.concatenate, (states, befores, steps, closings))
     for acts, surface in zip(B.by_pair, surfaces, strict=True):
         operators, nodes = acts.operators, acts.nodes
@@ -204,6 +221,11 @@ def evaluate(
             if dual.history.begun:
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
+        is_pressed = state[nodes] >= ContactState.PRESSED
+        pressed_nodes, number = reduce_array(comm, [int(is_pressed.sum()), len(nodes)])
+        opened = (values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0)
+        opening = float(reduce_array(comm, opened, MPI.MAX))
+        pair_states.append(PairState(int(pressed_nodes), int(number), opening))
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
@@ -254,12 +276,14 @@ def evaluate(
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
         pair_resultants=resultants_on(comm, acting, len(acting), on_bodies[0].point),
+        pair_states=tuple(pair_states),
         body_resultants=on_bodies,
         between_bodies=resultants_between(comm, shares),
         body_names=bodies.names,
         peak_pressure=float(peak),
         greatest_slip=float(greatest_slip),
         greatest_total_slip=float(greatest_total_slip),
+        reactions={},
     )
     return evaluation, history
 

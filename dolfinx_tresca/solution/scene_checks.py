@@ -26,6 +26,7 @@ from dolfinx_tresca.pairing.search.balls import flattened, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets, Pieces
 from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
 
@@ -353,17 +354,31 @@ def hint_at_scene(
             )
 
 
-def hint_at_overlap(u: fem.Function, pairs: Sequence[ContactPair], jump: JumpOperator) -> None:
+def hint_at_overlap(
+    u: fem.Function,
+    pairs: Sequence[ContactPair],
+    jump: JumpOperator,
+    surfaces: Sequence[SurfaceFields],
+) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective.
 
     Args:
         u: displacement of a solution [length].
         pairs: the pairs.
         jump: jumps of these pairs.
+        surfaces: fields of these pairs, with the places of obstacles that forces have moved.
     """
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
     rounding = ROUNDING * comm.allreduce(float(np.abs(points).max(initial=0.0)), op=MPI.MAX)
-    for pair, paired, closing in zip(pairs, jump.pairs, jump.closings(u), strict=True):
+    for pair, paired, closing, surface in zip(
+        pairs, jump.pairs, jump.closings(u), surfaces, strict=True
+    ):
+        if isinstance(pair.primary, RigidObstacle) and surface.obstacle is not None:
+            places = np.zeros((3, len(paired.places)))
+            places[: paired.places.shape[1]] = paired.places.T
+            before = pair.primary.motion.reversed_from(places)
+            moved = (surface.obstacle.motion.applied_to(before) - places).T
+            closing -= np.einsum("ni,ni->n", moved[:, : paired.normals.shape[1]], paired.normals)
         depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
@@ -400,7 +415,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     """
     lam = cones.section(x)
     face = lam.face(2.0 * x)  # nodes on their circles slip
-    by_pressure, by_slip = cones.slopes(x, face)
+    by_pressure, by_slip = cones.slopes(x, face.slip)
     assert cones.slip is not None
     at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
     slips = face.slip & (cones.slip > 0.0)

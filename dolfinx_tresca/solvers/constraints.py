@@ -1,4 +1,7 @@
-"""Linear equations that multipliers must satisfy besides Lambda, exactly or softly. Numpy only."""
+"""Linear equations that multipliers must satisfy besides Lambda, and a search for such multipliers.
+
+Numpy only.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
+from scipy.optimize import brentq
+from scipy.sparse import csr_array, diags_array, eye_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices
-from dolfinx_tresca.solvers.nodal_maps import NodalPattern
-from dolfinx_tresca.solvers.reductions import Reductions
-from dolfinx_tresca.solvers.sparse_factors import eigenpairs
+from dolfinx_tresca._base.tolerances import MOST_STEPS
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.linear_algebra import NodalPattern, Reductions, eigenpairs, factored
 
 
 @dataclass(frozen=True)
@@ -61,18 +65,13 @@ class EqualityConstraints:
         """The absolute values of G."""
         return abs(self.columns)
 
-    @cached_property
-    def _rows(self) -> csr_array:
-        """G', which SciPy would otherwise transpose at every product."""
-        return csr_array(self.columns.T)
-
     def along(self, x: Array) -> Array:
         """Return G'x (k,)."""
-        return self.reductions.total(self._rows @ x) if len(self) else np.empty(0)
+        return self.reductions.total(self.columns.T @ x) if len(self) else np.empty(0)
 
     def along_absolute(self, x: Array) -> Array:
         """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
-        return self.reductions.total(abs(self._rows) @ x)
+        return self.reductions.total(self.absolute.T @ x)
 
     def hessian(self, derivative: Callable[[Array], Array]) -> csr_array:
         """Return G'D G, (k, k), the same on all ranks.
@@ -131,3 +130,140 @@ class EqualityConstraints:
         vectors.data = self.reductions.from_first_rank(vectors.data)
         kept = values > ROUNDING * values.max()
         return values[kept], vectors[:, kept]
+
+
+#: The search ends without a solution if the rounding error of G z, relative to the terms of the
+#: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its
+#: solutions are on the boundary of Lambda. `balance` explains G, z, C and phi.
+LOST = 1e-6
+
+#: First, least and largest value of the damping, which is the fraction of the diagonal of the
+#: majorant G'G + C that is added to the Hessian. After a whole step, the damping is multiplied by
+#: `RELAXATION`, since the next step may be longer where phi is flat; if rounding makes the matrix
+#: indefinite, the damping is multiplied by `MORE_DAMPING`.
+DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
+RELAXATION, MORE_DAMPING = 1e-3, 10.0
+
+#: Relative and absolute accuracy of the part of a step that minimises phi. The kinks of phi may be
+#: at parts of any order of magnitude.
+PART_ACCURACY, LEAST_PART = 1e-6, 1e-30
+
+#: The search ends without a solution if all multipliers that satisfy the equations have a norm
+#: above this multiple of the norm of `EqualityConstraints.sizes`.
+LARGEST_REACTION = 1e4
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The result of `balance`.
+
+    Attributes:
+        shift: (k,) the solution z; the multipliers are P(y + G z).
+        excess: (k,) residual of the equation.
+        satisfied: whether the residual is at most the rounding error of the equation's terms. The
+            rounding error of G z may be larger; a residual of that size does not prove that a
+            solution exists.
+        unbounded: whether all solutions are too large (`LARGEST_REACTION`), or none exists.
+    """
+
+    shift: Array
+    excess: Array
+    satisfied: bool
+    unbounded: bool = False
+
+
+def balance(
+    constraints: EqualityConstraints,
+    feasible_set: FeasibleSet,
+    start: Array | None = None,
+    softness: csr_array | None = None,
+    reserve: float = 0.0,
+) -> Balance:
+    """Search for multipliers in Lambda that satisfy equations: they balance the loads. Collective.
+
+    The result is z with G'P(y + G z) + C z = e, where P projects onto Lambda. The solution z
+    minimises the convex function
+
+        phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'e,    x = y + G z,
+
+    whose gradient is the residual of the equation. The method is Newton's with damping, and with
+    the part of each step that minimises phi. Where no pressure acts, phi is flat; there the damping
+    is reduced from step to step, and steps grow until z has left the flat region. If phi falls
+    below -depth for y = 0, all x in Lambda and c with G'x + C c = e have |x|^2 + c'C c > 2 depth
+    (weak duality).
+
+    Args:
+        constraints: the equations.
+        feasible_set: Lambda.
+        start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
+        softness: (k, k) C; None: the projector onto the range of S. All soft equations are then
+            equally soft, and the result does not depend on their softness.
+        reserve: relative increase of e; a positive value asks for a margin.
+    """
+    target = (1.0 + reserve) * constraints.values
+    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
+    depth = 0.5 * LARGEST_REACTION**2 * float(sizes @ sizes) if start is None else np.inf
+    vectors = constraints.soft_directions[1]
+    C: csr_array = vectors @ vectors.T if softness is None else softness
+    y = np.zeros(constraints.columns.shape[0]) if start is None else start
+    agreed = constraints.reductions.from_first_rank
+    scale = 1.0 / np.sqrt((constraints.hessian(lambda v: v) + C).diagonal())
+    scaling = diags_array(scale)
+
+    def excess(z: Array) -> Array:
+        """Return the gradient of phi."""
+        p = feasible_set.project(y + constraints.columns @ z)
+        return agreed(constraints.along(p) + C @ z - target)
+
+    def rounding(z: Array) -> tuple[Array, Array]:
+        """Return two rounding errors (k,) of the residual: from summing it, and from G z."""
+        p = feasible_set.project(y + constraints.columns @ z)
+        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, cancelled = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
+        summed = ROUNDING * (terms + abs(C) @ np.abs(z) + sizes)
+        return agreed(summed), agreed(np.finfo(float).eps * cancelled)
+
+    z, damping, unbounded = np.zeros_like(target), DAMPING, False
+    for _ in range(MOST_STEPS):
+        gradient = excess(z)
+        small, cancelled = rounding(z)
+        # where no solution exists, the step beyond the proof makes the motion z more accurate
+        if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
+            break
+        if (np.abs(gradient) <= small + cancelled).all():
+            return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
+        unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
+        derivative = feasible_set.projection_derivative(y + constraints.columns @ z)
+        hessian = constraints.hessian(derivative) + C
+        step = -agreed(
+            scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
+        )
+
+        def slope(length: float, z: Array = z, step: Array = step) -> float:
+            return _dot(step, excess(z + length * step))
+
+        length = 1.0
+        if slope(1.0) > 0.0 > _dot(step, gradient):
+            length = brentq(slope, 0.0, 1.0, xtol=LEAST_PART, rtol=PART_ACCURACY, maxiter=1000)
+        z = z + length * step
+        damping = RELAXATION * damping if length == 1.0 else damping / length
+        damping = min(max(damping, LEAST_DAMPING), LARGEST_DAMPING)
+    return Balance(z, excess(z), satisfied=False, unbounded=unbounded)
+
+
+def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:
+    """Return (M + d I)^-1 b for M >= 0; d is increased until the factorisation exists."""
+    unit = eye_array(len(right))
+    while damping < np.inf:
+        factors = factored(matrix + damping * unit)
+        if factors is not None:
+            x: Array = factors.solve(right)
+            if _dot(x, right) >= 0.0:  # else rounding made a pivot negative
+                return x
+        damping *= MORE_DAMPING
+    raise np.linalg.LinAlgError("the Hessian of a projection is not finite")
+
+
+def _dot(x: Array, y: Array) -> float:
+    """Return x'y, summed in a fixed order, so that ranks on different processors agree."""
+    return float(np.cumsum(x * y)[-1])

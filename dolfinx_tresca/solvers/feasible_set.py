@@ -136,13 +136,6 @@ class FeasibleSet:
         """Which discs (n_discs,) may have nonzero multipliers."""
         return np.asarray(self.radius > 0.0)
 
-    @property
-    def carrying(self) -> Mask:
-        """Which multipliers (size,) can be nonzero."""
-        result = np.ones(self.size, dtype=np.bool_)
-        result[self.tangential] = self.movable[self.node]
-        return result
-
     def section(self, x: Array) -> FeasibleSet:
         """Return the set itself: its bounds do not depend on the pressures of x (size,)."""
         return self

@@ -148,7 +148,7 @@ class FrictionCones(FeasibleSet):
         pressure, slip = self._pressures(x), self.norms(r)
         if target is not None:
             at_rest = dataclasses.replace(self, slip=np.zeros_like(self.radius)).section(x).radius
-            weakens = dataclasses.replace(self, slip=slip)._slopes(pressure)[1] < 0.0
+            weakens = dataclasses.replace(self, slip=slip).slopes(x)[1] < 0.0
             slip = np.where((self.norms(target) <= at_rest) & ~weakens, 0.0, slip)
         moved = dataclasses.replace(self, slip=slip)
         return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
@@ -183,7 +183,7 @@ class FrictionCones(FeasibleSet):
             face: face with the projector P.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
         """
-        slope, by_slip = self.slopes(x, face)
+        slope, by_slip = self.slopes(x, face.slip)
         damping = 1.0 + by_slip * self.disc_means(diagonal)
         damping[damping == 0.0] = 1.0
         slope, by_slip = slope / damping, by_slip / damping
@@ -199,21 +199,19 @@ class FrictionCones(FeasibleSet):
 
     def project(self, y: Array) -> Array:
         """Return the point of the set nearest to y (size,)."""
-        nearest = self._nearest(y)
-        result: Array = self.scaled_discs(y, nearest.ratio)
+        pressure, ratio, _ = self._nearest(y)
+        result: Array = self.scaled_discs(y, ratio)
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         has = self.normal_of >= 0
-        result[self.normal_of[has]] = nearest.pressure[has]
+        result[self.normal_of[has]] = pressure[has]
         return result
 
     def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
         """Return a slant derivative of `project` at y: a map of (size,) or (size, k)."""
-        nearest = self._nearest(y)
-        has = self.normal_of >= 0
+        _, ratio, jacobian = self._nearest(y)
+        has, t, norms = self.normal_of >= 0, self.tangential, self.norms(y)
         direction = np.zeros_like(y)
-        norms = self.norms(y)
-        direction[self.tangential] = y[self.tangential]
-        direction = self.scaled_discs(direction, 1.0 / np.where(norms > 0.0, norms, 1.0))
+        direction[t] = y[t] / np.where(norms > 0.0, norms, 1.0)[self.node]
         pressed = np.ones(self.size)
         pressed[self.normal] = y[self.normal] > 0.0
 
@@ -223,27 +221,25 @@ class FrictionCones(FeasibleSet):
             columns = v.reshape(self.size, -1)
             radial = self.sums(direction[:, None] * columns)
             pressure = np.where(has[:, None], columns[self.normal_of], 0.0)
-            jacobian = nearest.jacobian
-            along = jacobian[:, 1, 0, None] * pressure + jacobian[:, 1, 1, None] * radial
-            result: Array = self.scaled_discs(columns * pressed[:, None], nearest.ratio)
-            turned = along - nearest.ratio[:, None] * radial
-            t = self.tangential
-            result[t] += direction[t, None] * turned[self.node]
-            moved = jacobian[:, 0, 0, None] * pressure + jacobian[:, 0, 1, None] * radial
+            result: Array = self.scaled_discs(columns * pressed[:, None], ratio)
+            moved, along = jacobian[:, 0] * pressure + jacobian[:, 1] * radial
+            result[t] += direction[t, None] * (along - ratio[:, None] * radial)[self.node]
             result[self.normal_of[has]] = moved[has]
             return result.reshape(v.shape)
 
         return derivative
 
-    def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
-        """Return dg/dp and dg/dv (n_discs,) at x for bounds g of slipping nodes, zero elsewhere."""
-        by_pressure, by_slip = self._slopes(self._pressures(x))
-        return np.where(face.slip, by_pressure, 0.0), np.where(face.slip, by_slip, 0.0)
+    def slopes(self, x: Array, where: Mask | bool = True) -> tuple[Array, Array]:
+        """Return dg/dp and dg/dv (n_discs,) at x for the bounds g.
 
-    def _slopes(self, pressure: Array) -> tuple[Array, Array]:
-        """Return dg/dp and dg/dv (n_discs,) for the bounds g; 0 where F p exceeds its limit."""
+        Args:
+            x: (size,) multipliers.
+            where: (n_discs,) discs whose slopes are wanted. Other slopes are zero, and so are those
+                where F p exceeds its limit.
+        """
+        pressure = self._pressures(x)
         coefficient = self._coefficients(pressure)
-        grows = (self.normal_of >= 0) & (coefficient * pressure < self.limit)
+        grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         by_pressure, by_slip = coefficient, np.zeros_like(coefficient)
         if self.curves is not None and self.slip is not None:
             pressed = np.maximum(pressure, 0.0)
@@ -259,7 +255,7 @@ class FrictionCones(FeasibleSet):
             r: (size,) gradient at x; its tangential part is minus the slip.
         """
         result, has = np.zeros_like(x), self.normal_of >= 0
-        opening = self._slopes(self._pressures(x))[0] * self.norms(r)
+        opening = self.slopes(x)[0] * self.norms(r)
         result[self.normal_of[has]] = opening[has]
         return result
 
@@ -300,11 +296,16 @@ class FrictionCones(FeasibleSet):
         grown = coefficient * np.maximum(pressure, 0.0)
         return np.asarray(self.radius + np.minimum(grown, self.limit))
 
-    def _nearest(self, y: Array) -> _Nearest:
+    def _nearest(self, y: Array) -> tuple[Array, Array, Array]:
         """Return the nearest points of the set in each node's half-plane (pressure, radius).
 
         The boundary of the set in this plane has three edges: on the axis of zero pressure up to
         the radius c, along a slope up to the radius c + l, and from there with constant radius.
+
+        Returns:
+            normal multipliers (n_discs,); norms of the tangential multipliers, divided by their
+            norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
+            (2, 2, n_discs, 1) of pressure and radius with respect to their values before.
         """
         given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
@@ -327,21 +328,4 @@ class FrictionCones(FeasibleSet):
         moves = ((along > 0.0) & (along < lengths))[edge, nodes]
         direction = np.where(moves, directions[edge, :, nodes].T, 0.0)
         jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)
-        return _Nearest(pressure, ratio, jacobian.transpose(2, 0, 1))
-
-
-@dataclass(frozen=True)
-class _Nearest:
-    """Nearest points of the set, in the half-planes (pressure, radius).
-
-    Attributes:
-        pressure: (n_discs,) normal multiplier.
-        ratio: (n_discs,) norm of the tangential multiplier, divided by its norm before the
-            projection; 1 if that norm is zero.
-        jacobian: (n_discs, 2, 2) derivative of (pressure, radius) with respect to their values
-            before the projection.
-    """
-
-    pressure: Array
-    ratio: Array
-    jacobian: Array
+        return pressure, ratio, jacobian[..., None]

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.tolerances import FORCING, PATIENCE, PROGRESS, ROUGH
+from dolfinx_tresca._base.tolerances import (
+    FORCING,
+    FULL_ACCURACY,
+    PATIENCE,
+    PROGRESS,
+    ROUGH,
+    SLACK,
+)
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
-from dolfinx_tresca.solvers.balance import balance
+from dolfinx_tresca.solvers.constraints import balance
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.history import History, Observe
-from dolfinx_tresca.solvers.iterate import InexactIterate, Iterate, Step
+from dolfinx_tresca.solvers.linear_algebra import norm
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
@@ -23,9 +31,7 @@ from dolfinx_tresca.solvers.problem import (
     Point,
 )
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
-from dolfinx_tresca.solvers.reductions import norm
-from dolfinx_tresca.solvers.residual import NaturalResidual
-from dolfinx_tresca.solvers.semismooth_newton import ModelSolution, solve_model
+from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
 from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus
 
@@ -39,9 +45,6 @@ SLOW = 8
 #: A is also computed if Newton's method does not solve the model in this number of consecutive
 #: iterations. (Two strips of 400 cells that stick along their joint take 12 iterations without.)
 MISSES = 2
-
-#: Factor that makes slip bounds practically infinite.
-LARGE = 1e100
 
 
 def solve(
@@ -91,6 +94,182 @@ def solve(
     return ModelNewton(problem, options, observe).run(start)
 
 
+@dataclass(frozen=True)
+class Step:
+    """A step from the present point.
+
+    Attributes:
+        direction: (size,) change of the multipliers.
+        product: (size,) A times the direction, which is the change of the gradient.
+        error: error of the gradient at the end of the step, in the norm sqrt(e'A^-1 e).
+        c: (k,) multipliers of the constraints at the end of the step.
+    """
+
+    direction: Array
+    product: Array
+    error: float
+    c: Array
+
+
+class Iterate:
+    """A point in the friction cones with its gradient, and steps from it with their products.
+
+    Products are exact to rounding, as with a direct solver for K; see `InexactIterate`.
+
+    Attributes:
+        x: (size,) multipliers of the point.
+        c: (k,) multipliers of the constraints.
+        r: (size,) A x - b, the gradient at the point without constraints.
+        error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
+        finest: least error that is requested of a gradient.
+        initial_part: sufficient error of the first gradient, relative to the energy norm of its
+            multipliers.
+        learned: whether the last step has changed the model of A, or the accuracy of gradients.
+        store: known products with A, to which new products are added.
+    """
+
+    initial_part = FULL_ACCURACY
+    x: Array
+    c: Array
+    r: Array
+    error: float
+
+    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
+        """Begin at zero, where no product is needed.
+
+        Args:
+            problem: the dual problem (38.4), for products and gradients.
+            store: known products, to which new products are added.
+        """
+        self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
+        self.return_to_zero()
+
+    def return_to_zero(self) -> None:
+        """Set the point to zero, where the gradient is -b. Not collective."""
+        b = self._problem.b
+        self.x, self.c, self.r = np.zeros_like(b), np.zeros(len(self._problem.constraints)), -b
+        self.error = self._problem.response.b_error
+
+    @property
+    def point(self) -> Point:
+        """The point with its gradient, which includes the terms of the constraints."""
+        return self.point_after(self.zero_step())
+
+    def point_after(self, step: Step) -> Point:
+        """Return the end of a step."""
+        r = self.r + step.product - self._problem.constraints.columns @ step.c
+        return Point(self.x + step.direction, step.c, r)
+
+    def move(self, step: Step) -> None:
+        """Set the point to the end of a step. Not collective."""
+        self.x, self.r = self.x + step.direction, self.r + step.product
+        self.error, self.c = step.error, step.c
+
+    def zero_step(self) -> Step:
+        """Return a step of length zero. Not collective."""
+        return Step(np.zeros_like(self.r), np.zeros_like(self.r), self.error, self.c)
+
+    def step(self, direction: Array, c: Array) -> Step:
+        """Return the step along a direction and its product with A. Collective.
+
+        Known products give A times a part of the direction. The rest of the direction is new, and
+        is added to the store with its product.
+
+        Args:
+            direction: (size,) change of the multipliers.
+            c: (k,) multipliers of the constraints at the end of the step.
+        """
+        before, (new, product) = len(self.store), self.store.split(direction)
+        # subtracting the known part from a product of the whole direction would leave rounding
+        # errors that grow from pair to pair
+        if float(self._problem.inner(new, new)) > 0.0:
+            added = self._problem.operator.apply(new)
+            self.store.add(new, added)
+            product = product + added
+        self.learned = len(self.store) != before
+        return Step(direction, product, self.error, c)
+
+    def begin_at(self, x: Array) -> None:
+        """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
+
+        Known products may determine the gradient, for example if a solve with another load has
+        ended at these multipliers.
+        """
+        response, b = self._problem.response, self._problem.b
+        product, error = self.store.product(x)
+        wanted = max(self.initial_part * self._energy_norm(x), self.finest)
+        self.x, self.r, self.error = x, product - b, error + response.b_error
+        if self.error > wanted:
+            # an accuracy below the error of b is useless: for tiny multipliers, the product would
+            # consist of the error of b only
+            self.r, self.error = response.gradient(x, max(wanted, response.b_error))
+            self.store.add(x, self.r + b, self.error + response.b_error)
+
+    def _energy_norm(self, x: Array) -> float:
+        """Return the energy norm of x (size,), with the model in place of A. Collective."""
+        return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
+
+    def increase_accuracy(self) -> None:
+        """Compute the gradient and later products more accurately, if that is possible."""
+
+
+class InexactIterate(Iterate):
+    """The point and its gradient with an iterative solver for K.
+
+    The error of the gradient in the norm sqrt(e'A^-1 e) is limited to a part of the energy norm of
+    the steps. A product is the difference of two gradients, and contains the errors of both.
+    """
+
+    initial_part = ROUGH
+
+    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
+        """Begin at zero, where no product is needed. The arguments are those of `Iterate`."""
+        super().__init__(problem, store)
+        self._length, self._least, self._part = 0.0, 0.0, FORCING
+
+    def _wanted(self) -> float:
+        """Return the requested error of the next gradient."""
+        return max(self._part * self._length, self.finest)
+
+    def _gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
+        """Return a gradient and its error; record the error if the solver cannot reduce it."""
+        r, error = self._problem.response.gradient(x, accuracy, origin)
+        if error > SLACK * accuracy:
+            self._least = max(self._least, error)
+        return r, error
+
+    def step(self, direction: Array, c: Array) -> Step:
+        """Return the step along a direction and its product with A. Collective.
+
+        The direction is added to the store with its product.
+        """
+        if float(self._problem.inner(direction, direction)) == 0.0:
+            return Step(direction, 0.0 * direction, self.error, c)
+        self._length = self._energy_norm(direction)
+        r, error = self._gradient(self.x + direction, self._wanted(), self.x)
+        # the difference of gradients: errors of gradients do not accumulate over the steps
+        product = r - self.r
+        self.learned = self.store.add(direction, product, error + self.error)
+        if self.learned:
+            self._part = FORCING
+        return Step(direction, product, error, c)
+
+    def increase_accuracy(self) -> None:
+        """Compute the gradient and later products more accurately, if that is possible."""
+        if self._part >= FULL_ACCURACY:
+            self._part *= FORCING
+            self.finest *= FORCING
+            self.learned = True
+            self.refine(self._wanted())
+
+    def refine(self, accuracy: float) -> None:
+        """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
+        if self.error > max(accuracy, SLACK * self._least):
+            self.r, self.error = self._gradient(self.x, accuracy)
+
+
 class ModelNewton:
     """The state of one solve: a point with its gradient, and the history.
 
@@ -111,11 +290,7 @@ class ModelNewton:
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
-    store: KnownProducts
-    residual: NaturalResidual
-    history: History
-    iterate: Iterate
-    first_target: ModelSolution | None = None
+    first_target: NewtonPoint | None = None
     deficit: FrictionDeficit | None = None
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
@@ -134,7 +309,7 @@ class ModelNewton:
             iterate.move(self.accepted(target))
             if iterate.learned:
                 continue
-            if not self.residual.norm_at(iterate.point) < PROGRESS * self.history.error:
+            if not self.residual.norm_at(iterate.point) < PROGRESS * self.history.errors[-1]:
                 iterate.increase_accuracy()
         solution = self.history.solution(iterate.point, status, iterate.error)
         return dataclasses.replace(solution, deficit=self.deficit)
@@ -148,9 +323,9 @@ class ModelNewton:
         store = self.store
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
-            if store.largest_ritz_value() == 0.0 and store.near is not None:
+            if store.largest_ritz_value == 0.0 and store.near is not None:
                 store.near_product(b)
-            elif store.largest_ritz_value() == 0.0:
+            elif store.largest_ritz_value == 0.0:
                 store.add(b, self.problem.operator.apply(b))
 
     def begin_at(self, start: Array) -> None:
@@ -167,15 +342,15 @@ class ModelNewton:
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
         if residual.zero_is_undecided(iterate.error):
             problem.response.refine_b()
-            iterate.move_to(iterate.x, -problem.b, problem.response.b_error)
+            iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
-        zero, start = iterate.x, problem.admissible.project(start)
+        start = problem.admissible.project(start)
         if len(constraints) > 0:  # the nearest multipliers that balance the loads
             shift = balance(constraints, problem.admissible, start=start).shift
             start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
-            iterate.move_to(start, *iterate.initial_gradient(start))
+            iterate.begin_at(start)
         self.find_constraint_multipliers()
         if self.options.rtol:
             iterate.finest = FORCING * self.history.residual_error
@@ -183,8 +358,8 @@ class ModelNewton:
             if problem.is_load_step and not self.has_given_bounds:
                 residual.count(iterate.r + problem.b)
             else:
-                iterate.move_to(zero, -problem.b, problem.response.b_error)
-                iterate.c, self.first_target = np.zeros_like(iterate.c), None
+                iterate.return_to_zero()
+                self.first_target = None
                 residual.set_constraint_multipliers(iterate.c)
                 self.find_constraint_multipliers()
 
@@ -205,7 +380,7 @@ class ModelNewton:
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
-        self.largest = max(self.largest, self.store.largest_ritz_value())
+        self.largest = max(self.largest, self.store.largest_ritz_value)
         return self.options.step_factor / (self.largest or 1.0)
 
     def status(self, target: Point) -> ContactStatus | None:
@@ -223,11 +398,11 @@ class ModelNewton:
             iterate.refine(history.tolerable_error(iterate.point) if done else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
-        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.error
+        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.errors[-1]
         stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
-        is_limited = residual.is_limited_by_rounding(history.error)
+        is_limited = residual.is_limited_by_rounding(history.errors[-1])
         is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():
@@ -253,14 +428,14 @@ class ModelNewton:
         self.iterate.learned = True
         return True
 
-    def target(self) -> ModelSolution:
+    def target(self) -> NewtonPoint:
         """Return a solution with the model in place of A."""
         tolerance = self.options.r_tol * self.residual.norm_at(self.iterate.point)
         target = solve_model(self.problem, self.iterate.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
         return target
 
-    def accepted(self, target: ModelSolution) -> Step:
+    def accepted(self, target: NewtonPoint) -> Step:
         """Return the step to take from the present point, given the solution of the model."""
         step = self.iterate.step(target.x - self.iterate.x, target.c)
         if (rho := self.proposed_rho()) < self.residual.rho:
@@ -281,7 +456,7 @@ class ModelNewton:
         size = norm(self.problem, iterate.x) * norm(self.problem, iterate.r)
         if -promised <= PRODUCT_ROUNDING * size:
             # changes of q are rounding, changes of the gradient are not: the residual decides
-            if residual.norm_at(iterate.point_after(whole)) < self.history.error:
+            if residual.norm_at(iterate.point_after(whole)) < self.history.errors[-1]:
                 return whole
             iterate.increase_accuracy()
             return iterate.zero_step()
@@ -332,7 +507,5 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
         return None
     motion = balanced.shift / np.linalg.norm(balanced.shift)
     slip = constraints.columns @ motion
-    friction = section.project(LARGE * slip)
-    friction[section.normal] = 0.0
-    available = float(problem.inner(friction, slip))
-    return FrictionDeficit(motion, float(constraints.values @ motion), available)
+    friction = float(problem.reductions.total(np.array(section.dissipation(slip))))
+    return FrictionDeficit(motion, float(constraints.values @ motion), friction)

@@ -13,11 +13,10 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.tolerances import PATIENCE, PROGRESS
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.history import History, Observe
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
+from dolfinx_tresca.solvers.linear_algebra import norm
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
-from dolfinx_tresca.solvers.reductions import norm
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.status import ContactStatus
 
 #: Inner residual of "exact" solves, divided by the outer residual at the start.
@@ -133,13 +132,8 @@ class Run:
         self.feasible_set = problem.bounds(start, -problem.b)
         self.x = self.feasible_set.project(start)
         self.r = gradient(problem, self.x)
-        if residual.norm_at(self.point) > residual.scale:
+        if residual.norm_at(Point(self.x, np.empty(0), self.r)) > residual.scale:
             self.x, self.r = np.zeros_like(start), -problem.b
-
-    @property
-    def point(self) -> Point:
-        """The present multipliers with their gradient."""
-        return Point(self.x, np.empty(0), self.r)
 
     @property
     def target(self) -> Array:
@@ -168,7 +162,9 @@ class Run:
             if norm(problem, self.x - projected) > PRODUCT_ROUNDING * norm(problem, self.x):
                 r = gradient(problem, projected)
             point = Point(projected, np.empty(0), r)
-            status = history.check_convergence(point, error_of_product(problem, projected, r))
+            energy = max(float(problem.inner(projected, r + problem.b)), 0.0)
+            error = problem.operator.product_error * float(np.sqrt(energy))  # without that of b
+            status = history.check_convergence(point, error + problem.response.b_error)
             if status is None and history.is_idle(2 * PATIENCE, PROGRESS):
                 status = ContactStatus.STAGNATED
             if status is not None:
@@ -183,17 +179,6 @@ class Run:
         r = self.r + problem.operator.apply(fixed - self.x)
         change, product = conjugate_gradients(problem, face.active, r, tolerance)
         return fixed + change, r + product
-
-
-def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
-    """Return an estimate of the error of r = A x - b if `apply` has computed A x. Collective.
-
-    The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
-    """
-    energy = float(problem.inner(x, r + problem.b))
-    return (
-        problem.operator.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
-    )
 
 
 def gradient(problem: DualProblem, x: Array) -> Array:
@@ -220,7 +205,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     for _ in range(most):
         product = problem.operator.apply(x)
         store.add(x, product)
-        before, value = value, store.largest_ritz_value()
+        before, value = value, store.largest_ritz_value
         if value <= (1.0 + rtol) * before:
             break
         x = np.asarray(product / norm(problem, product))
@@ -240,7 +225,7 @@ def adaptive_precision(history: History, options: SolverOptions) -> Callable[[],
 
     def following() -> float:
         nonlocal tolerance
-        relative = history.error / history.errors[0]
+        relative = history.errors[-1] / history.errors[0]
         tolerance = min(options.r_tol * relative, options.c_fact * tolerance)
         return tolerance * history.errors[0]
 

@@ -10,8 +10,12 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.tolerances import MOST_STEPS
-from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, solve_or_fit
-from dolfinx_tresca.solvers.reductions import Reductions
+from dolfinx_tresca.solvers.linear_algebra import (
+    LEAST_SOFTNESS,
+    NodalMaps,
+    Reductions,
+    solve_or_fit,
+)
 
 
 class BlockBFGSModel:
@@ -154,7 +158,7 @@ class ProductStore:
         scale: factor on the estimate of diag(A), at most 1: the energy of the new part of the
             newest pair, divided by the energy that this part has with diag(A) in place of A. The
             factor decreases, since new parts oscillate more and more, and diag(A) is too large for
-            vectors that oscillate.
+            vectors that oscillate. (It matters where there is no near field.)
         capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
             capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
         near: store of products with the near field, a cheap operator D with 0 < D <= A, at least
@@ -179,18 +183,15 @@ class ProductStore:
             capacity: limit on the number of pairs.
             apply_near: function that applies the near field D; None: there is none.
         """
-        self._reductions, self._diagonal = reductions, diagonal
+        self._reductions, self._diagonal, self.scale = reductions, diagonal, 1.0
         self.near: ProductStore | None = None
         if apply_near is not None:
-            self.near, self.apply_near = (
-                ProductStore(reductions, diagonal, NEAR_CAPACITY),
-                apply_near,
-            )
+            self.near = ProductStore(reductions, diagonal, NEAR_CAPACITY)
+            self.apply_near = apply_near
         self.capacity = capacity
         self.W: Array = np.empty((len(diagonal), 0))
         self.Y: Array = np.empty((len(diagonal), 0))
         self.errors: Array = np.empty(0)
-        self.scale = 1.0
         self._largest = 0.0  # largest Rayleigh quotient of new parts so far
 
     @property
@@ -282,16 +283,12 @@ class ProductStore:
         return coefficients, x, product
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
-        inner = self._reductions.inner
-        self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
+        """Keep a pair; reduce the number of pairs to half the capacity if it is too large."""
+        self.scale = min(1.0, energy / float(self._reductions.inner(x, self._diagonal * x)))
         length = np.sqrt(energy)
         self.W = np.column_stack([self.W, x / length])
         self.Y = np.column_stack([self.Y, product / length])
         self.errors = np.append(self.errors, error / length)
-        self._limit_to_capacity()
-
-    def _limit_to_capacity(self) -> None:
-        """Reduce the number of pairs to half the capacity if it exceeds the capacity."""
         if len(self) > self.capacity:
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
             kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
@@ -303,9 +300,10 @@ class ProductStore:
         kept = self.errors <= LASTING_ERROR
         self.W, self.Y, self.errors = self.W[:, kept], self.Y[:, kept], self.errors[kept]
 
+    @property
     def largest_ritz_value(self) -> float:
-        """Return a lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
-        of_near_field = 0.0 if self.near is None else self.near.largest_ritz_value()
+        """A lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
+        of_near_field = 0.0 if self.near is None else self.near.largest_ritz_value
         if len(self) == 0:
             return of_near_field
         # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W

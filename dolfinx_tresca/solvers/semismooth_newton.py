@@ -8,10 +8,10 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps
+from dolfinx_tresca.solvers.convergence import NaturalResidual
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from dolfinx_tresca.solvers.whole_model import WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
@@ -70,20 +70,11 @@ class NewtonPoint(Point):
 
     Attributes:
         residual: residual as an energy.
-    """
-
-    residual: float
-
-
-@dataclass(frozen=True)
-class ModelSolution(Point):
-    """Multipliers in the cones that solve the problem with a model of A, at least approximately.
-
-    Attributes:
         is_solved: whether Newton's method has solved the equations.
     """
 
-    is_solved: bool
+    residual: float
+    is_solved: bool = False
 
 
 class SemismoothNewton:
@@ -293,7 +284,7 @@ class ConvexNewton(SemismoothNewton):
         return change - residual, change_c
 
 
-def newton_solution(problem: DualProblem, model: Model, start: Point) -> ModelSolution:
+def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonPoint:
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
     Needs no product with A.
@@ -311,7 +302,7 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> ModelSo
         point = solve_from_other_guesses(newton, model, guess, point, tolerance)
     x = problem.admissible.at_point(point.x, point.r).project(point.x)
     r = point.r + model.apply(x - point.x)
-    return ModelSolution(x, point.c, r, point.residual <= tolerance)
+    return NewtonPoint(x, point.c, r, point.residual, point.residual <= tolerance)
 
 
 def solve_from_other_guesses(
@@ -362,7 +353,7 @@ def solve_from_other_guesses(
 
 def solve_model(
     problem: DualProblem, start: Point, residual: NaturalResidual, tolerance: float
-) -> ModelSolution:
+) -> NewtonPoint:
     """Return an approximate solution of the dual problem with the model M in place of A.
 
     With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where

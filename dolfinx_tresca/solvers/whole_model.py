@@ -11,8 +11,13 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, isspars
 from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix, dense
-from dolfinx_tresca.solvers.nodal_maps import LEAST_SOFTNESS, NodalMaps, NodalPattern, solve_or_fit
-from dolfinx_tresca.solvers.reductions import Reductions
+from dolfinx_tresca.solvers.linear_algebra import (
+    LEAST_SOFTNESS,
+    NodalMaps,
+    NodalPattern,
+    Reductions,
+    solve_or_fit,
+)
 
 #: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose
 #: neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million times
@@ -97,7 +102,8 @@ class WholeModel:
         return np.asarray(self._shifted[self._mine] @ self._gathered(x))
 
     @cached_property
-    def _largest_eigenvalue(self) -> float:
+    def largest_ritz_value(self) -> float:
+        """The largest eigenvalue of A. Collective at the first access."""
         matrix = self._matrix
         if matrix.shape[0] <= 2:
             return float(np.linalg.eigvalsh(dense(matrix))[-1])
@@ -116,10 +122,6 @@ class WholeModel:
         model._shifted = self._matrix + layer
         return model
 
-    def largest_ritz_value(self) -> float:
-        """Return the largest eigenvalue of A. Collective."""
-        return self._largest_eigenvalue
-
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
@@ -131,15 +133,13 @@ class WholeModel:
         unit, n, k = self.unit, len(self), len(missing)
         T, R = self._whole(maps.test), self._whole(maps.added)
         matrix, G = (T @ self._shifted + R) / unit, self._reductions.stacked(G)
+        soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
         right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         if issparse(matrix):
-            soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-            blocks = [[matrix, -(T @ G)], [G.T, soft]] if k else [[matrix]]
-            solution = self._solve(csr_array(block_array(blocks)), right)
+            equations = block_array([[matrix, -(T @ G)], [G.T, soft]]) if k else matrix
+            solution = self._solve(csr_array(equations), right)
         else:
-            equations, G = np.zeros((n + k, n + k)), dense(G)
-            equations[:n, :n], equations[:n, n:], equations[n:, :n] = matrix, -(T @ G), G.T
-            equations[n:, n:] = unit * dense(softness) + LEAST_SOFTNESS * np.eye(k)
+            equations = np.block([[matrix, -dense(T @ G)], [dense(G).T, dense(soft)]])
             moving = np.count_nonzero(equations, axis=1) > 1
             moving[n:] = True
             solution = np.zeros(n + k)

@@ -449,14 +449,13 @@ def test_a_patch_that_no_mesh_has_a_node_in(comm):
     def build(tagged):
         return on_blocks(tagged).problem()
 
-    for goal, limits, message in (
-        (MeanPressure((0.37, 1.4), 0.1), {}, "the cells next to its point have a size of 0.0"),
-        (MeanPressure((0.37, 9.0), 0.1), {}, "no cell is next to its point"),
-        (MeanSlip((0.37, 1.0), 1e-3, (1, 0)), {"max_dofs": 90}, "limit of unknowns"),
+    for goal, limits in (
+        (MeanPressure((0.37, 1.4), 0.1), {}),
+        (MeanPressure((0.37, 9.0), 0.1), {}),
+        (MeanSlip((0.37, 1.0), 1e-3, (1, 0)), {"max_dofs": 90}),
     ):
-        with pytest.raises(InputError, match="has no contact node within") as error:
+        with pytest.raises(InputError, match="the patch of the goal has no contact node"):
             solve_adaptively(build, coarse, 0.5, goal=goal, **limits)
-        assert message in str(error.value)
 
 
 def test_meshes_for_a_number(comm):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gmsh
 import numpy as np
 import pytest
+from logged import logged
 
 import ufl
 from dolfinx import fem, mesh
@@ -23,7 +24,7 @@ from dolfinx_tresca import (
     Tresca,
     read_gmsh,
 )
-from scenes.blocks import ABOVE, BELOW, block
+from scenes.blocks import ABOVE, BELOW, LEFT, block
 from scenes.elasticity import elasticity
 from scenes.rubber_block import rubber_block
 
@@ -264,3 +265,18 @@ def test_a_tool_that_turns_far(comm):
     tool.held_by(force=(0, 0, -1e3), about=(0.55, 0.5, 1), free=("z", "ry"))
     with pytest.raises(OutsideTheoryError, match="turns by"):
         under(comm, tool).problem().solve().raise_if_failed()
+
+
+def test_a_tool_that_sinks_into_held_nodes_is_warned_of(comm, caplog):
+    """They have no pressure that could stop it; the depth is that of the tool's own motion."""
+    tool = plane()
+    tool.held_by(force=(0, 0, -0.1), free=("z",))
+    scene = under(comm, tool, (3, 3, 3), friction=Frictionless())
+    normal = scene.V.sub(2)
+    at_left = fem.locate_dofs_topological(normal, 2, scene.facet_tags.find(LEFT))
+    bcs = [*scene.bcs, fem.dirichletbc(0.0, at_left, normal)]
+    with scene.problem(bcs=bcs) as problem:
+        solution = problem.solve(rtol=RTOL)
+        depth = -solution.surface.obstacle.motion.translation[2]
+    assert depth > 0.0
+    assert (f"overlaps by up to {depth:.3g}, at (" in logged(caplog)) == (comm.rank == 0)

@@ -7,7 +7,8 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca.contact.state_file import SAME_PLACE, same_nodes, surroundings, values_of
+from dolfinx_tresca._base.functions import owned_values
+from dolfinx_tresca.contact.state_file import SAME_PLACE, same_nodes, surroundings
 from scenes.patches import patch
 
 
@@ -23,7 +24,7 @@ def bodies(comm: MPI.Comm, degree: int):
 def test_nodes_of_two_bodies_on_any_ranks(comm, degree):
     """Each has one row, that of its own body, in whatever order they come."""
     at, upper, scene = bodies(comm, degree)
-    assert len(at) == len(values_of(scene.data.exact))
+    assert len(at) == len(owned_values(scene.data.exact))
     at, upper = (np.concatenate(comm.allgather(values)) for values in (at, upper))
     assert len(np.unique(at[:, :3].round(9), axis=0)) < len(at)  # some touch
     known, above, _ = bodies(MPI.COMM_SELF, degree)

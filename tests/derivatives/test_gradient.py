@@ -248,7 +248,7 @@ def test_what_nothing_depends_on(comm, caplog):
         with caplog.at_level(logging.INFO):
             found = problem.gradient(NormalForce(), [other, constant])
         assert not found[0].x.array.any() and found[1] == 0.0
-        assert "nothing depends on the control other" in logged(caplog)
+        assert "no goal depends on the control other" in logged(caplog)
 
 
 class Weakening:

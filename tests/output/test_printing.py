@@ -321,7 +321,7 @@ def test_each_pair_has_a_line_with_its_name_and_force(comm):
     assert [surface.name for surface in solution.surfaces] == ["tag 1 on tag 2", "wall"]
     for surface, force in zip(solution.surfaces, solution.pair_resultants, strict=True):
         text = vector(force.force, solution.local_error).replace(UNBROKEN, " ")
-        assert f"\n{' ' * 15}{surface.name}: {text}\n" in str(solution)
+        assert f"\n{' ' * 15}{surface.name}: {text}, " in str(solution)
 
 
 def test_of_many_pairs_the_first_are_listed_and_the_others_counted(comm):

@@ -13,7 +13,7 @@ import pytest
 from dolfinx_tresca import ContactState, RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.output import views
 from dolfinx_tresca.output.grid import Grid
-from dolfinx_tresca.output.panels import Contact
+from dolfinx_tresca.output.panels import OPEN_COLOUR, Contact
 from dolfinx_tresca.output.views import (
     INVISIBLE,
     SAMPLES,
@@ -46,7 +46,7 @@ def drawn(obstacle: RigidObstacle, points: np.ndarray, dim: int) -> list[Any]:
     """Return what is drawn of an obstacle near points."""
     meshes: list[Any] = []
     plotter: Any = SimpleNamespace(add_mesh=lambda mesh, **_: meshes.append(mesh))
-    assert draw_obstacle(plotter, obstacle, points, dim) == bool(meshes)
+    assert draw_obstacle(plotter, obstacle, points, dim == 2) == bool(meshes)
     return meshes
 
 
@@ -98,7 +98,7 @@ def strip(state: list[ContactState]) -> Contact:
     values = {
         "pressed": 1.0 * pressed,
         "pressure": 1.0 * pressed,
-        "mark": 1 * (np.array(state) == ContactState.STICK),
+        "sticks": 1.0 * (np.array(state) == ContactState.STICK),
         "slip": np.zeros((6, 3)),
         "normal": np.tile([0.0, 0.0, 1.0], (6, 1)),
     }
@@ -128,7 +128,7 @@ def test_marks_are_where_nodes_stick(monkeypatch: pytest.MonkeyPatch, last: int)
     contact = strip(state)
     _, drawn = drawn_surface(contact, monkeypatch)
     (disc,) = [mesh for mesh, how in drawn if how.get("color") == "black"]
-    (grey,) = [mesh for mesh, how in drawn if how.get("color") == "gainsboro"]
+    (grey,) = [mesh for mesh, how in drawn if how.get("color") == OPEN_COLOUR]
     np.testing.assert_allclose(disc.center[:2], contact.grid.points[3, :2], atol=1e-6)
     assert np.linalg.norm(np.asarray(grey.points) - contact.grid.points[last], axis=1).min() == 0.0
 
@@ -140,7 +140,7 @@ def test_of_a_whole_boundary_what_touches_is_seen(monkeypatch: pytest.MonkeyPatc
     cells = np.array([(4, *face) for face in faces])
     pressed = np.repeat([1.0, 0.0], 4)
     normals = np.outer(pressed, [0.0, 0.0, -1.0])
-    values = {"pressed": pressed, "pressure": pressed, "normal": normals}
+    values = {"pressed": pressed, "pressure": pressed, "normal": normals, "sticks": 0.0 * pressed}
     contact = Contact(Grid(3, 1, points, cells, np.full(6, QUADRILATERAL), values))
     normal, drawn = drawn_surface(contact, monkeypatch)
     np.testing.assert_allclose(normal, [0.0, 0.0, 1.0], atol=64 * EPS)

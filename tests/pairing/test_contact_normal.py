@@ -7,12 +7,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
 
 from dolfinx_tresca import (
     ContactPair,
     ContactProblem,
+    Coulomb,
     Frictionless,
     RigidSphere,
     read_gmsh,
@@ -59,6 +61,25 @@ Physical Surface("side") = {{block({{3:5}})}}; Physical Surface("axis") = {{bloc
 Physical Surface("inner") = {{wall(5)}}; Physical Surface("outer") = {{wall(3)}};
 """
 
+#: Half of a blade's root in a dovetail slot, whose flanks of 45 degrees begin and end elsewhere.
+DOVETAIL = """
+Point(1) = {0, 0, 0}; Point(2) = {10, 0, 0}; Point(3) = {10, 4, 0}; Point(4) = {4, 10, 0};
+Point(5) = {4, 25, 0}; Point(6) = {0, 25, 0};
+Point(7) = {10.5, -5, 0}; Point(8) = {30, -5, 0}; Point(9) = {30, 12, 0}; Point(10) = {4.3, 12, 0};
+Point(11) = {4.3, 9.7, 0}; Point(12) = {10.5, 3.5, 0};
+For i In {0:1}
+  For j In {1:5}
+    Line(6 * i + j) = {6 * i + j, 6 * i + j + 1};
+  EndFor
+  Line(6 * i + 6) = {6 * i + 6, 6 * i + 1};
+  Curve Loop(i + 1) = {6 * i + 1 : 6 * i + 6}; Plane Surface(i + 1) = {i + 1};
+EndFor
+Physical Surface("blade") = {1}; Physical Surface("disc") = {2};
+Physical Curve("root") = {1:4}; Physical Curve("top") = {5}; Physical Curve("axis") = {6};
+Physical Curve("slot") = {7, 9:12}; Physical Curve("outer") = {8};
+Mesh.MeshSizeMax = 0.8;
+"""
+
 #: Half a ring round a disc with the same radius; the ring ends 4 degrees above the x-axis.
 EXACT_FIT = """
 R = 15; c = Cos(4 * Pi / 180); s = Sin(4 * Pi / 180);
@@ -86,6 +107,31 @@ def read(comm, folder, text, **parameters):
         path.write_text(text)
     comm.barrier()
     return read_gmsh(path, comm, **parameters)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sides", [("root", "slot"), ("slot", "root")])
+def test_a_dovetail_slides_along_its_flank(comm, folder, sides):
+    """Both surfaces have kinks at the ends of the flank: its normal is that of the flat facets."""
+    tagged = read(comm, folder, DOVETAIL)
+    facets, tags = tagged.facet_tags, tagged.tags
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    dofs = fem.locate_dofs_topological(V.sub(0), 1, facets.find(tags["axis"]))
+    held = [
+        fem.dirichletbc(fem.Constant(tagged.mesh, 0.0), dofs, V.sub(0)),
+        fixed(V, facets.find(tags["outer"])),
+    ]
+    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=facets)
+    L = 100.0 * ufl.TestFunction(V)[1] * ds(tags["top"])
+    pair = ContactPair(facets, *(tags[name] for name in sides), Coulomb(0.3))
+    with ContactProblem(elasticity(V, 2e5), L, [pair], held) as problem:
+        solution = problem.solve(rtol=1e-10)
+        solution.raise_if_failed()
+        force = solution.pair_resultants[0].force
+    force = force if sides[0] == "root" else -force
+    # the root slips up and outwards: N (cos 45 + 0.3 sin 45) is the load of 400 N
+    assert -force[1] == pytest.approx(400.0, rel=1e-8)
+    assert -force.sum() / np.sqrt(2.0) == pytest.approx(400.0 * np.sqrt(2.0) / 1.3, rel=1e-6)
 
 
 @pytest.mark.parallel(angle=[45], size=[0.5])

@@ -369,7 +369,7 @@ def test_added_stiffness_is_the_last_converged_tangent():
         forces(problem, metal.push, PATH[:4])
         problem.solve()
         metal.u.x.array[:] *= 1.7  # of the next Newton step, where the material flows
-        linearised = problem._linearised
+        linearised = problem._contact
         x.x.array[: len(problem.prescribed)] = np.where(problem.prescribed, 0.0, 1.0)
         x.x.array[:] *= np.sin(np.arange(len(x.x.array)))
         added = linearised._reference_stiffness(3.0)

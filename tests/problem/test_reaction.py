@@ -81,6 +81,26 @@ def test_support_and_contact_balance_the_load(comm, nonlinear, bed):
         assert np.allclose(same.about(origin).moment, support.moment, atol=1e-12)
 
 
+@pytest.mark.parallel
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("bed", [0.0, 20.0])
+def test_a_support_as_a_goal(comm, nonlinear, bed):
+    """Its derivative with respect to the load, against a difference; and its row in tables."""
+    problem, load = block(comm, nonlinear=nonlinear, bed=bed)
+    tag, direction = BED if bed else WALL, np.array([1.0, 0.0, 0.5])
+    values, step = [], 1e-4
+    for change in (step, -step, 0.0):
+        load.value[2] = -1.0 + change
+        solution = problem.solve()
+        values.append(problem.reaction(tag).force @ direction)
+        goal = problem.reaction_form(tag, direction)
+        number = comm.allreduce(fem.assemble_scalar(fem.form(goal)))
+        assert number == pytest.approx(values[-1], rel=1e-6)
+    (exact,) = problem.gradient(goal, [load])
+    assert (values[0] - values[1]) / (2 * step) == pytest.approx(exact[2], rel=1e-4)
+    assert f"support        tag {tag}: (" in solution.summary()
+
+
 def test_what_is_wrong_is_named():
     problem, load = block(MPI.COMM_SELF)
     with pytest.raises(ContactError, match=r"call solve\(\) first"):
@@ -92,6 +112,31 @@ def test_what_is_wrong_is_named():
     ):
         with pytest.raises(InputError, match=message):
             problem.reaction(where)
+    with pytest.raises(InputError, match="direction must have 3 numbers"):
+        problem.reaction_form(WALL, (1, 0))
     load.value[2] = -2.0
     with pytest.raises(ContactError, match="have changed since the solution"):
         problem.reaction(WALL)
+
+
+@pytest.mark.parallel
+def test_a_body_that_has_been_moved_away_needs_no_force(comm):
+    """All forces are zero but for rounding, which is no sign of a change of loads."""
+    mesh = dolfinx.mesh.create_unit_square(comm, 4, 4)
+    tags = [
+        dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x, y=y: abs(x[1] - y) < 1e-9)
+        for y in (0.0, 1.0)
+    ]
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    place = fem.Constant(mesh, np.zeros(2))
+    held = fem.dirichletbc(place, fem.locate_dofs_topological(V, 1, tags[1]), V)
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+    lower = dolfinx.mesh.meshtags(mesh, 1, tags[0], np.full(len(tags[0]), FLOOR, dtype=np.int32))
+    pair = ContactPair(lower, FLOOR, floor, Coulomb(0.3))
+    with ContactProblem(elasticity(V, 1e5), None, [pair], [held]) as problem:
+        for height, least in ((-0.1, 100.0), (0.5, 0.0)):
+            place.value[1] = height
+            problem.solve().raise_if_failed()
+            force = problem.reaction(held).force
+            assert -force[1] >= least
+        assert np.abs(force).max() <= 1e-8

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from dolfinx_tresca import ContactStatus, InputError
-from dolfinx_tresca.solvers.balance import balance
-from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.constraints import EqualityConstraints, balance
+from dolfinx_tresca.solvers.convergence import energy_norm
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.history import energy_norm
+from dolfinx_tresca.solvers.linear_algebra import is_positive_definite
 from dolfinx_tresca.solvers.problem import Point
-from dolfinx_tresca.solvers.sparse_factors import is_positive_definite
 from scenes.dense import (
     DenseProblem,
     brute_projection,

@@ -15,10 +15,10 @@ from test_inexact import NoisyProblem
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.solvers import iteration
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
+from dolfinx_tresca.solvers.convergence import EXHAUSTED
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.problem import Point
-from dolfinx_tresca.solvers.residual import EXHAUSTED
 from scenes.dense import (
     METHODS,
     DenseProblem,

@@ -162,8 +162,9 @@ def cone(constant: float, coefficient: float, limit: float) -> FrictionCones:
         ((np.inf, 0.0, np.inf), True),
     ],
 )
-def test_carrying(terms, carries):
-    assert cone(*terms).carrying.tolist() == [True, carries, carries]
+def test_what_carries_forces(terms, carries):
+    """Floating bodies rest on multipliers that a projection does not set to zero."""
+    assert (cone(*terms).project(np.ones(3)) != 0.0).tolist() == [True, carries, carries]
 
 
 @pytest.mark.parametrize(

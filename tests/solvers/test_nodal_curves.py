@@ -82,7 +82,7 @@ def test_slips_and_slopes_of_a_node():
     assert at.slip[0] == pytest.approx(np.hypot(0.4, 0.2), rel=10 * EPS)
     lam, y = at.section(x), x - 2.0 * r
     face = lam.face(y)
-    by_pressure, by_slip = at.slopes(x, face)
+    by_pressure, by_slip = at.slopes(x, face.slip)
     assert by_pressure[0] == pytest.approx(0.1 + 0.4 + 0.3 * at.slip[0], rel=1e-8)
     assert by_slip[0] == pytest.approx(0.3, rel=1e-8)
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from dolfinx_tresca import SolverOptions
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
-from dolfinx_tresca.solvers.history import History
-from dolfinx_tresca.solvers.nodal_maps import NodalMaps
+from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.paper import (
     adaptive_precision,
     conjugate_gradients,
@@ -20,7 +20,6 @@ from dolfinx_tresca.solvers.paper import (
 )
 from dolfinx_tresca.solvers.problem import Point
 from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 
@@ -158,7 +157,7 @@ def test_full_knowledge_makes_the_model_exact():
     model = store.model()
     M = np.column_stack([model.apply(e) for e in np.eye(len(problem.b))])
     assert np.allclose(M, problem.A, atol=1e4 * EPS)
-    assert store.largest_ritz_value() == pytest.approx(np.linalg.eigvalsh(problem.A)[-1], rel=1e-10)
+    assert store.largest_ritz_value == pytest.approx(np.linalg.eigvalsh(problem.A)[-1], rel=1e-10)
 
 
 def test_what_is_known_already_is_not_kept_again():
@@ -179,7 +178,7 @@ def test_capacity_keeps_the_largest_ritz_values():
         x = rng.standard_normal(len(problem.b))
         store.add(x, problem.A @ x)
         assert len(store) <= 20
-        after = store.largest_ritz_value()
+        after = store.largest_ritz_value
         assert after >= before * (1 - 1e-10), number
         before = after
     assert np.allclose(store.W.T @ problem.A @ store.W, np.eye(len(store)), atol=1e-9)
@@ -296,11 +295,11 @@ def test_ritz_values_of_a_store_are_lower_bounds(size):
     problem.A *= size
     problem.forget()
     store, rng = problem.known_products(), np.random.default_rng(5)
-    assert store.largest_ritz_value() == 0.0
+    assert store.largest_ritz_value == 0.0
     largest = np.linalg.eigvalsh(problem.A)[-1]
     for _ in range(4):
-        before, x = store.largest_ritz_value(), rng.standard_normal(len(problem.b))
+        before, x = store.largest_ritz_value, rng.standard_normal(len(problem.b))
         store.add(x, problem.A @ x)
-        after = store.largest_ritz_value()
+        after = store.largest_ritz_value
         assert before * (1.0 - 100 * EPS) <= after <= largest * (1.0 + 100 * EPS)
         assert after >= x @ problem.A @ x / (x @ x) * (1.0 - 100 * EPS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca.solvers.sparse_factors import eigenpairs
+from dolfinx_tresca.solvers.linear_algebra import eigenpairs
 from scenes.scene import EPS
 
 #: Number of the block of each row: blocks of 1, 2 and 3 rows that are not next to each other.

@@ -9,9 +9,8 @@ import pytest
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.history import UNPROVEN, History
+from dolfinx_tresca.solvers.convergence import UNPROVEN, History, NaturalResidual
 from dolfinx_tresca.solvers.problem import Point
-from dolfinx_tresca.solvers.residual import NaturalResidual
 from scenes.dense import METHODS, DenseProblem, random_problem, run
 
 #: The mesh's error of dense problems.

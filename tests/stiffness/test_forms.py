@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, Tresca
 from dolfinx_tresca.dual.products import compliance
-from dolfinx_tresca.solvers.history import BELOW_ANY_MESH
+from dolfinx_tresca.solvers.convergence import BELOW_ANY_MESH
 from scenes.patches import patch
 from scenes.rubbing import rubbing
 from scenes.scene import EPS

@@ -61,7 +61,8 @@ class NearField(PetscOwner):
     def apply(self, x: Array) -> Array:
         """Return D x, (size,). Collective."""
         u = self._inverse.solve(self._jump.contact_force(x))
-        return self._jump.of_values(np.where(self._jump.system.prescribed, 0.0, u))
+        self._jump.work.array = np.where(self._jump.system.prescribed, 0.0, u)
+        return self._jump.of_unknowns(self._jump.work)
 
 
 def _near(jump: JumpOperator, layers: int) -> Mask:

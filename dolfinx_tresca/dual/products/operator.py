@@ -23,6 +23,7 @@ class DualOperator(PetscOwner):
     Attributes:
         jump: B.
         solver: solver for K.
+        exact: whether products are exact to rounding (a direct solver for K).
         products: number of products with A.
         product_error: largest norm sqrt(e'A^-1 e) of the error e of a product by `apply`, divided
             by sqrt(x'A x), as estimated by the solver for K.
@@ -32,6 +33,7 @@ class DualOperator(PetscOwner):
         """Prepare products, without computing any. Collective."""
         self.jump, self.solver = jump, solver
         self.comm = self.jump.comm
+        self.exact = solver.exact
         self.products = 0
         self.product_error = 0.0
         self._u = jump.matrix.createVecRight()
@@ -39,11 +41,6 @@ class DualOperator(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._u.destroy()
-
-    @property
-    def exact(self) -> bool:
-        """Whether products are exact to rounding (a direct solver for K)."""
-        return self.solver.exact
 
     def apply(self, x: Array) -> Array:
         """Return A x to the accuracy in the solver's options; counted in `products`. Collective.

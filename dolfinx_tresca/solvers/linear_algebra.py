@@ -1,15 +1,46 @@
-"""Equations with models of A along the faces of Lambda, and maps as matrices. Numpy only."""
+"""Sums over ranks, systems of equations with models of A, and sparse factors. Numpy only."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import block_diag, csc_array, csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
+
+
+class InnerProduct(Protocol):
+    """The inner product of distributed vectors."""
+
+    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
+        """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
+
+
+class Reductions(InnerProduct, Protocol):
+    """Sums over all ranks, and values on which all ranks agree. All methods are collective."""
+
+    def total(self, x: Array) -> Array:
+        """Return the sum of x over all ranks."""
+
+    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
+        """Return x'y over all ranks, equal on all ranks, for sparse x and y of shape (size, k)."""
+
+    def stacked(self, rows: csr_array) -> csr_array:
+        """Return the rows (size, k) of all ranks in the order of ranks, (n, k)."""
+
+    def from_first_rank(self, x: Array) -> Array:
+        """Return the first rank's x; on the other ranks, x may differ by rounding."""
+
+
+def norm(space: InnerProduct, v: Array) -> float:
+    """Return the Euclidean norm of v (size,) over all ranks. Collective."""
+    return float(np.sqrt(space.inner(v, v)))
 
 
 class NodalPattern:
@@ -120,3 +151,41 @@ def solve_or_fit(matrix: Array, right: Array) -> Array:
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)
+
+
+def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
+    """Return eigenvalues (k,) and eigenvectors (k, k) of a symmetric matrix.
+
+    Rows that nonzero entries connect, directly or through other rows, are treated as one dense
+    block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
+    to the block of row j; the eigenvalues of a block ascend.
+
+    Args:
+        matrix: (k, k) symmetric, k > 0.
+    """
+    label = connected_components(matrix, directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    blocks = np.split(order, np.cumsum(np.bincount(label))[:-1])
+    rows = csr_array(matrix)
+    pairs = [np.linalg.eigh(rows[block][:, block].toarray()) for block in blocks]
+    vectors = csr_array(block_diag([csr_array(vectors) for _, vectors in pairs]))
+    place = np.argsort(order)
+    return np.concatenate([values for values, _ in pairs])[place], vectors[place][:, place]
+
+
+def factored(matrix: csr_array) -> Any | None:
+    """Return SciPy's triangular factors of a symmetric matrix; None if there is a zero pivot.
+
+    The matrix is factored as L U without pivoting, which for positive definite matrices is as
+    stable as Cholesky's method.
+    """
+    try:
+        return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
+    except RuntimeError:
+        return None
+
+
+def is_positive_definite(matrix: csr_array) -> bool:
+    """Return whether all pivots of a sparse symmetric matrix are positive (Sylvester)."""
+    factors = factored(matrix)
+    return factors is not None and bool((factors.U.diagonal() > 0.0).all())
