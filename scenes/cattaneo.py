@@ -32,7 +32,7 @@ WIDTH = 1.0  # mm, half of each body; and its height
 GRADING = {2: 5.5, 3: 3.5}
 
 #: Shift of one of the bodies in 3D by a unit force, less the shift of a half-space [mm/N]: sides of
-#: the body are free, its end is held; `tests/validation/test_cattaneo.py` computes this.
+#: the body are free, its end is held. With it the shift of both bodies converges to theory.
 FAR = 0.106 / (YOUNG * WIDTH)
 
 UPPER, LOWER, TOP, BOTTOM, FRONT = 1, 2, 3, 4, 5

@@ -51,6 +51,14 @@ RUNS = {
 }
 
 
+#: Cases of the yardstick whose rows `reports.py` measures.
+REPORTS = {
+    "curved_beams": ("curved beams", "F = 0: largest force [N/mm]"),
+    "hopping_block": ("hopping block", "F = 0.1: largest T / N"),
+    "gears": ("gears", "linear"),
+}
+
+
 @pytest.fixture(autouse=True)
 def benchmarks(monkeypatch):
     # the second for cases that are imported when they are needed, after the path was put back
@@ -263,11 +271,16 @@ def test_yardstick(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS.with_name("yardstick")))
     check, published = importlib.import_module("check"), importlib.import_module("published")
     files = {path.stem for path in check.CASES.glob("*.json")}
-    assert files == set(published.NAMES)
+    assert files == {*published.NAMES, *REPORTS}
     ours = BENCHMARKS / "data" / "published.json"
     measured = {(row["case"], row["quantity"]): row for row in check.measured(ours)}
     for row in published.quantities(kept(ours)):
         assert measured[row["case"], row["quantity"]]["off"] == pytest.approx(row["off"], abs=1e-6)
+    reports = {(row["scene"], row["case"]): row for row in kept(ours.with_name("reports.json"))}
+    for name, key in REPORTS.items():
+        (value,) = json.loads((check.CASES / f"{name}.json").read_text())["published"].values()
+        low, high = check.published_range(value)
+        assert abs(check.distance(reports[key]["value"], low, high)) < 0.01, name
     getfem = check.CASES.with_name("answers") / "getfem.json"
     monkeypatch.setattr(sys, "argv", ["check.py", str(getfem)])
     check.main()

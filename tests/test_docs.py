@@ -252,6 +252,17 @@ def test_functions_named_by_pages_exist():
             body = getattr(found[0], "body", [])
 
 
+def test_the_table_of_imports_goes_downwards():
+    """Each room imports rooms of layers below its own."""
+    pytest.importorskip("sphinx")
+    architecture = importlib.import_module("extensions.architecture")
+    level = {room: i for i, layer in enumerate(architecture.layers()) for room in layer}
+    imports = architecture.imports()
+    assert imports["problem"] and imports["solvers"]
+    for room, below in imports.items():
+        assert all(level[room] < level[name] for name in below), room
+
+
 def test_reference_has_each_public_name_once():
     text = "".join(page.read_text() for page in (DOCS / "api").glob("*.md"))
     found = Counter(re.findall(r"^\.\. auto(?:class|function|data|exception):: (\w+)$", text, re.M))

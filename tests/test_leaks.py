@@ -209,14 +209,9 @@ def taken_by_walls(comm: MPI.Comm, *sizes: tuple[int, int]) -> list[tuple[int, i
 
 @pytest.mark.parallel
 def test_a_pair_takes_as_many_communicators_as_the_docs_say(comm: MPI.Comm) -> None:
-    """The difference between two walls is that of their pairs: the rest is the same."""
-    (few, less), (many, more) = taken_by_walls(comm, (2, 2), (3, 3))
-    assert more - less <= (6 if comm.size == 1 else 10) * (many - few)
-
-
-@pytest.mark.parallel
-def test_many_pairs_take_no_more_communicators_than_fifty(comm: MPI.Comm) -> None:
-    """As the docs say; the second wall has more than twice the pairs of the first one."""
-    (few, less), (many, more) = taken_by_walls(comm, (2, 2), (10, 10))
-    assert few < 50 < 100 < many
-    assert more - less <= (6 if comm.size == 1 else 10) * (50 - few)
+    """The difference between two walls is that of their pairs; fifty or more take no more."""
+    (few, less), (medium, more), (many, most) = taken_by_walls(comm, (2, 2), (3, 3), (10, 10))
+    each = 6 if comm.size == 1 else 10
+    assert few < medium < 50 < 100 < many
+    assert more - less <= each * (medium - few)
+    assert most - less <= each * (50 - few)

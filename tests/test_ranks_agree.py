@@ -170,6 +170,25 @@ def plane(height: float) -> RigidPlane:
     return RigidPlane(point=(0, height, 0), normal=(0, 1, 0))
 
 
+FORCE, OTHER_FORCE = NormalForce(), NormalForce(1)
+
+
+def values(value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function of points (3, n) with this value."""
+    return lambda x: np.full(len(x[0]), value)
+
+
+def misshapen(_: np.ndarray) -> np.ndarray:
+    return np.zeros((7, 3))
+
+
+FLOOR = plane(0.0)._signed_distance
+
+
+def nonlinear(scene: SimpleNamespace, **changes: Any) -> NonlinearContactProblem:
+    return NonlinearContactProblem(**(arguments(scene.block, nonlinear=True) | changes))
+
+
 #: Call, with a value -> what the last rank gives it, what the others do, and a part of the message.
 Case = tuple[Callable[[SimpleNamespace, Any], Any], Any, Any, str]
 CASES: dict[str, Case] = {
@@ -209,44 +228,39 @@ CASES: dict[str, Case] = {
     # functions of the user that are called with this rank's points
     "gap NaN": (
         lambda s, x: on_pair(s, gap=x).solve(),
-        lambda x: np.full(len(x[0]), np.nan),
-        lambda x: np.zeros(len(x[0])),
+        values(np.nan),
+        values(0.0),
         "the gap of contact pair .* NaN or infinite",
     ),
     "bound raises": (
         lambda s, x: on_pair(s, friction=Tresca(x)).solve(),
         fails,
-        lambda x: 0.1,
+        values(0.1),
         "fails",
     ),
     "bound NaN": (
         lambda s, x: on_pair(s, friction=Tresca(x)).solve(),
-        lambda x: np.full(len(x[0]), np.nan),
-        lambda x: np.full(len(x[0]), 0.1),
+        values(np.nan),
+        values(0.1),
         ".",
     ),
     "bound, shape": (
         lambda s, x: on_pair(s, friction=Coulomb(x)).solve(),
-        lambda x: np.zeros((7, 3)),
-        lambda x: np.full(len(x[0]), 0.1),
+        misshapen,
+        values(0.1),
         ".",
     ),
-    "distance raises": (
-        lambda s, x: on_pair(s, primary=RigidObstacle(x)),
-        fails,
-        lambda x: plane(0.0)._signed_distance(x),
-        "fails",
-    ),
+    "distance raises": (lambda s, x: on_pair(s, primary=RigidObstacle(x)), fails, FLOOR, "fails"),
     "distance NaN": (
         lambda s, x: on_pair(s, primary=RigidObstacle(x)),
         lambda x: (np.full(len(x[0]), np.nan), np.zeros(x.shape)),
-        lambda x: plane(0.0)._signed_distance(x),
+        FLOOR,
         ".",
     ),
     "distance, shape": (
         lambda s, x: on_pair(s, primary=RigidObstacle(x)),
         lambda x: (np.zeros((7, 3)), np.zeros(x.shape)),
-        lambda x: plane(0.0)._signed_distance(x),
+        FLOOR,
         ".",
     ),
     # methods of ContactProblem
@@ -255,33 +269,28 @@ CASES: dict[str, Case] = {
     "solve method": (lambda s, x: s.problem.solve(method=x), "ssn", None, "method differs"),
     "solve observer": (lambda s, x: s.problem.solve(observer=x), 3, None, "observer must be"),
     "observer raises": (lambda s, x: s.problem.solve(observer=x), fails, None, "fails"),
-    "goal": (lambda s, x: s.problem.goal_error(x), NormalForce(1), NormalForce(), "goal.pair"),
+    "goal": (lambda s, x: s.problem.goal_error(x), OTHER_FORCE, FORCE, "goal.pair"),
     "goal, patch": (
         lambda s, x: s.problem.goal_error(MeanPressure((0.5, 0.0), x)),
         0.5,
         0.6,
         "radius differs",
     ),
-    "goal value": (
-        lambda s, x: s.problem.goal_value(x),
-        NormalForce(1),
-        NormalForce(),
-        "goal.pair",
-    ),
+    "goal value": (lambda s, x: s.problem.goal_value(x), OTHER_FORCE, FORCE, "goal.pair"),
     "gradient, goal": (
         lambda s, x: s.problem.gradient(x, [s.load]),
-        NormalForce(1),
-        NormalForce(),
+        OTHER_FORCE,
+        FORCE,
         "goal.pair",
     ),
     "gradient, controls": (
-        lambda s, x: s.problem.gradient(NormalForce(), x * [s.load]),
+        lambda s, x: s.problem.gradient(FORCE, x * [s.load]),
         2,
         1,
         "controls differs",
     ),
     "gradient, control": (
-        lambda s, x: s.problem.gradient(NormalForce(), [x or s.load]),
+        lambda s, x: s.problem.gradient(FORCE, [x or s.load]),
         3,
         None,
         "controls differs",
@@ -298,18 +307,8 @@ CASES: dict[str, Case] = {
         1.0,
         r"directions\[0\] differs",
     ),
-    "tangent of a goal": (
-        lambda s, x: tangent_by_load(s).of(x),
-        NormalForce(1),
-        NormalForce(),
-        "goal.pair",
-    ),
-    "tape, goals": (
-        lambda s, x: s.tape.gradient({x: NormalForce()}, [s.load]),
-        1,
-        0,
-        "goals",
-    ),
+    "tangent of a goal": (lambda s, x: tangent_by_load(s).of(x), OTHER_FORCE, FORCE, "goal.pair"),
+    "tape, goals": (lambda s, x: s.tape.gradient({x: FORCE}, [s.load]), 1, 0, "goals"),
     "tape, controls": (
         lambda s, x: s.tape.gradient_by_step({}, x * [s.load]),
         2,
@@ -335,24 +334,10 @@ CASES: dict[str, Case] = {
     "save_state": (lambda s, x: s.problem.save_state("never", step=x), 2, 1, "step differs"),
     "save_state, wrong": (lambda s, x: s.problem.save_state("never", step=x), "2", 1, "step diff"),
     # NonlinearContactProblem
-    "F": (
-        lambda s, x: NonlinearContactProblem(
-            **(arguments(s.block, nonlinear=True) | ({"F": x} if x else {}))
-        ),
-        4,
-        None,
-        "F differs",
-    ),
-    "symmetrize": (
-        lambda s, x: NonlinearContactProblem(**arguments(s.block, nonlinear=True), symmetrize=x),
-        True,
-        False,
-        "symmetrize differs",
-    ),
+    "F": (lambda s, x: nonlinear(s, **x), {"F": 4}, {}, "F differs"),
+    "symmetrize": (lambda s, x: nonlinear(s, symmetrize=x), True, False, "symmetrize differs"),
     "before_assembly raises": (
-        lambda s, x: NonlinearContactProblem(
-            **arguments(s.block, nonlinear=True), before_assembly=x
-        ),
+        lambda s, x: nonlinear(s, before_assembly=x),
         fails,
         lambda: None,
         "fails",
@@ -391,18 +376,8 @@ CASES: dict[str, Case] = {
     "to_pyvista": (lambda s, x: s.solution.to_pyvista(fields=x), [3], [], "fields differs"),
     "series": (lambda s, x: s.writer.write(s.solution, 1.0, fields=x), [3], [], "fields differs"),
     # what has no communicator
-    "write, solution": (
-        lambda s, x: write("a.pvd", x or s.solution),
-        3,
-        None,
-        "solution differs",
-    ),
-    "to_pyvista, solution": (
-        lambda s, x: to_pyvista(x or s.solution),
-        3,
-        None,
-        "solution differs",
-    ),
+    "write, solution": (lambda s, x: write("a.pvd", x or s.solution), 3, None, "solution differs"),
+    "to_pyvista, solution": (lambda s, x: to_pyvista(x or s.solution), 3, None, "solution differs"),
     "series, solution": (
         lambda s, x: s.writer.write(x or s.solution, 1.0),
         3,
@@ -411,16 +386,14 @@ CASES: dict[str, Case] = {
     ),
     "series, no argument": (lambda s, x: s.writer.write(*x), (), (3, 1.0), "missing a required"),
     "refine, nothing": (
-        lambda s, x: refine(*((x, None) if x else (s.block, s.solution.cell_errors))),
-        3,
+        lambda s, x: refine(*(x or (s.block, s.solution.cell_errors))),
+        (3, None),
         None,
         "tagged_mesh differs",
     ),
     "indicators, nothing": (
-        lambda s, x: refinement_indicators(
-            *((x, None) if x else (s.problem, s.solution.cell_errors))
-        ),
-        3,
+        lambda s, x: refinement_indicators(*(x or (s.problem, s.solution.cell_errors))),
+        (3, None),
         None,
         "problem differs",
     ),
@@ -478,12 +451,7 @@ CASES: dict[str, Case] = {
     ),
     "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "where differs"),
     "reaction_form": (lambda s, x: s.problem.reaction_form(x, (0, 0, 1)), 1, 2, "where differs"),
-    "guaranteed_error": (
-        lambda s, x: s.problem.guaranteed_error(steps=x),
-        3,
-        2,
-        "steps differs",
-    ),
+    "guaranteed_error": (lambda s, x: s.problem.guaranteed_error(steps=x), 3, 2, "steps differs"),
     "contacts": (
         lambda s, x: contacts(s.block, friction=Coulomb(0.3), distance=x),
         0.1,
@@ -543,7 +511,7 @@ CASES: dict[str, Case] = {
     ),
     "adaptive goal": (
         lambda s, x: solve_adaptively(build, s.block, goal=x),
-        NormalForce(),
+        FORCE,
         None,
         "goal differs",
     ),

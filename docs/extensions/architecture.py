@@ -1,12 +1,13 @@
 """The layers of the package as a picture, and the names of its functions as links to files.
 
 The directive `layers` draws the first import contract of pyproject.toml, so the picture is what
-`make check` verifies. {source}`file.py::name` names a function of the package; tests/test_docs.py
-checks that it exists.
+`make check` verifies, and lists what each room imports, as the code says. {source}`file.py::name`
+names a function of the package; tests/test_docs.py checks that it exists.
 """
 
 from __future__ import annotations
 
+import ast
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from docutils import nodes
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
+PACKAGE = PYPROJECT.with_name("dolfinx_tresca")
 
 #: Sizes of the picture in pixels: its width, the height of a layer, and the distance of boxes.
 WIDTH, HEIGHT, SPACE = 640, 34, 8
@@ -51,13 +53,48 @@ def picture() -> str:
     )
 
 
+def imports() -> dict[str, set[str]]:
+    """Return the rooms that each room of the package imports, as its files say."""
+    rooms = [room for layer in layers() for room in layer]
+    result = {}
+    for room in rooms:
+        files = [PACKAGE / f"{room}.py", *(PACKAGE / room).rglob("*.py")]
+        statements = [
+            statement
+            for file in files
+            if file.exists()
+            for statement in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        ]
+        imported = {
+            name
+            for statement in statements
+            if isinstance(statement, ast.ImportFrom) and statement.module
+            for name in (
+                [alias.name for alias in statement.names]
+                if statement.module == PACKAGE.name
+                else statement.module.removeprefix(f"{PACKAGE.name}.").split(".")[:1]
+            )
+        }
+        result[room] = imported & set(rooms) - {room}
+    return result
+
+
+def table() -> str:
+    """Return the imports of the rooms as an HTML table."""
+    rows = "".join(
+        f"<tr><td>{room}</td><td>{', '.join(name for name in imports() if name in below)}</td></tr>"
+        for room, below in imports().items()
+    )
+    return f"<table><thead><tr><th>room</th><th>imports</th></tr></thead>{rows}</table>"
+
+
 class Layers(SphinxDirective):
     """The picture of the layers."""
 
     def run(self) -> list[nodes.Node]:
-        """Return the picture."""
+        """Return the picture, and the table of imports."""
         self.env.note_dependency(str(PYPROJECT))
-        return [nodes.raw("", picture(), format="html")]
+        return [nodes.raw("", picture() + table(), format="html")]
 
 
 class Source(SphinxRole):

@@ -307,49 +307,25 @@ def test_bodies_that_are_not_linear(comm, material):
     assert check(comm, replace(DRAGGED, law="Coulomb", material=material)).counts.slip > 0
 
 
-@pytest.mark.parallel
-def test_a_soft_body_with_fewer_nodes(comm):
-    """Six multipliers; A has four eigenvalues of 1e6 and two of 0.1, where the soft body gives in.
-
-    It was met by chance, in ten times as many scenes.
-    """
-    drawn = Drawn(
-        n=(2, 1),
-        young=1.0,
-        ratio=1e-6,
-        poisson=0.0726,
-        bound=1.0,
-        varies=False,
-        load=(0.4271, 0.126, 6.1e-5),
-        strain=1e-6,
-        gap=1e-3,
-        held=FRONT,
-        rough=324800,
-        obstacle="block",
-        law="Tresca",
-    )
-    check(comm, drawn)
+#: Scenes that were met by chance and once had no answer: six multipliers, of which A has four
+#: eigenvalues of 1e6 and two of 0.1, where the soft body gives in; and a node that sticks where
+#: hardly anything presses, far from the solutions of small pressures.
+MET_BY_CHANCE = {
+    "soft": Drawn(
+        (2, 1), 1.0, 1e-6, 0.0726, 1.0, False, (0.4271, 0.126, 6.1e-5), 1e-6, 1e-3, FRONT, 324800,
+        "block",
+    ),
+    "sticks": Drawn(
+        (1, 1), 14.11085, 81.928, 0.316837, 1.0, True, (0.0, -0.57709, 0.0), 1e-6, 0.0, RIGHT, 273,
+        "tilted plane", law="Tresca in contact",
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parallel
-def test_a_node_that_sticks_where_hardly_anything_presses(comm):
-    """The solution is not near those of small pressures: it was not found. Met by chance."""
-    drawn = Drawn(
-        n=(1, 1),
-        young=14.11085,
-        ratio=81.928,
-        poisson=0.316837,
-        bound=1.0,
-        varies=True,
-        load=(0.0, -0.57709, 0.0),
-        strain=1e-6,
-        gap=0.0,
-        held=RIGHT,
-        rough=273,
-        obstacle="tilted plane",
-        law="Tresca in contact",
-    )
-    check(comm, drawn)
+@pytest.mark.parametrize("name", MET_BY_CHANCE)
+def test_scenes_met_by_chance(comm, name):
+    check(comm, MET_BY_CHANCE[name])
 
 
 def energy_density(scene: Scene, drawn: Drawn, u: Any) -> Any:

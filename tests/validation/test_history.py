@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from test_load_steps import GROWTH, reversals, strip
+from test_load_steps import strip
 
 import dolfinx
 import ufl
@@ -170,19 +170,6 @@ def test_energy_balance_of_each_step(comm, kind, degree):
     assert np.abs(missing).max() <= DIGITS * size
     assert min(closed) >= -DIGITS * size
     assert max(closed) > 1e-3 * size and max(dissipated) > 1e-3 * size
-
-
-def test_reversals(comm):
-    """What a step costs does not grow with their number."""
-    products = reversals(comm, 20, 12, accepts=True)
-    assert np.mean(products[-4:]) <= GROWTH * np.mean(products[:4])
-
-
-@pytest.mark.long
-def test_many_reversals_with_history(comm):
-    """What a step costs does not grow with 200 of them, on a finer strip."""
-    products = reversals(comm, 150, 200, accepts=True)
-    assert np.mean(products[-50:]) <= GROWTH * np.mean(products[:50])
 
 
 def test_what_slipped_stays_when_the_load_is_taken_away(comm):

@@ -79,11 +79,18 @@ def reversals(comm: MPI.Comm, cells: int, steps: int, *, accepts: bool) -> list[
     return products
 
 
-@pytest.mark.long
-def test_many_reversals(comm):
+@pytest.mark.parametrize(
+    ("cells", "steps", "accepts"),
+    [
+        (20, 12, True),
+        *(pytest.param(150, 200, accepts, marks=pytest.mark.long) for accepts in (False, True)),
+    ],
+)
+def test_many_reversals(comm, cells, steps, accepts):
     """What a step costs does not grow with what was kept before."""
-    products = reversals(comm, 150, 200, accepts=False)
-    assert np.mean(products[-50:]) <= GROWTH * np.mean(products[:50])
+    products = reversals(comm, cells, steps, accepts=accepts)
+    part = max(4, steps // 4)
+    assert np.mean(products[-part:]) <= GROWTH * np.mean(products[:part])
 
 
 class RandomLoads:

@@ -11,11 +11,9 @@ import pytest
 from held_blocks import block_over
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 
 from dolfinx_tresca import (
-    ContactPair,
-    ContactProblem,
     Coulomb,
     InputError,
     NewtonOptions,
@@ -26,7 +24,6 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.problem import newton as newtons_method
-from scenes.elasticity import elasticity, fixed, no_load
 from scenes.rubber_block import neo_hookean, rubber_block
 
 #: Accuracy of the configuration with finite sliding, and of the contact problems.
@@ -39,8 +36,6 @@ ROUGH = 1e-2
 #: Coefficient of friction, overlap at the start, radius of balls.
 F, DOWN, RADIUS = 0.3, 0.05, 1.0
 
-#: Coefficient of friction of a ball on a plate.
-PLATE_FRICTION = 0.2
 
 #: Motion of the obstacle in the steps of a process, along it.
 STEPS = (0.02, 0.06, 0.03, -0.1)
@@ -60,20 +55,6 @@ def over(comm, obstacle, friction, sliding):
     """Return a block that its top holds over an obstacle, and the motion of the top."""
     scene, top = block_over(comm, (8, 3), 0.4, obstacle, friction)
     return scene.but(sliding=sliding).problem(options=OPTIONS), top
-
-
-def plate_under(comm, obstacle):
-    """Return a steel plate of 40 x 10 x 1 mm that is clamped at one end, under an obstacle."""
-    corners = [np.zeros(3), np.array([40.0, 10.0, 1.0])]
-    plate = mesh.create_box(comm, corners, (40, 10, 1), mesh.CellType.hexahedron)
-    top, end = (
-        mesh.locate_entities_boundary(plate, 2, lambda x, i=i, at=at: np.isclose(x[i], at))
-        for i, at in ((2, 1.0), (0, 0.0))
-    )
-    tags = mesh.meshtags(plate, 2, np.sort(top), np.ones(len(top), dtype=np.int32))
-    V = fem.functionspace(plate, ("Lagrange", 2, (3,)))
-    pair = ContactPair(tags, 1, obstacle, Coulomb(PLATE_FRICTION), sliding="finite")
-    return ContactProblem(elasticity(V, 2e5), no_load(V), [pair], [fixed(V, end)], options=OPTIONS)
 
 
 @pytest.mark.parallel
@@ -160,37 +141,6 @@ def test_dissipation_is_of_first_order_in_time(comm):
     assert (two - one) / (four - two) == pytest.approx(2.0, rel=1e-3)
     assert two + (two - one) == pytest.approx(end, rel=0.05)  # with the shear of the block
     assert one < 0.8 * end
-
-
-@pytest.mark.long
-def test_dissipation_of_a_ball_on_a_plate(comm):
-    """A cantilever plate yields, and the normal force of the ball falls along its way.
-
-    All nodes slip: n steps dissipate F times the normal forces at their ends times the way, and the
-    mean of the normal forces at both ends of each step has no error of first order.
-    """
-    way, dissipations, means = 3.0, [], []
-    for steps in (3, 6):
-        ball = RigidSphere((25.0, 5.0, 8.7), 8.0)
-        with plate_under(comm, ball) as problem:
-            forces, start = [], 0.0
-            for x in np.linspace(0.0, way, steps + 1):
-                ball.move_to((x, 0.0, 0.0))
-                solution = problem.solve()
-                solution.raise_if_failed()
-                problem.accept()
-                start = start if forces else solution.total_dissipation
-                forces.append(solution.normal_force)
-                assert solution.counts.contact_stick == 0
-        ends = PLATE_FRICTION * way / steps * np.array(forces)
-        dissipations.append(solution.total_dissipation - start)
-        means.append(ends[1:].sum() + 0.5 * (ends[0] - ends[-1]))
-        assert dissipations[-1] == pytest.approx(ends[1:].sum(), rel=1e-2)  # the plate's motion
-    three, six = dissipations
-    limit = 2.0 * six - three
-    assert three == pytest.approx(limit - 0.5 * (ends[0] - ends[-1]) * 6 / 3, rel=1e-2)
-    assert three < 0.96 * limit
-    assert means == pytest.approx([limit, limit], rel=1e-2)
 
 
 @pytest.mark.parallel

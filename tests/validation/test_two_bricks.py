@@ -40,16 +40,6 @@ def test_known_answers(comm, end):
     assert solution.tangential_force == pytest.approx(tangential, abs=FORCE_DIGITS)
 
 
-@pytest.mark.parametrize("end", ["free_end_1", pytest.param("free_end_2", marks=pytest.mark.long)])
-def test_tetrahedra_come_within_three_percent(comm, end):
-    """The energy of tetrahedra is that of hexahedra to 3 %."""
-    q = KNOWN[end][0]
-    with bricks_problem(comm, 16, end=end) as problem:
-        solution = problem.solve(rtol=1e-6)
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.q[-1] == pytest.approx(q, rel=0.03)
-
-
 #: Scenes of one rank: bricks, and blocks in the plane, where an interval is a cone of two numbers.
 SMALL = {
     **{end: lambda end=end: two_bricks(MPI.COMM_SELF, 4, end=end) for end in KNOWN},
