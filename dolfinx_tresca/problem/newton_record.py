@@ -9,9 +9,9 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.table import Row
 
 
 @dataclass(frozen=True)
