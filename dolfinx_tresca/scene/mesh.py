@@ -419,8 +419,8 @@ def _checked_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> dict[int
         if len(twice):
             groups = [names.get(int(tag), str(tag)) for tag in table[twice[0] : twice[0] + 2, 0]]
             raise MeshError(
-                f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}. "
-                "A facet has one tag: put each surface into one group. If they lie between two "
+                f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
+                "a facet has one tag. Put each surface into one group. If they lie between two "
                 "bodies that share their nodes there, these are one body. Contact needs two "
                 "surfaces with nodes of their own: mesh the bodies without merging them (in Gmsh "
                 "without fragment, Coherence and removeDuplicateNodes where they touch), and put "
