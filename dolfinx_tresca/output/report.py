@@ -112,4 +112,6 @@ def force_graph(results: Evaluation, units: Units | None) -> str:
         lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')
         texts.append((x[body], y[body] + 24.0, names[body]))
     labels = [f'<text x="{a:.0f}" y="{b:.0f}">{escape(text)}</text>' for a, b, text in texts]
-    return f'<svg viewBox="0 0 660 400" role="img">{"".join(lines + labels)}</svg>'
+    low, high = min(y.values()) - 30.0, max(y.values()) + 40.0
+    box = f"0 {low:.0f} 660 {high - low:.0f}"
+    return f'<svg viewBox="{box}" role="img">{"".join(lines + labels)}</svg>'

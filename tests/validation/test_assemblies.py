@@ -118,11 +118,11 @@ def bored(occ, body, *tools):
 
 
 def hinge(occ):
-    pin = occ.addCylinder(0, 0, -2, 0, 0, 34, 3)
-    for heights, spaces, side in (((0, 20), (10,), 1), ((10,), (0, 20), -1)):
-        leaf = occ.addBox(min(0, 24 * side), -6, 0, 24, 4, 30)
-        knuckles = [(3, occ.addCylinder(0, 0, z, 0, 0, 10, 6)) for z in heights]
-        cut(occ, leaf, *(occ.addCylinder(0, 0, z, 0, 0, 10, 6.5) for z in spaces))
+    pin = occ.addCylinder(0, 0, -1, 0, 0, 11, 3)
+    for heights, spaces, side in (((0, 6), (3,), 1), ((3,), (0, 6), -1)):
+        leaf = occ.addBox(min(0, 24 * side), -6, 0, 24, 4, 9)
+        knuckles = [(3, occ.addCylinder(0, 0, z, 0, 0, 3, 6)) for z in heights]
+        cut(occ, leaf, *(occ.addCylinder(0, 0, z, 0, 0, 3, 6.5) for z in spaces))
         bored(occ, occ.fuse([(3, leaf)], knuckles)[0][0][1], pin)
 
 
@@ -226,9 +226,9 @@ ASSEMBLIES = {
     "hinge": Assembly(
         hinge,
         {
-            **{1: (0, cylinder(3)), 2: (1, between(0, 10, cylinder(3)))},
-            **{3: (1, between(20, 30, cylinder(3))), 4: (2, cylinder(3))},
-            **{5: (1, level(10)), 6: (1, level(20)), 7: (2, level(10)), 8: (2, level(20))},
+            **{1: (0, cylinder(3)), 2: (1, between(0, 3, cylinder(3)))},
+            **{3: (1, between(6, 9, cylinder(3))), 4: (2, cylinder(3))},
+            **{5: (1, level(3)), 6: (1, level(6)), 7: (2, level(3)), 8: (2, level(6))},
         },
         [(1, 2), (1, 3), (1, 4), (5, 7), (6, 8)],
         lambda p: p[0] < -23.9,
