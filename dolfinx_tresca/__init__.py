@@ -5,7 +5,6 @@ from dolfinx_tresca.adapt.judgement import refinement_indicators
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
-from dolfinx_tresca.contact.found_pairs import Contacts, contacts
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
@@ -24,6 +23,7 @@ from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.pairing.contacts import Contacts, contacts
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.newton import NewtonOptions, NewtonRecord, NewtonStep
 from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem, NonlinearContactSolution

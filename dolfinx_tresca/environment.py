@@ -17,8 +17,8 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_tresca.output.table import Row, as_text
 from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
+from dolfinx_tresca.table import Row, as_text
 
 #: Packages of PETSc that factor or precondition K.
 SOLVERS = ("mumps", "cholmod", "superlu_dist", "hypre")

@@ -27,11 +27,11 @@ from dolfinx_tresca.output import io, plot
 from dolfinx_tresca.output.grid import Field
 from dolfinx_tresca.output.report import page
 from dolfinx_tresca.output.summary import contact_rows, error_rows
-from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
 #: What helps where an iteration has ended with a status.

@@ -8,10 +8,10 @@ from dolfinx import fem
 
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError
-from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus
+from dolfinx_tresca.table import Row, Tabulated
 
 
 @dataclass(frozen=True)

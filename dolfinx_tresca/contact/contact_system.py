@@ -34,7 +34,6 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -55,6 +54,7 @@ from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
+from dolfinx_tresca.table import Row
 from dolfinx_tresca.units import Units
 
 #: Statuses with which a solution may have left linear theory. Where a body slides without end,

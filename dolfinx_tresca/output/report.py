@@ -14,9 +14,9 @@ import numpy as np
 
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS
 from dolfinx_tresca.environment import environment
-from dolfinx_tresca.output.summary import significant
-from dolfinx_tresca.output.table import as_html
+from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.table import as_html
 from dolfinx_tresca.units import Units, with_unit
 
 HEAD = """<!DOCTYPE html>
@@ -42,20 +42,20 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
         steps: the solutions of earlier load steps.
         picture: `PIL.Image.Image` of the solution.
     """
-    image, script = io.BytesIO(), getattr(sys.modules["__main__"], "__file__", "")
+    image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
     sections = {
         "Result": as_html(solution._rows()),
         "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
         "Forces between bodies": force_graph(solution, solution.units),
-        "Load steps": _table_of_steps([*steps, solution]) if steps else "",
+        "Load steps": as_html(_rows_of_steps([*steps, solution])) if steps else "",
         "Problem": as_html(solution.problem_rows),
     }
     texts = {
         "Warnings": "\n\n".join(RECENT_WARNINGS),
         "Versions": environment(),
-        "Script": Path(script).read_text(encoding="utf-8") if Path(script).is_file() else "",
+        "Script": script.read_text(encoding="utf-8") if script.is_file() else "",
     }
     sections |= {title: f"<pre>{escape(text)}</pre>" for title, text in texts.items() if text}
     body = [f"<h2>{title}</h2>\n<div>{html}</div>" for title, html in sections.items() if html]
@@ -63,16 +63,17 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     return "\n".join([HEAD, title, *body, "</body></html>\n"])
 
 
-def _table_of_steps(solutions: Sequence[Any]) -> str:
-    """Return a table with a row for each load step."""
-    bolts = list(solutions[-1].bolts)
-    rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts]]
+def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
+    """Return a row for each load step, with the bolts and supports of the last one."""
+    bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
+    rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
     for number, step in enumerate(solutions, start=1):
         values = [step.normal_force, step.peak_pressure, step.total_dissipation]
         values += [step.bolts[name].force for name in bolts]
-        rows.append([str(number), step.status.name, *(f"{value:.5g}" for value in values)])
-    lines = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
-    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+        reactions = [step.reactions.get(name) for name in supports]
+        texts = [vector(r.force, step.local_error) if r else "" for r in reactions]
+        rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *texts])
+    return rows
 
 
 def force_graph(results: Evaluation, units: Units | None) -> str:
@@ -111,4 +112,6 @@ def force_graph(results: Evaluation, units: Units | None) -> str:
         lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')
         texts.append((x[body], y[body] + 24.0, names[body]))
     labels = [f'<text x="{a:.0f}" y="{b:.0f}">{escape(text)}</text>' for a, b, text in texts]
-    return f'<svg viewBox="0 0 660 400" role="img">{"".join(lines + labels)}</svg>'
+    low, high = min(y.values()) - 30.0, max(y.values()) + 40.0
+    box = f"0 {low:.0f} 660 {high - low:.0f}"
+    return f'<svg viewBox="{box}" role="img">{"".join(lines + labels)}</svg>'

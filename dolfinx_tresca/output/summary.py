@@ -15,7 +15,6 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca._base.parallel import UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.output.table import Row, abridged
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -23,6 +22,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.table import Row, abridged
 from dolfinx_tresca.units import Quantity, Units, with_unit
 
 

@@ -20,7 +20,6 @@ from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
@@ -29,6 +28,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
+from dolfinx_tresca.table import Row
 from dolfinx_tresca.units import Units
 
 #: Number of Newton steps in a solve beyond which the log warns; most load steps take 4 to 8.

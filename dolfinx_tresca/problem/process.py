@@ -35,7 +35,6 @@ from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -43,6 +42,7 @@ from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at, reaction_form
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
+from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
 

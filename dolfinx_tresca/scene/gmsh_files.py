@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,18 +46,29 @@ def gmsh_session() -> Iterator[Any]:
     if ours:
         gmsh.initialize(interruptible=False)
     current, models = gmsh.model.getCurrent(), len(gmsh.model.list())
-    verbosity = gmsh.option.getNumber("General.Terminal")
-    gmsh.option.setNumber("General.Terminal", 0)
     try:
-        yield gmsh
+        with options(gmsh, {"General.Terminal": 0}):
+            yield gmsh
     finally:
-        gmsh.option.setNumber("General.Terminal", verbosity)
         if ours:
             gmsh.finalize()
         else:
             while len(gmsh.model.list()) > models:  # the newest model is current
                 gmsh.model.remove()
             gmsh.model.setCurrent(current)
+
+
+@contextmanager
+def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
+    """Set options of Gmsh in a block."""
+    before = {name: gmsh.option.getNumber(name) for name in values}
+    try:
+        for name, value in values.items():
+            gmsh.option.setNumber(name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            gmsh.option.setNumber(name, value)
 
 
 def shapes_of(gmsh: Any) -> bytes | None:
@@ -138,16 +149,14 @@ def _parse(gmsh: Any, path: Path) -> None:
     Raises:
         MeshError: Gmsh found an error in the file.
     """
-    abort = gmsh.option.getNumber("General.AbortOnError")
-    gmsh.option.setNumber("General.AbortOnError", 0)
-    gmsh.logger.start()
-    try:
-        gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
-        gmsh.open(str(path))
-        errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
-    finally:
-        gmsh.logger.stop()
-        gmsh.option.setNumber("General.AbortOnError", abort)
+    with options(gmsh, {"General.AbortOnError": 0}):
+        gmsh.logger.start()
+        try:
+            gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
+            gmsh.open(str(path))
+            errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
+        finally:
+            gmsh.logger.stop()
     if errors:
         raise MeshError(f"Gmsh cannot use '{path}': {errors[0].partition(': ')[2]}")
 
@@ -158,25 +167,16 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
     Raises:
         InputError: the file does not declare one of the names.
     """
-    declared = gmsh.parser.getNames() if parameters else []
-    unknown = [name for name in parameters if name not in declared]
-    if unknown:
+    names = gmsh.parser.getNames() if parameters else []
+    unknown = [name for name in parameters if name not in names]
+    if unknown:  # Gmsh's list does not tell parameters from the file's own variables
+        text = path.read_text(errors="replace")
+        texts = " ".join(re.findall(r"DefineConstant\s*\[.*?\]\s*;", text, flags=re.S))
+        declared = [name for name in names if re.search(rf"\b{re.escape(name)}\b", texts)]
         raise InputError(
             f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
-            f"{', '.join(_declared(path, declared)) or 'none: declare them with DefineConstant'}."
+            f"{', '.join(declared) or 'none: declare them with DefineConstant'}."
         )
-
-
-def _declared(path: Path, names: Sequence[str]) -> list[str]:
-    """Return the names, among the given ones, that a `.geo` file declares as parameters.
-
-    Gmsh's list of names does not tell the names in `DefineConstant` from the file's own variables.
-    """
-    text = re.sub(r'"[^"]*"|//[^\n]*|/\*.*?\*/', "", path.read_text(errors="replace"), flags=re.S)
-    while (outer := re.sub(r"\{[^{}]*\}", "", text)) != text:  # options of a name are in braces
-        text = outer
-    declared = " ".join(re.findall(r"DefineConstant\s*\[(.*?)\]", text, flags=re.S))
-    return [name for name in names if re.search(rf"\b{re.escape(name)}\b", declared)]
 
 
 def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:

@@ -25,7 +25,13 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
 from dolfinx_tresca.scene.cad import CELLS_PER_TURN, name_groups, set_sizes
 from dolfinx_tresca.scene.geometry import GmshGeometry
-from dolfinx_tresca.scene.gmsh_files import CAD_SUFFIXES, gmsh_session, open_file, shapes_of
+from dolfinx_tresca.scene.gmsh_files import (
+    CAD_SUFFIXES,
+    gmsh_session,
+    open_file,
+    options,
+    shapes_of,
+)
 
 #: Number of tags of a list that the name of merged tags has in full. A name of twice as many tags
 #: is wider than a table.
@@ -56,6 +62,15 @@ class NamedTags(MeshTags):  # type: ignore[misc]
         self.cell_tags, self.geometry = cell_tags, geometry
 
 
+def abridged_names(tags: Sequence[int], facet_tags: MeshTags) -> str:
+    """Return the names of a list of tags; of a long list the first names. Not collective."""
+    names = facet_tags.names if isinstance(facet_tags, NamedTags) else {}
+    words = [names.get(tag, f"tag {tag}") for tag in tags[:MOST_NAMES]]
+    if len(tags) > MOST_NAMES:
+        words.append(f"{len(tags) - MOST_NAMES} more")
+    return ", ".join(words)
+
+
 class MergedTags(NamedTags):
     """The tags of facets, in which all tags of a list are replaced by the first one.
 
@@ -69,11 +84,8 @@ class MergedTags(NamedTags):
         names = dict(given.names) if isinstance(given, NamedTags) else {}
         tags = given
         for lowest_tag, merged in self.merged.items():
-            words = [names.get(tag, f"tag {tag}") for tag in merged[:MOST_NAMES]]
-            if len(merged) > MOST_NAMES:
-                words.append(f"{len(merged) - MOST_NAMES} more")
             if len(merged) > 1:
-                names[lowest_tag] = ", ".join(words)
+                names[lowest_tag] = abridged_names(merged, given)
             tags = compat.with_one_tag(tags, np.isin(given.values, merged), lowest_tag)
         of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
         super().__init__(tags, names, *of_given)
@@ -184,59 +196,58 @@ def read_gmsh(
         raise InputError(
             f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
         )
-    root = 0
-    is_model = hasattr(path, "getPhysicalGroups")
-    if isinstance(path, tuple) or (hasattr(path, "mesh") and not is_model):
+    if isinstance(path, tuple):
         return _of_mesh_data(path, comm, geometry, unit)
-    tags: dict[str, int] = {}
-    names: dict[int, str] = {}
-    cell_names: dict[int, str] = {}
-    in_file: dict[int, int] = {}
-    cad_geometry: GmshGeometry | None = None
-    model: Any = None
     with ExitStack() as session:
+        model, content = None, None
         with errors_on_all_ranks(comm):
-            is_file = isinstance(path, str | PathLike)
-            if not is_file and not is_model and comm.rank == root:
-                raise InputError(
-                    "path must be the path of a file, gmsh.model, or the result of model_to_mesh, "
-                    f"found {shown(path)}."
-                )
-            if comm.rank == root:
+            if comm.rank == 0:
                 gmsh = session.enter_context(gmsh_session())
-                model = gmsh.model
-                source = Path(path) if is_file else Path("gmsh.model")
-                if source.suffix in (".geo", ".msh"):  # the latter takes none, which is said
-                    parameters |= {} if size is None else {"size": size}
-                if is_file:
-                    open_file(gmsh, source, parameters, unit=unit)
-                if source.suffix.lower() in CAD_SUFFIXES:
-                    low, high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-                    box = " x ".join(f"{length:.4g}" for length in high - low)
-                    log(comm, "%s: the box of all bodies is %s %s", source.name, box, unit)
-                _mesh(gmsh, source, size)
-                tags, names, cell_names = _physical_groups(gmsh, source)
-                _check_one_group_per_facet(gmsh, source, names)
-                cell_nodes = _renumber_cell_nodes_first(gmsh)
-                in_file, not_of_cells = _facet_counts(gmsh, cell_nodes)
-                for tag, wrong in not_of_cells.items():
-                    _check_facets_of_cells(source, names, tag, wrong, in_file[tag])
-                if source.suffix.lower() in (".geo", *CAD_SUFFIXES):
-                    cad_geometry = GmshGeometry.from_open_file(gmsh, source, parameters, unit)
-                elif source.suffix == ".model" and (content := shapes_of(gmsh)):
-                    cad_geometry = GmshGeometry(source, {}, {}, content=content)
-        tags, names, cell_names, in_file, cad_geometry = comm.bcast(
-            (tags, names, cell_names, in_file, cad_geometry), root=root
-        )
-        mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
+                model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
+        tags, names, cell_names, in_file, cad_geometry = comm.bcast(content, root=0)
+        mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, count in in_file.items():
         read_count = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
         _check_facets_of_cells(path, names, tag, count - read_count, count)
-    cad_geometry = _geometry_of(mesh, facet_tags, names, geometry, cad_geometry, unit)
-    cell_tags = NamedTags(cell_tags, cell_names)
-    facet_tags = NamedTags(facet_tags, names, cell_tags, cad_geometry)
-    return TaggedMesh(mesh, cell_tags, facet_tags, tags, cad_geometry)
+    return _tagged(
+        mesh, cell_tags, facet_tags, tags, (names, cell_names), geometry, cad_geometry, unit
+    )
+
+
+def _meshed(
+    comm: MPI.Comm, gmsh: Any, path: Any, size: Any, unit: str, parameters: dict[str, float]
+) -> tuple[dict[str, int], dict[int, str], dict[int, str], dict[int, int], Any]:
+    """Open and mesh the user's file or model in Gmsh; see `read_gmsh`. Not collective.
+
+    Returns:
+        name -> tag; tag -> name of facets, and of cells; tag -> number of facets; the geometry.
+    """
+    is_file = isinstance(path, str | PathLike)
+    if not is_file and not hasattr(path, "getPhysicalGroups"):
+        raise InputError(
+            "path must be the path of a file, gmsh.model, or the result of model_to_mesh, "
+            f"found {shown(path)}."
+        )
+    source = Path(path) if is_file else Path("gmsh.model")
+    suffix = source.suffix.lower()
+    if suffix in (".geo", ".msh") and size is not None:  # the latter takes none, which is said
+        parameters["size"] = size
+    if is_file:
+        open_file(gmsh, source, parameters, unit=unit)
+    if suffix in CAD_SUFFIXES:
+        low, high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+        box = " x ".join(f"{length:.4g}" for length in high - low)
+        log(comm, "%s: the box of all bodies is %s %s", source.name, box, unit)
+    _mesh(gmsh, source, size)
+    tags, names, cell_names = _physical_groups(gmsh, source)
+    in_file = _checked_facets(gmsh, source, names)
+    cad_geometry: GmshGeometry | None = None
+    if suffix in (".geo", *CAD_SUFFIXES):
+        cad_geometry = GmshGeometry.from_open_file(gmsh, source, parameters, unit)
+    elif not is_file and (shapes := shapes_of(gmsh)):
+        cad_geometry = GmshGeometry(source, {}, {}, content=shapes)
+    return tags, names, cell_names, in_file, cad_geometry
 
 
 def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: str) -> TaggedMesh:
@@ -245,9 +256,7 @@ def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: 
     Raises:
         InputError: the data have no tags of cells or of facets, or see `_geometry_of`.
     """
-    mesh, cell_tags, facet_tags = (
-        data[:3] if isinstance(data, tuple) else (data.mesh, data.cell_tags, data.facet_tags)
-    )
+    mesh, cell_tags, facet_tags = data[:3]
     if not isinstance(cell_tags, MeshTags) or not isinstance(facet_tags, MeshTags):
         raise InputError(
             "the result of model_to_mesh must have tags of cells and of facets: put the bodies and "
@@ -255,8 +264,7 @@ def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: 
         )
     names: dict[int, dict[int, str]] = {0: {}, 1: {}}
     tags: dict[str, int] = {}
-    for name, group in (getattr(data, "physical_groups", None) or {}).items():
-        dim, tag = (int(group.dim), int(group.tag)) if hasattr(group, "dim") else map(int, group)
+    for name, (dim, tag) in getattr(data, "physical_groups", {}).items():
         below = mesh.topology.dim - dim
         if below in names:
             names[below][tag], tags[name] = name, tag
@@ -265,21 +273,24 @@ def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: 
         content = shapes_of(gmsh) if gmsh is not None and gmsh.isInitialized() else None
     content = comm.bcast(content, root=0)
     cad_geometry = GmshGeometry(Path("gmsh.model"), {}, {}, content=content) if content else None
-    cad_geometry = _geometry_of(mesh, facet_tags, names[1], geometry, cad_geometry, unit)
-    cells = NamedTags(cell_tags, names[0])
-    facets = NamedTags(facet_tags, names[1], cells, cad_geometry)
-    return TaggedMesh(mesh, cells, facets, tags, cad_geometry)
+    return _tagged(
+        mesh, cell_tags, facet_tags, tags, (names[1], names[0]), geometry, cad_geometry, unit
+    )
 
 
-def _geometry_of(
+def _tagged(
     mesh: Any,
+    cell_tags: MeshTags,
     facet_tags: MeshTags,
-    names: Mapping[int, str],
+    tags: dict[str, int],
+    names: tuple[dict[int, str], dict[int, str]],
     file: str | Path | None,
     cad_geometry: GmshGeometry | None,
     unit: str,
-) -> GmshGeometry | None:
-    """Return the geometry of the mesh: from the user's CAD file, or as far as known. Collective.
+) -> TaggedMesh:
+    """Return the mesh with names (of facets and cells) and geometry. Collective.
+
+    The geometry is that of the user's CAD file if there is one.
 
     Raises:
         InputError: facets do not lie on the faces of the user's file.
@@ -289,17 +300,19 @@ def _geometry_of(
         cad_geometry = GmshGeometry(Path(file).resolve(), {}, {}, unit)
     if cad_geometry is None:
         log(mesh.comm, "the mesh has no geometry: for exact curved surfaces give geometry=")
-    if cad_geometry is None or (file is None and cad_geometry.content is None):
-        return cad_geometry
-    cad_geometry, off = cad_geometry.matched(mesh, facet_tags)
-    if off and file is not None:
-        tag, distance = max(off.items(), key=lambda item: item[1])
-        raise InputError(
-            f"facets of {len(off)} surfaces do not lie on faces of '{file}'; those of "
-            f"{_group_name(names, tag)} are up to {distance:.3g} away from them. Give the CAD file "
-            f"from which the mesh was made, and its unit of length in the mesh (unit is {unit})."
-        )
-    return cad_geometry
+    elif file is not None or cad_geometry.content is not None:
+        cad_geometry, off = cad_geometry.matched(mesh, facet_tags)
+        if off and file is not None:
+            tag, distance = max(off.items(), key=lambda item: item[1])
+            raise InputError(
+                f"facets of {len(off)} surfaces do not lie on faces of '{file}'; those of "
+                f"{names[0].get(tag, tag)} are up to {distance:.3g} away from them. Give the CAD "
+                "file from which the mesh was made, and its unit of length in the mesh (unit is "
+                f"{unit})."
+            )
+    cells = NamedTags(cell_tags, names[1])
+    facets = NamedTags(facet_tags, names[0], cells, cad_geometry)
+    return TaggedMesh(mesh, cells, facets, tags, cad_geometry)
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:
@@ -314,19 +327,14 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
     dim = model.getDimension()
     if (is_cad or suffix == ".model") and not model.getPhysicalGroups():
         name_groups(model, str(path))
-    options = {
-        "MeshSizeFromCurvature": CELLS_PER_TURN,
-        "MeshSizeFromPoints": 0,
-        "MeshSizeExtendFromBoundary": 0,
-    }
-    before = {name: gmsh.option.getNumber(f"Mesh.{name}") for name in options}
+    sizes = {"FromCurvature": CELLS_PER_TURN, "FromPoints": 0, "ExtendFromBoundary": 0}
+    set_here = is_cad or (suffix == ".model" and size is not None)
     try:
         if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
-            if is_cad or (suffix == ".model" and size is not None):
+            if set_here:
                 set_sizes(model, size, str(path))
-                for name, value in options.items():
-                    gmsh.option.setNumber(f"Mesh.{name}", value)
-            model.mesh.generate(dim)
+            with options(gmsh, {f"Mesh.MeshSize{k}": sizes[k] for k in sizes if set_here}):
+                model.mesh.generate(dim)
         kinds = model.mesh.getElementTypes(dim)
     except (InputError, MeshError):
         raise
@@ -338,9 +346,6 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
                 "cannot be meshed: repair them in the CAD program."
             )
         raise MeshError(f"Gmsh cannot use '{path}': {error}{hint}") from error
-    finally:
-        for name, value in before.items():
-            gmsh.option.setNumber(f"Mesh.{name}", value)
     if len(kinds) > 1:
         names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
@@ -376,94 +381,56 @@ def _physical_groups(
     return tags, names[dim - 1], names[dim]
 
 
-def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
-    """Yield the number of elements, and their nodes in a flat array, of each entity of a group."""
-    for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, group):
-        for numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity)[1:], strict=True):
-            yield len(numbers), nodes
+def _elements(gmsh: Any, dim: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
+    """Yield the tag of each group, and the nodes (n, k) of elements of one type in it."""
+    for _, group in gmsh.model.getPhysicalGroups(dim):
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, group):
+            for numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity)[1:], strict=True):
+                yield group, nodes.reshape(len(numbers), -1)
 
 
-def _renumber_cell_nodes_first(gmsh: Any) -> int:
-    """Number the nodes of cells in physical groups first; return the number of these nodes.
+def _checked_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> dict[int, int]:
+    """Check facets, number the nodes of cells first, and return tag -> number of its facets.
 
     DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
     facet exceeds the number of nodes of cells. Tagged facets of a body that is in no physical group
     have such nodes.
+
+    Raises:
+        MeshError: facets have nodes that no cell in a group has, or are in two groups, for example
+            because two bodies share their nodes.
     """
     mesh, dim = gmsh.model.mesh, gmsh.model.getDimension()
-    groups = gmsh.model.getPhysicalGroups(dim)
-    nodes = [nodes for group in groups for _, nodes in _elements(gmsh, *group)]
-    cell_nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.uint64), *nodes]))
-    further_nodes = np.setdiff1d(mesh.getNodes()[0], cell_nodes)
-    before = np.concatenate([cell_nodes, further_nodes])
+    facets = list(_elements(gmsh, dim - 1))
+    cell_nodes = np.unique(np.concatenate([nodes.ravel() for _, nodes in _elements(gmsh, dim)]))
+    counts: dict[int, int] = {}
+    wrong: dict[int, int] = {}
+    for tag, nodes in facets:
+        counts[tag] = counts.get(tag, 0) + len(nodes)
+        wrong[tag] = wrong.get(tag, 0) + int((~np.isin(nodes, cell_nodes)).any(axis=1).sum())
+    for tag, count in counts.items():
+        _check_facets_of_cells(path, names, tag, wrong[tag], count)
+    for columns in {nodes.shape[1] for _, nodes in facets}:
+        alike = [(tag, nodes) for tag, nodes in facets if nodes.shape[1] == columns]
+        rows = [np.insert(np.sort(nodes, axis=1), 0, tag, axis=1) for tag, nodes in alike]
+        table = np.unique(np.vstack(rows), axis=0)
+        table = table[np.lexsort(table[:, ::-1].T[:-1])]  # sorted by nodes, then by tag
+        twice = np.flatnonzero((table[1:, 1:] == table[:-1, 1:]).all(axis=1))
+        if len(twice):
+            groups = [names.get(int(tag), str(tag)) for tag in table[twice[0] : twice[0] + 2, 0]]
+            raise MeshError(
+                f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
+                "a facet has one tag. Put each surface into one group. If they lie between two "
+                "bodies that share their nodes there, these are one body. Contact needs two "
+                "surfaces with nodes of their own: mesh the bodies without merging them (in Gmsh "
+                "without fragment, Coherence and removeDuplicateNodes where they touch), and put "
+                "the face of each body into a group of its own."
+            )
+    before = np.concatenate([cell_nodes, np.setdiff1d(mesh.getNodes()[0], cell_nodes)])
     wanted = np.arange(1, len(before) + 1)
     if not np.array_equal(before, wanted):
         mesh.renumberNodes(before, wanted)
-    return len(cell_nodes)
-
-
-def _facet_counts(gmsh: Any, cell_nodes: int) -> tuple[dict[int, int], dict[int, int]]:
-    """Count the facets of each physical group, and the facets in it that belong to no cell.
-
-    Args:
-        gmsh: the module, in a session.
-        cell_nodes: result of `_renumber_cell_nodes_first`: nodes with larger numbers belong to no
-            cell.
-
-    Returns:
-        tag -> number of facets, and tag -> number of facets with a node that no cell has.
-    """
-    dim = gmsh.model.getDimension() - 1
-    counts: dict[int, int] = {}
-    not_of_cells: dict[int, int] = {}
-    for _, tag in gmsh.model.getPhysicalGroups(dim):
-        counts[tag] = not_of_cells[tag] = 0
-        for count, nodes in _elements(gmsh, dim, tag):
-            counts[tag] += count
-            not_of_cells[tag] += int((nodes.reshape(count, -1) > cell_nodes).any(axis=1).sum())
-    return counts, not_of_cells
-
-
-def _check_one_group_per_facet(gmsh: Any, path: Path, names: Mapping[int, str]) -> None:
-    """Check that each facet is in one physical group only.
-
-    Raises:
-        MeshError: facets are in two groups, for example because two bodies share their nodes.
-    """
-    dim = gmsh.model.getDimension() - 1
-    rows = [
-        np.insert(np.sort(nodes.reshape(count, -1), axis=1), 0, tag, axis=1)
-        for _, tag in gmsh.model.getPhysicalGroups(dim)
-        for count, nodes in _elements(gmsh, dim, tag)
-    ]
-    for columns in {facets.shape[1] for facets in rows}:
-        facets = np.unique(np.vstack([row for row in rows if row.shape[1] == columns]), axis=0)
-        facets = facets[np.lexsort(facets[:, ::-1].T[:-1])]  # sorted by nodes, then by tag
-        twice = np.flatnonzero((facets[1:, 1:] == facets[:-1, 1:]).all(axis=1))
-        if not len(twice):
-            continue
-        groups = [_group_name(names, int(facets[twice[0] + i, 0])) for i in (0, 1)]
-        start = f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
-        cells = [
-            nodes.reshape(count, -1)
-            for _, group in gmsh.model.getPhysicalGroups(dim + 1)
-            for count, nodes in _elements(gmsh, dim + 1, group)
-        ]
-        corners = facets[twice[0], 1:]
-        if sum((np.isin(nodes, corners).sum(axis=1) == len(corners)).sum() for nodes in cells) > 1:
-            raise MeshError(
-                start + "they lie between two bodies that share their nodes there, which makes "
-                "them one body. Contact needs two surfaces with nodes of their own: mesh the "
-                "bodies without merging them (in Gmsh without fragment, Coherence and "
-                "removeDuplicateNodes where they touch), and put the face of each body into a "
-                "group of its own."
-            )
-        raise MeshError(start + "a facet has one tag. Put each surface into one group.")
-
-
-def _group_name(names: Mapping[int, str], tag: int) -> str:
-    """Return the name of a group of facets, or its tag if it has no name."""
-    return names.get(tag, str(tag))
+    return counts
 
 
 def _check_facets_of_cells(
@@ -476,7 +443,7 @@ def _check_facets_of_cells(
     """
     if wrong > 0:
         raise MeshError(
-            f"{wrong} of the {count} facets of group {_group_name(names, tag)} in '{path}' are not "
+            f"{wrong} of the {count} facets of group {names.get(tag, tag)} in '{path}' are not "
             "faces of a cell: the meshes of the surface and of the volume do not fit together, or "
             "no volume of that body is in a physical group."
         )

@@ -51,7 +51,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN, fill, log
 from dolfinx_tresca.output.summary import significant, vector
-from dolfinx_tresca.output.table import LISTED_ROWS, as_text
+from dolfinx_tresca.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
 from scenes.patches import SIDES, patch
 from scenes.rubber_block import rubber_block

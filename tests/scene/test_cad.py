@@ -183,11 +183,40 @@ def apart(occ):
     occ.addBox(0, 0, 3.5, 1, 1, 1)
 
 
+def overlapping_faces(occ):
+    """A box, and inside its faces a smaller one: the surfaces of one solid that cross."""
+    wires = [
+        occ.addCurveLoop(
+            [occ.addLine(a, b) for a, b in zip(loop, (*loop[1:], loop[0]), strict=True)]
+        )
+        for loop in ([occ.addPoint(*xy, 0) for xy in ((0, 0), (2, 2), (2, 0), (0, 2))],)
+    ]  # a bow tie
+    occ.extrude([(2, occ.addPlaneSurface(wires))], 0, 0, 1)
+
+
+def in_metres(occ):
+    occ.addBox(0, 0, 0, 1, 1, 1)
+    occ.addBox(0, 0, 1e-3, 1e-3, 1e-3, 1e-3)
+    occ.translate([(3, 2)], 1.5, 0, 0)
+
+
 WRONG = {
     "an open shell": (shell, {}, MeshError, "5 faces and no solid"),
     "a loose face": (shell_beside_a_body, {}, MeshError, "1 of the 7 faces .* belong to no body"),
     "one face for two bodies": (merged, {}, MeshError, "body 1 and body 2 .* share a face"),
-    "parts apart": (apart, {}, MeshError, "body 1 touches no other body: .* are 2.5 away"),
+    "parts apart": (
+        apart,
+        {},
+        MeshError,
+        "body 1/1, .* touch no other body: their box is 2.5 away",
+    ),
+    "faces that cross": (overlapping_faces, {}, MeshError, "Faces of a body that overlap or cross"),
+    "one body in metres": (
+        in_metres,
+        {"size": {"body 1": 0.5}},
+        MeshError,
+        "units of length of the",
+    ),
     "a size": (apart, {"size": -1.0}, InputError, "must be a positive number, found -1.0"),
     "a body": (apart, {"size": {"pin": 1.0}}, InputError, "no body 'pin'; its bodies are body 1"),
     "a unit": (apart, {"unit": "mile"}, InputError, "unit must be one of mm, "),
@@ -216,4 +245,4 @@ def test_a_body_beside_the_others_is_warned_of(session, caplog):
     tagged = read_gmsh(gmsh.model, MPI.COMM_SELF, size=0.5)
     assert len(contacts(tagged, friction=Frictionless(), distance=0.1)) == 1
     text = " ".join(caplog.text.split())
-    assert "body 3 touches no other body: its tagged faces are 3 away" in text
+    assert "body 3/1, body 3/2, body 3/3, 3 more touch no other body: their box is 3 away" in text

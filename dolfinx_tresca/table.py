@@ -46,12 +46,14 @@ def as_text(rows: Sequence[Row]) -> str:
     return "\n".join(fill(value, f"{name:<{_NAME}} ", " " * (_NAME + 1)) for name, value in rows)
 
 
-def as_html(rows: Sequence[Row]) -> str:
-    """Return a table for notebooks, in the colours of the notebook's theme."""
+def as_html(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table for notebooks, in the colours of the notebook's theme.
+
+    Rows have a name and any number of values.
+    """
     left = 'style="text-align: left"'  # Jupyter aligns texts in tables to the right
-    lines = [
-        f"<tr><th {left}>{escape(name).replace(' ', '&nbsp;')}</th>"
-        f"<td {left}>{escape(value)}</td></tr>"
-        for name, value in rows
-    ]
+    lines = []
+    for name, *values in rows:
+        cells = "".join(f"<td {left}>{escape(value)}</td>" for value in values)
+        lines.append(f"<tr><th {left}>{escape(name).replace(' ', '&nbsp;')}</th>{cells}</tr>")
     return "\n".join(["<table>", *lines, "</table>"])

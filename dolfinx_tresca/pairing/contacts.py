@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask, real
+from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.parallel import each_warning_once, gather_rows, log, reduce_array
+from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
-from dolfinx_tresca.floating.bodies import Bodies
-from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.pairing.search.self_contact import FINER
 from dolfinx_tresca.scene.friction import Friction
-from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
+from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.table import Row, Tabulated
 
 
-@dataclass(frozen=True)
-class TouchingFaces:
+class TouchingFaces(NamedTuple):
     """Measures of two faces that touch or nearly touch, where their distance is small.
 
     Gaps are those of the problem: means at the nodes of the secondary face, weighted by dual basis
@@ -73,45 +69,17 @@ class Contacts(Tabulated, list[ContactPair]):
         rows = [("contacts", f"{len(self)} pairs of faces nearer than {self.distance:.4g}")]
         for pair in self:
             words = str(pair.friction)
-            faces = self.measures.get((pair.secondary, pair.primary))
-            if faces is not None:
-                distances = f"gap {faces.gap:.3g}, overlap {faces.overlap:.3g}"
-                words = f"area {faces.area:.4g}, {distances}, {words}"
+            if faces := self.measures.get((pair.secondary, pair.primary)):
+                area, gap, overlap = faces
+                words = f"area {area:.4g}, gap {gap:.3g}, overlap {overlap:.3g}, {words}"
             rows.append((f"  {pair}", words))
         return rows
 
-    def plot(self, mesh: Any) -> Any:
-        """Return a `pyvista.Plotter` with the paired faces of this rank, a colour for each pair.
 
-        Not collective.
+class _Face(NamedTuple):
+    """The facets with a tag: their body, box (2, 3) and mean size."""
 
-        Args:
-            mesh: the mesh.
-
-        Raises:
-            ImportError: pyvista is not installed.
-        """
-        import pyvista
-
-        plotter = pyvista.Plotter()
-        dim = mesh.topology.dim
-        plotter.add_mesh(pyvista.UnstructuredGrid(*dolfinx.plot.vtk_mesh(mesh, dim)), opacity=0.1)
-        for k, pair in enumerate(self):
-            colour = pyvista.Color(f"tab:{('blue', 'orange', 'green', 'red', 'purple')[k % 5]}")
-            for facets in (pair.facet_tags.find(tag) for tag in (pair.secondary, pair.primary)):
-                if len(facets):
-                    grid = pyvista.UnstructuredGrid(*dolfinx.plot.vtk_mesh(mesh, dim - 1, facets))
-                    plotter.add_mesh(grid, color=colour, label=str(pair))
-        plotter.add_legend()
-        return plotter
-
-
-@dataclass(frozen=True)
-class _Face:
-    """The facets with a tag: their nodes on this rank, bodies, box (2, 3) and mean size."""
-
-    nodes: LocalNumbers
-    bodies: frozenset[int]
+    body: int
     box: Array
     size: float
 
@@ -161,65 +129,62 @@ def contacts(
         raise InputError(f"distance must be a positive number, found {shown(distance)}.")
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-    label = label_bodies(V)
-    faces = _faces(V, facet_tags, label)
-    of_body: dict[int, list[float]] = {}
-    for face in faces.values():
-        if len(face.bodies) == 1:
-            of_body.setdefault(min(face.bodies), []).append(face.size)
-    sizes = {body: float(np.mean(body_sizes)) for body, body_sizes in of_body.items()}
-    several = [str(tag) for tag, face in faces.items() if len(face.bodies) > 1]
-    if several:
-        log(mesh.comm, "contacts: tags %s, of several bodies, are left out", ", ".join(several))
-    free = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
+    faces = _faces(V, facet_tags)
+    tags_of_body: dict[int, list[int]] = {}
+    for tag, face in faces.items():
+        tags_of_body.setdefault(face.body, []).append(tag)
+    sizes = {
+        body: float(np.mean([faces[tag].size for tag in tags]))
+        for body, tags in tags_of_body.items()
+    }
     pairs: list[ContactPair] = []
-    near_faces: dict[tuple[int, int], TouchingFaces] = {}
+    measures: dict[tuple[int, int], TouchingFaces] = {}
+    distances = {body: np.inf for body in sizes}  # of boxes of faces, to other bodies
     reach = 0.0
-    touched: set[int] = set()
-    for both in combinations(sorted(faces), 2):
-        face, other_face = (faces[tag] for tag in both)
-        if len(face.bodies) > 1 or len(other_face.bodies) > 1 or face.bodies == other_face.bodies:
+    touching: set[int] = set()
+    for tags in combinations(faces, 2):
+        bodies, boxes = (faces[tags[0]].body, faces[tags[1]].body), [faces[tag].box for tag in tags]
+        if bodies[0] == bodies[1]:
             continue
-        bodies = [next(iter(side.bodies)) for side in (face, other_face)]
         near = min(sizes[body] for body in bodies) if limit is None else limit
         reach = max(reach, near)
-        apart = np.maximum(face.box[0] - other_face.box[1], other_face.box[0] - face.box[1])
-        if np.linalg.norm(np.maximum(apart, 0.0)) > near:
+        apart = np.maximum(boxes[0][0] - boxes[1][1], boxes[1][0] - boxes[0][1])
+        away = float(np.linalg.norm(np.maximum(apart, 0.0)))
+        for body in bodies:
+            distances[body] = min(distances[body], away)
+        if away > near:
             continue
         ratio = sizes[bodies[0]] / sizes[bodies[1]]
         finer = ratio < FINER or (ratio <= 1.0 / FINER and bodies[0] < bodies[1])
-        pair = ContactPair(facet_tags, *(both if finer else both[::-1]), friction, **options)
-        measures = _measured(V, free, pair, near)
-        if measures is not None:
+        pair = ContactPair(facet_tags, *(tags if finer else tags[::-1]), friction, **options)
+        touch = _measured(V, pair, near)
+        if touch is not None:
             pairs.append(pair)
-            near_faces[pair.secondary, pair.primary] = measures
-            touched.update(bodies)
-    cell_tags = tagged.cell_tags if isinstance(tagged.cell_tags, NamedTags) else None
-    names = Bodies.from_space(V, cell_tags).names
-    alone = [body for body in range(len(names)) if body not in touched]
-    if alone and len(names) > 1:
-        for body in alone:
-            away = _distance_to_others(V, faces, body)
-            error = MeshError(
-                f"{names[body]} touches no other body: its tagged faces are {away:.3g} away from "
-                f"those of others, more than {reach:.3g}. Check the positions and units of length "
-                "of the bodies, that their faces have tags, or give a larger distance."
-            )
-            if not pairs:
-                raise error
-            log(mesh.comm, "%s", error, level=logging.WARNING, about=names[body])
-    if not pairs:
+            measures[pair.secondary, pair.primary] = touch
+            touching.update(bodies)
+    if len(sizes) == 1:
         raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
-    return Contacts(pairs, near_faces, reach)
+    for body in sorted(sizes.keys() - touching):
+        names = abridged_names(tags_of_body[body], facet_tags)
+        error = MeshError(
+            f"{names} touch no other body: their box is {distances[body]:.3g} away from the faces "
+            f"of others, and pairs are nearer than {reach:.3g}. Check the positions and units of "
+            "length of the bodies, that their faces have tags, or give a larger distance."
+        )
+        if not pairs:
+            raise error
+        log(mesh.comm, "%s", error, level=logging.WARNING, about=names)
+    return Contacts(pairs, measures, reach)
 
 
-def _measured(V: Any, free: Mask, pair: ContactPair, near: float) -> TouchingFaces | None:
+def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
     """Return the measures of a pair's faces where they are near; None if nowhere. Collective."""
     limited = ContactPair(
         *(pair.facet_tags, pair.secondary, pair.primary, pair.friction),
         search_distance=near,
         geometry=pair.geometry,
     )
+    free = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
     try:
         with each_warning_once():
             operators = pair_surfaces(V, free, limited)
@@ -230,41 +195,32 @@ def _measured(V: Any, free: Mask, pair: ContactPair, near: float) -> TouchingFac
     return TouchingFaces(area, max(0.0, -depth), max(0.0, depth))
 
 
-def _faces(V: Any, facet_tags: Any, label: Indices) -> dict[int, _Face]:
-    """Return tag -> the face, for all tags whose facets are on the boundary. Collective."""
-    mesh = V.mesh
-    comm, dim = mesh.comm, facet_tags.dim
+def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
+    """Return tag -> the face, for all tags of outer facets of one body. Collective.
+
+    Tags of several bodies are logged.
+    """
+    mesh, label = V.mesh, label_bodies(V)
+    comm, dim, x = mesh.comm, facet_tags.dim, V.tabulate_dof_coordinates()
     mesh.topology.create_connectivity(dim, dim + 1)
     outside = dolfinx.mesh.exterior_facet_indices(mesh.topology)
     owned = mesh.topology.index_map(dim).size_local
-    x = V.tabulate_dof_coordinates()
     result: dict[int, _Face] = {}
+    several = []
     for tag in sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist())))):
         facets = facet_tags.find(tag)
         facets = facets[facets < owned]
-        inside = reduce_array(comm, int((~np.isin(facets, outside)).sum()))
+        inside = int((~np.isin(facets, outside)).sum())
         nodes = fem.locate_dofs_topological(V, dim, facets, remote=False)
-        points = x[nodes]
-        corners = [points.min(axis=0, initial=np.inf), -points.max(axis=0, initial=-np.inf)]
+        corners = [x[nodes].min(axis=0, initial=np.inf), -x[nodes].max(axis=0, initial=-np.inf)]
         low, high = reduce_array(comm, corners, MPI.MIN)
         h = mesh.h(dim, facets) if len(facets) else np.zeros(0)
-        length, number = reduce_array(comm, [h.sum(), float(len(h))])
-        bodies = frozenset[int]().union(*comm.allgather(frozenset(label[nodes].tolist())))
-        if not inside and number:
-            result[tag] = _Face(nodes, bodies, np.vstack([low, -high]), length / number)
+        length, number, inside = reduce_array(comm, [h.sum(), float(len(h)), float(inside)])
+        bodies = set().union(*comm.allgather(set(label[nodes].tolist())))
+        if number and not inside and len(bodies) == 1:
+            result[tag] = _Face(bodies.pop(), np.vstack([low, -high]), length / number)
+        elif len(bodies) > 1:
+            several.append(str(tag))
+    if several:
+        log(comm, "contacts: tags %s, of several bodies, are left out", ", ".join(several))
     return result
-
-
-def _distance_to_others(V: Any, faces: Mapping[int, _Face], body: int) -> float:
-    """Return the least distance of tagged nodes of a body from those of others. Collective."""
-    x = V.tabulate_dof_coordinates()
-    sides = [(x[face.nodes], body in face.bodies) for face in faces.values()]
-    own_points, other_points = (
-        np.concatenate([x[:0], *(face for face, is_own in sides if is_own == side)])
-        for side in (True, False)
-    )
-    points = gather_rows(V.mesh.comm, own_points)
-    nearest = np.inf
-    if len(points) and len(other_points):
-        nearest = float(cKDTree(points).query(other_points)[0].min())
-    return float(reduce_array(V.mesh.comm, nearest, MPI.MIN))
