@@ -483,6 +483,12 @@ CASES: dict[str, Case] = {
         2,
         "steps differs",
     ),
+    "guaranteed_goal": (
+        lambda s, x: s.problem.guaranteed_goal(NormalForce(), steps=x),
+        3,
+        2,
+        "steps differs",
+    ),
     "contacts": (
         lambda s, x: contacts(s.block, friction=Coulomb(0.3), distance=x),
         0.1,
