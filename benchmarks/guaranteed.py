@@ -3,9 +3,9 @@
     tools/fenicsx python3 benchmarks/guaranteed.py --json benchmarks/data/guaranteed.json
 
 The block on a plane and the two blocks have known solutions. "random" and "random_3d" are 100
-blocks on a plane each, of triangles and tetrahedra, with random loads, materials and meshes. Seconds are processor time. The error of the two bricks is
-the root of twice the energy above that of a mesh of degree 2: an upper bound of the error of the
-displacement.
+blocks on a plane each, of triangles and tetrahedra, with random loads, materials and meshes.
+Seconds are processor time. The error of the two bricks is the root of twice the energy above that
+of a mesh of degree 2: an upper bound of the error of the displacement.
 """
 
 from __future__ import annotations
