@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -153,8 +153,12 @@ class Bodies:
         strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
         return np.asarray(np.tensordot(strains @ self.stiffness, tensors, axes=1))
 
+    def loads(self, L: ufl.Form | None) -> Loads:
+        """Return the loads of a linear form, see `forms.loads`. Collective."""
+        return loads(L, self.owned, self.linear.entity_maps)
+
     def candidate(
-        self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
+        self, dual: DualProgram, multipliers: Array, u: fem.Function, given: Loads
     ) -> Candidate:
         """Return admissible tractions and displacements, with one solve with K. Collective.
 
@@ -162,12 +166,12 @@ class Bodies:
             dual: the dual problem that was solved.
             multipliers: (size,) multipliers.
             u: the displacement.
-            L: the load.
+            given: the loads.
 
         Raises:
-            InputError: the bound does not cover the loads or the contact pairs.
+            InputError: the bound does not cover the contact pairs.
         """
-        given = loads(L, self.owned, self.linear.entity_maps)
+        given = replace(given, traction=given.traction.copy())
         at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([on.weights for on in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -302,7 +306,7 @@ class Bodies:
             InputError: the bound does not cover the problem.
             ContactError: the displacement is not in equilibrium.
         """
-        candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
+        candidate = self.candidate(dual, multipliers, u, self.loads(self.linear.ufl_forms[1]))
         v, energies, cells = candidate.v, self.energies, self.owned.cells
         of_u, of_v = (stress_data(cells, self.stresses(w)) for w in (u, v))
         distance = self.distance(candidate, v, of_v, steps)

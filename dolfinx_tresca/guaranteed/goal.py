@@ -53,13 +53,15 @@ class Functional:
 
     Attributes:
         form: the linear form: J, or a(w, v).
+        derivative: the form's vector.
         w: the displacement with which tractions do the work that is the force; None: no force.
-        constant: the form L(w), or None.
+        constant: L(w).
     """
 
     form: ufl.Form
+    derivative: fem.Function
     w: fem.Function | None = None
-    constant: ufl.Form | None = None
+    constant: float = 0.0
 
     @classmethod
     def of_goal(cls, goal: Any, bodies: Bodies, dual: DualProgram) -> Functional:
@@ -75,12 +77,13 @@ class Functional:
                     "guaranteed bounds of a goal need slip bounds that do not depend on the "
                     f"pressure, and contact pair {pair} has {pair.friction!r}."
                 )
-        a, L = bodies.linear.ufl_forms
+        a, _ = bodies.linear.ufl_forms
         test, trial = a.arguments()
         if isinstance(goal, ufl.Form):
             if [argument.ufl_function_space() for argument in goal.arguments()] != [bodies.V]:
                 raise InputError("a goal must be a linear form on the space of the displacement.")
-            return cls(ufl.replace(goal, {goal.arguments()[0]: test}))
+            form = ufl.replace(goal, {goal.arguments()[0]: test})
+            return cls(form, assembled(form, bodies.V, bodies.linear.entity_maps))
         if not isinstance(goal, ContactForce | NormalForce):
             raise InputError(
                 "a goal with guaranteed bounds must be a NormalForce, a ContactForce or a linear "
@@ -93,29 +96,31 @@ class Functional:
         w.x.array.reshape(-1, d)[on.nodes] = direction
         w.x.array[: len(bodies.linear.prescribed)][bodies.linear.prescribed] = 0.0
         w.x.scatter_forward()
-        constant = None if L is None else ufl.replace(L, {L.arguments()[0]: w})
-        return cls(ufl.replace(a, {trial: w}), w, constant)
+        form = ufl.replace(a, {trial: w})
+        derivative = assembled(form, bodies.V, bodies.linear.entity_maps)
+        return cls(form, derivative, w, _product(bodies.linear.assemble_forces(), w))
 
     def response(self, bodies: Bodies, dual: DualProgram) -> fem.Function:
         """Return the displacement that the goal causes as a load, without contact. Collective."""
         if self.w is not None:
             return self.w
-        result, force = fem.Function(bodies.V), assembled(self.form, bodies.V)
+        result, force = fem.Function(bodies.V), self.derivative.copy()
         force.x.array[: len(bodies.linear.prescribed)][bodies.linear.prescribed] = 0.0
         solver = dual.operator.solver
         solver.improve(force.x.petsc_vec, result.x.petsc_vec, rtol=0.1, accuracy=0.0)
         result.x.scatter_forward()
         return result
 
-    def value(self, v: fem.Function, bodies: Bodies) -> float:
+    def value(self, v: fem.Function) -> float:
         """Return the value for a displacement. Collective."""
-        form = ufl.replace(self.form, {self.form.arguments()[0]: v})
-        maps = bodies.linear.entity_maps
-        options = {} if maps is None else {"entity_maps": maps}
-        result = fem.assemble_scalar(fem.form(form, **options))
-        if self.constant is not None:
-            result -= fem.assemble_scalar(fem.form(self.constant, **options))
-        return float(bodies.comm.allreduce(result))
+        return _product(self.derivative, v) - self.constant
+
+
+def _product(f: fem.Function, v: fem.Function) -> float:
+    """Return the work of forces f on a displacement v. Collective."""
+    dofmap = v.function_space.dofmap
+    owned = slice(dofmap.index_map.size_local * dofmap.index_map_bs)
+    return float(reduce_array(v.function_space.mesh.comm, f.x.array[owned] @ v.x.array[owned]))
 
 
 def guaranteed_goal(
@@ -166,7 +171,7 @@ def guaranteed_goal(
             eta = distance.stress + distance.oscillation
             sums = [0.25 * (eta**2).sum(), distance.defects.sum()]
             square, gap = reduce_array(bodies.comm, sums)
-            result.append(sign * functional.value(v, bodies) + (square + max(gap, 0.0)) / t)
+            result.append(sign * functional.value(v) + (square + max(gap, 0.0)) / t)
         return np.array(result)
 
     start = norm(data(u)) / norm(data(functional.response(bodies, dual)))
@@ -180,4 +185,4 @@ def guaranteed_goal(
             best = np.minimum(best, limits)
         if t < start / STEP:
             break
-    return GuaranteedGoal(-best[1], best[0], functional.value(u, bodies))
+    return GuaranteedGoal(-best[1], best[0], functional.value(u))

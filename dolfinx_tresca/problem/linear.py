@@ -412,14 +412,16 @@ class ContactProblem(ContactProcess):
         functional = Functional.of_goal(goal, bodies, solved.dual)
         size, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = size * functional.form if L is None else L + size * functional.form
-        options = self.options.with_changes(rtol=GOAL_RTOL)
+        options, given = self.options.with_changes(rtol=GOAL_RTOL), bodies.loads(L)
+        # the load of a force is balanced by the stress of `functional.w`
+        change = None if functional.w is not None else bodies.loads(functional.form)
 
         def candidate(t: float) -> Candidate:
             size.value = t
             contact.solve(options, self.units, lambda iteration: False)
             solved = contact.solved
             assert solved is not None  # converged or not: all multipliers give a bound
-            balanced = load if functional.w is None else L
+            balanced = given if change is None else given.plus(change, t)
             return bodies.candidate(solved.dual, solved.multipliers, solved.fields.u, balanced)
 
         with contact.restored(), linear.loaded(load):
