@@ -19,6 +19,7 @@ from dolfinx_tresca.errors import (
     StiffnessError,
 )
 from dolfinx_tresca.guaranteed.bound import GuaranteedError
+from dolfinx_tresca.guaranteed.goal import GuaranteedGoal
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
@@ -72,6 +73,7 @@ __all__ = [
     "Frictionless",
     "GoalError",
     "GuaranteedError",
+    "GuaranteedGoal",
     "InputError",
     "Iteration",
     "Level",

@@ -45,8 +45,8 @@ def block_on_plane(
 ) -> Scene:
     """Return the block with the loads of the exact solution. Collective.
 
-    `data.error(u)` is the energy norm of u minus the exact displacement, `data.norm` that of the
-    exact displacement.
+    `data.error(u)` is the energy norm of u minus the exact displacement `data.exact`, `data.norm`
+    that of the exact displacement.
 
     Args:
         comm: communicator of the mesh.
@@ -111,5 +111,5 @@ def block_on_plane(
     normal = np.eye(3)[dim - 1]
     floor = RigidPlane((0.0, 0.0, 0.0), normal)
     pair = ContactPair(facet_tags, CONTACT, floor, friction, gap=gap)
-    data = SimpleNamespace(error=lambda u: energy(u - exact), norm=energy(exact))
+    data = SimpleNamespace(error=lambda u: energy(u - exact), norm=energy(exact), exact=exact)
     return Scene(V, a, L, [fem.dirichletbc(held, dofs)], [pair], facet_tags, data=data)

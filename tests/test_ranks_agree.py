@@ -451,7 +451,18 @@ CASES: dict[str, Case] = {
     ),
     "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "where differs"),
     "reaction_form": (lambda s, x: s.problem.reaction_form(x, (0, 0, 1)), 1, 2, "where differs"),
-    "guaranteed_error": (lambda s, x: s.problem.guaranteed_error(steps=x), 3, 2, "steps differs"),
+    "guaranteed_error": (
+        lambda s, x: s.problem.guaranteed_error(steps=x),
+        3,
+        2,
+        "steps differs",
+    ),
+    "guaranteed_goal": (
+        lambda s, x: s.problem.guaranteed_goal(NormalForce(), steps=x),
+        3,
+        2,
+        "steps differs",
+    ),
     "contacts": (
         lambda s, x: contacts(s.block, friction=Coulomb(0.3), distance=x),
         0.1,

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, LocalNumbers
-from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.compat import EntityMaps, geometry_dofmap
 
 
 def zero_like(
@@ -54,15 +54,17 @@ def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Fun
     return result
 
 
-def assembled(form: ufl.Form, space: Any) -> fem.Function:
+def assembled(form: ufl.Form, space: Any, entity_maps: EntityMaps | None = None) -> fem.Function:
     """Assemble a linear form into a Function whose ghost values are up to date. Collective.
 
     Args:
         form: the linear form.
         space: the space of the form's test function.
+        entity_maps: entity maps of Functions on other meshes in the form.
     """
     result = fem.Function(space)
-    fem.assemble_vector(result.x.array, fem.form(form))
+    maps = {} if entity_maps is None else {"entity_maps": entity_maps}
+    fem.assemble_vector(result.x.array, fem.form(form, **maps))
     result.x.scatter_reverse(dolfinx.la.InsertMode.add)
     result.x.scatter_forward()
     return result

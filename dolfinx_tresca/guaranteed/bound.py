@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -153,8 +153,12 @@ class Bodies:
         strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
         return np.asarray(np.tensordot(strains @ self.stiffness, tensors, axes=1))
 
+    def loads(self, L: ufl.Form | None) -> Loads:
+        """Return the loads of a linear form, see `forms.loads`. Collective."""
+        return loads(L, self.owned, self.linear.entity_maps)
+
     def candidate(
-        self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
+        self, dual: DualProgram, multipliers: Array, u: fem.Function, given: Loads
     ) -> Candidate:
         """Return admissible tractions and displacements, with one solve with K. Collective.
 
@@ -162,12 +166,12 @@ class Bodies:
             dual: the dual problem that was solved.
             multipliers: (size,) multipliers.
             u: the displacement.
-            L: the load.
+            given: the loads.
 
         Raises:
-            InputError: the bound does not cover the loads or the contact pairs.
+            InputError: the bound does not cover the contact pairs.
         """
-        given = loads(L, self.owned, self.linear.entity_maps)
+        given = replace(given, traction=given.traction.copy())
         at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([on.weights for on in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -287,64 +291,55 @@ class Bodies:
             descent -= length * change
         return result
 
+    def error(
+        self, dual: DualProgram, multipliers: Array, u: fem.Function, steps: int = STEPS
+    ) -> GuaranteedError:
+        """Return a guaranteed bound of the error of a solution, with one solve with K. Collective.
 
-def guaranteed_error(
-    linear: LinearSystem,
-    pairs: list[ContactPair],
-    dual: DualProgram,
-    multipliers: Array,
-    u: fem.Function,
-    steps: int = STEPS,
-) -> GuaranteedError:
-    """Return a guaranteed bound of the error of a solution, with one solve with K. Collective.
+        Args:
+            dual: the dual problem that was solved.
+            multipliers: (size,) multipliers of the solution.
+            u: the displacement of the solution.
+            steps: number of steps that make the bound sharper.
 
-    Args:
-        linear: the system K u = f.
-        pairs: the contact pairs.
-        dual: the dual problem that was solved.
-        multipliers: (size,) multipliers of the solution.
-        u: the displacement of the solution.
-        steps: number of steps that make the bound sharper.
+        Raises:
+            InputError: the bound does not cover the problem.
+            ContactError: the displacement is not in equilibrium.
+        """
+        candidate = self.candidate(dual, multipliers, u, self.loads(self.linear.ufl_forms[1]))
+        v, energies, cells = candidate.v, self.energies, self.owned.cells
+        of_u, of_v = (stress_data(cells, self.stresses(w)) for w in (u, v))
+        distance = self.distance(candidate, v, of_v, steps)
 
-    Raises:
-        InputError: the bound does not cover the problem.
-        ContactError: the displacement is not in equilibrium.
-    """
-    bodies = Bodies(linear, pairs, dual)
-    candidate = bodies.candidate(dual, multipliers, u, linear.ufl_forms[1])
-    v, energies, cells = candidate.v, bodies.energies, bodies.owned.cells
-    of_u, of_v = (stress_data(cells, bodies.stresses(w)) for w in (u, v))
-    distance = bodies.distance(candidate, v, of_v, steps)
-
-    moved, lack = energies.squared_norms(of_u - of_v), distance.defects.sum(axis=0)
-    # the mean of both stresses is the centre of a ball that contains the exact stress
-    from_centre = energies.squared_norms(of_u - of_v - 0.5 * distance.difference)
-    whole = energies.squared_norms(of_u)
-    squares = [(distance.stress + distance.oscillation) ** 2]
-    squares += [distance.stress**2, distance.oscillation**2, moved, from_centre, whole]
-    sums = [term.sum() for term in (*squares, *distance.defects)]
-    *roots, complementarity, friction = reduce_array(bodies.comm, sums)
-    eta, stress, oscillations, lift, offset, norm = np.sqrt(roots)
-    gap = max(float(complementarity + friction), 0.0)
-    error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + gap)
-    radius = np.sqrt(0.25 * stress**2 + gap + oscillations * error_of_v)
-    error = float(min(error_of_v + lift, offset + radius))
-    result = fem.Function(
-        fem.functionspace(linear.V.mesh, ("DG", 0)), name="guaranteed_cell_errors"
-    )
-    by_cell = np.sqrt(squares[0] + 2.0 * np.maximum(lack, 0.0) + moved)
-    result.x.array[result.function_space.dofmap.list[: len(by_cell), 0]] = by_cell
-    result.x.scatter_forward()
-    return GuaranteedError(
-        error=error,
-        relative_error=error / float(norm) if norm > 0.0 else float("inf"),
-        cell_errors=result,
-        stress=float(stress),
-        oscillation=float(oscillations),
-        complementarity=float(complementarity),
-        friction=float(friction),
-        lift=float(lift),
-    )
+        moved, lack = energies.squared_norms(of_u - of_v), distance.defects.sum(axis=0)
+        # the mean of both stresses is the centre of a ball that contains the exact stress
+        from_centre = energies.squared_norms(of_u - of_v - 0.5 * distance.difference)
+        whole = energies.squared_norms(of_u)
+        squares = [(distance.stress + distance.oscillation) ** 2]
+        squares += [distance.stress**2, distance.oscillation**2, moved, from_centre, whole]
+        sums = [term.sum() for term in (*squares, *distance.defects)]
+        *roots, complementarity, friction = reduce_array(self.comm, sums)
+        eta, stress, oscillations, lift, offset, norm = np.sqrt(roots)
+        gap = max(float(complementarity + friction), 0.0)
+        error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + gap)
+        radius = np.sqrt(0.25 * stress**2 + gap + oscillations * error_of_v)
+        error = float(min(error_of_v + lift, offset + radius))
+        result = fem.Function(
+            fem.functionspace(self.V.mesh, ("DG", 0)), name="guaranteed_cell_errors"
+        )
+        by_cell = np.sqrt(squares[0] + 2.0 * np.maximum(lack, 0.0) + moved)
+        result.x.array[result.function_space.dofmap.list[: len(by_cell), 0]] = by_cell
+        result.x.scatter_forward()
+        return GuaranteedError(
+            error=error,
+            relative_error=error / float(norm) if norm > 0.0 else float("inf"),
+            cell_errors=result,
+            stress=float(stress),
+            oscillation=float(oscillations),
+            complementarity=float(complementarity),
+            friction=float(friction),
+            lift=float(lift),
+        )
 
 
 def _checked_forms(linear: LinearSystem, dual: DualProgram) -> tuple[Any, Any]:

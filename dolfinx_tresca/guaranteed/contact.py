@@ -12,7 +12,6 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import (
     LEAST_DIVISOR,
     Array,
-    GlobalNumbers,
     Indices,
     LocalNumbers,
     Mask,
@@ -29,7 +28,6 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.cells import mean_products
 from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells, spread
-from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
@@ -115,7 +113,7 @@ class ContactSurface:
         self.sides = [(self.cell, self.facet, self.tractions)]
         if not isinstance(pair.primary, RigidPlane):
             places = points[:, :d] + distance[:, None] * self._normals
-            self._pair_nodes(rows.operators, places, near)
+            self._pair_nodes(places, near)
             self.sides.append(self._opposite(tractions))
 
     def _check(self, dual: DualProgram, rows: RowsOfPair, bounds: Array) -> None:
@@ -216,46 +214,34 @@ class ContactSurface:
         cell, facet = np.nonzero(np.isin(self._owned.facets, facets))
         return cell, facet, self._owned.nodes[cell[:, None], self._owned.on_facets[facet]]
 
-    def _pair_nodes(self, on: PairOperators, places: Array, near: float) -> None:
+    def _pair_nodes(self, places: Array, near: float) -> None:
         """Find the opposite nodes of all touching nodes. Collective.
 
+        Prescribed nodes at a rim have no multipliers, and no row of the pairing: all nodes are
+        found by their places.
+
         Args:
-            on: the operators of the pair.
             places: (nodes, d) positions of the opposite nodes.
             near: distance [length] that counts as rounding.
         """
         V, d = self._owned.V, self._owned.cells.d
         comm, index_map = V.mesh.comm, V.dofmap.index_map
-        ranges = np.array(comm.allgather(index_map.local_range[0]))
-
-        def owners(numbers: GlobalNumbers) -> Indices:
-            return np.searchsorted(ranges, numbers, side="right") - 1
-
-        # prescribed nodes at the rim have no multipliers: the nearest node without a partner
-        partner = np.full(index_map.size_local, -1, dtype=np.int64)
-        partner[on.nodes] = on.primary.indices
-        own = partner[on.nodes]  # of one type on all ranks
-        taken, _ = exchange(comm, own, owners(own))
         _, _, side = self._tagged("primary")
-        uses = summed_at_nodes(V.dofmap.index_map, side, np.ones((*side.shape, 1)))[
-            : len(partner), 0
-        ]
-        uses[taken - index_map.local_range[0]] = 0.0
-        (numbers,) = np.nonzero(uses)
-        rim_points = V.tabulate_dof_coordinates()[numbers, :d]
-        rim = gather_rows(comm, np.column_stack([rim_points, numbers + index_map.local_range[0]]))
-        missing = self.nodes[partner[self.nodes] < 0]
-        distance = np.full(len(missing), np.inf)
-        if len(rim):
-            distance, nearest = cKDTree(rim[:, :d]).query(places[missing])
-            partner[missing] = rim[nearest, d]
+        uses = summed_at_nodes(index_map, side, np.ones((*side.shape, 1)))
+        (numbers,) = np.nonzero(uses[: index_map.size_local, 0])
+        points = V.tabulate_dof_coordinates()[numbers, :d]
+        rows = gather_rows(comm, np.column_stack([points, numbers + index_map.local_range[0]]))
+        distance, nearest = cKDTree(rows[:, :d]).query(places[self.nodes])
         with errors_on_all_ranks(comm):
             if distance.max(initial=0.0) > near:
                 raise self._no_match()
-        rank = owners(partner[self.nodes])
-        self.nodes = self.nodes[np.argsort(rank, kind="stable")]  # the order of the answers
-        rows, sources = exchange(comm, partner[self.nodes], np.sort(rank))
-        self._partners = Copies(comm, rows - index_map.local_range[0], sources)
+        partner = rows[nearest, d].astype(np.int64)
+        starts = np.array(comm.allgather(index_map.local_range[0]))
+        rank = np.searchsorted(starts, partner, side="right") - 1
+        order = np.argsort(rank, kind="stable")  # the order of the answers
+        self.nodes = self.nodes[order]
+        numbers, sources = exchange(comm, partner[order], rank[order])
+        self._partners = Copies(comm, numbers - index_map.local_range[0], sources)
 
     def _opposite(self, tractions: Array) -> tuple[Indices, Indices, Array]:
         """Return the primary side's cells, numbers of facets, and tractions. Collective."""

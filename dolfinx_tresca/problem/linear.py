@@ -25,16 +25,20 @@ from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.guaranteed.bound import STEPS, GuaranteedError, guaranteed_error
+from dolfinx_tresca.guaranteed.bound import STEPS, Bodies, Candidate, GuaranteedError
+from dolfinx_tresca.guaranteed.goal import Functional, GuaranteedGoal, guaranteed_goal
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, checked_goal
+from dolfinx_tresca.scene.goal import ContactForce, Goal, NormalForce, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
+
+#: Relative residual of the solves for guaranteed bounds of a goal, whose differences count.
+GOAL_RTOL = 1e-8
 
 
 class ContactProblem(ContactProcess):
@@ -343,6 +347,65 @@ class ContactProblem(ContactProcess):
             >>> problem.guaranteed_error().relative_error < 1e-6
             True
         """
+        bodies, solved, steps = self._checked_for_bounds(steps)
+        return bodies.error(solved.dual, solved.multipliers, solved.fields.u, steps)
+
+    @collective(comm_of_self)
+    def guaranteed_goal(
+        self, goal: NormalForce | ContactForce | ufl.Form, *, steps: int = STEPS
+    ) -> GuaranteedGoal:
+        """Return proven bounds from both sides of a goal in the exact solution. Collective.
+
+        For problems and exact solutions as in `guaranteed_error`, without friction that depends on
+        the pressure. Two to six further problems are solved, with the load plus and minus a
+        multiple of the goal (docs/theory/guaranteed.md). Where contact does not change with the
+        load, the width of the interval is about the product of the errors of the displacement and
+        of the goal's adjoint; where contact changes, the interval is wider.
+
+        Args:
+            goal: a `NormalForce`, a `ContactForce`, or a linear form of UFL, such as
+                `ufl.TestFunction(V)[0] * ds(7)` for the integral of a displacement. Tractions count
+                for forces with the weight that is 1 at contact nodes, and zero at nodes where the
+                displacement is prescribed, linear (degree 2: quadratic) between them.
+            steps: steps of conjugate gradients that make the bounds sharper.
+
+        Raises:
+            ContactError: as `guaranteed_error`.
+            InputError: the goal is wrong, or the bounds do not cover the problem.
+
+        Example:
+            With the cube in the example of `ContactProblem`, whose stress is uniform:
+
+            >>> from dolfinx_tresca import NormalForce
+            >>> solution = problem.solve(rtol=1e-10)
+            >>> bounds = problem.guaranteed_goal(NormalForce())
+            >>> bounds.upper - bounds.lower < 1e-6 * bounds.value
+            True
+        """
+        bodies, solved, steps = self._checked_for_bounds(steps)
+        contact, linear = self._contact, self._contact.linear
+        functional = Functional.of_goal(goal, bodies, solved.dual)
+        size, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
+        load = size * functional.form if L is None else L + size * functional.form
+        options, given = self.options.with_changes(rtol=GOAL_RTOL), bodies.loads(L)
+        # the load of a force is balanced by the stress of `functional.w`
+        change = None if functional.w is not None else bodies.loads(functional.form)
+
+        def candidate(t: float) -> Candidate:
+            size.value = t
+            contact.solve(options, self.units, lambda iteration: False)
+            solved = contact.solved
+            assert solved is not None  # converged or not: all multipliers give a bound
+            balanced = given if change is None else given.plus(change, t)
+            return bodies.candidate(solved.dual, solved.multipliers, solved.fields.u, balanced)
+
+        with contact.restored(), linear.loaded(load):
+            return guaranteed_goal(
+                functional, bodies, solved.dual, solved.fields.u, candidate, steps
+            )
+
+    def _checked_for_bounds(self, steps: Any) -> tuple[Bodies, StepSolution, int]:
+        """Check that the last solution has guaranteed bounds. Collective."""
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")
@@ -356,9 +419,7 @@ class ContactProblem(ContactProcess):
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."
             )
-        return guaranteed_error(
-            contact.linear, self.pairs, solved.dual, solved.multipliers, solved.fields.u, number
-        )
+        return Bodies(contact.linear, self.pairs, solved.dual), solved, number
 
     @contextmanager
     def record(self) -> Iterator[ProcessTape]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -339,6 +340,20 @@ class LinearSystem(PetscOwner):
         work = (inside.array + self.signs * u.array) @ forces
         work += (self.signs * inside.array) @ Ku.array
         return 0.5 * float(self.comm.allreduce(work))
+
+    @contextmanager
+    def loaded(self, L: ufl.Form) -> Iterator[None]:
+        """Replace the load inside the block. Collective.
+
+        The caller assembles the load again after the block.
+        """
+        given = self._L
+        maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
+        self._L = compiled("L", L, self.V.mesh, maps)
+        try:
+            yield
+        finally:
+            self._L = given
 
     def assemble_forces(self) -> fem.Function:
         """Return the forces of L alone, without the effect of prescribed values. Collective."""

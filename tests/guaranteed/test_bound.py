@@ -21,7 +21,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.dual.mesh_error import total
-from dolfinx_tresca.guaranteed.bound import guaranteed_error
+from dolfinx_tresca.guaranteed.bound import Bodies
 from scenes.assembled import linear_solution
 from scenes.elasticity import elasticity, fixed
 from scenes.known_contact import block_on_plane
@@ -96,13 +96,14 @@ def test_any_displacement_and_admissible_multipliers(comm, kind):
     with scene.problem() as problem:
         problem.solve(rtol=1e-8)
         solved, linear = problem._contact.solved, problem._contact.linear
+        bodies = Bodies(linear, problem.pairs, solved.dual)
         rng = np.random.default_rng(1)
         for size in (1e-3, 1e-2):
             u = solved.fields.u.copy()
             u.x.array[~linear.prescribed] += size * rng.standard_normal((~linear.prescribed).sum())
             for factor in (0.7, 1.0):
                 multipliers = factor * solved.multipliers
-                bound = guaranteed_error(linear, problem.pairs, solved.dual, multipliers, u)
+                bound = bodies.error(solved.dual, multipliers, u)
                 error = scene.data.error(u)
                 assert error <= bound.error
                 assert bound.lift > 0.01 * error

@@ -27,6 +27,7 @@ from dolfinx_tresca import (
     FrictionCurve,
     Frictionless,
     GuaranteedError,
+    GuaranteedGoal,
     InputError,
     Iteration,
     Level,
@@ -278,6 +279,7 @@ def test_repr_of_everything_public_is_short(comm):
             *tangent.surfaces,
             contacts(bricks, friction=Coulomb(0.3)),
             GuaranteedError(1 / 3, 1 / 3, solution.u, *[1 / 3] * 5),
+            GuaranteedGoal(1 / 3, 2 / 3, 1 / 2),
         ]
         with problem.record() as tape:
             objects.append(tape)
