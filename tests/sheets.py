@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets, quadrature
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import FACET_ARRAYS, Facets, SurfaceNodes, quadrature
 from scenes.patches import raised
 
 #: Points (n, 3) -> points (n, 3).

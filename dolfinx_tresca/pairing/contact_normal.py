@@ -20,8 +20,12 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.pairing.search.facets import lagrange_points
-from dolfinx_tresca.pairing.search.nodes import NEIGHBOURS, SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import (
+    MESH_ROUNDING,
+    SurfaceNodes,
+    lagrange_points,
+    nodes_round,
+)
 from dolfinx_tresca.pairing.search.tagged import normals_at, offsets_at
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
@@ -44,10 +48,6 @@ UNEVEN = 0.5
 #: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
 #: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
 FLAT_ANGLE = 1e-3
-
-#: Sagitta, relative to the size of a facet, that counts as rounding, in addition to the rounding
-#: of coordinates.
-HEIGHT_ROUNDING = 1e-10
 
 #: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
 #: neighbour's height: the weights of the two slopes, of the mean curvature and of the two
@@ -140,7 +140,7 @@ class SmoothSurface:
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         self._heights = 0.5 * (end - start) / stretch
         size = np.ptp(self._corners, axis=1).max(axis=1)
-        rounding = (HEIGHT_ROUNDING + facets.rounding) * size
+        rounding = (MESH_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
         self.nonzero = not facets.bent and bool(above.any())
         self._heights *= self.nonzero
@@ -331,8 +331,9 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
     facets, corner_nodes = nodes.facets, nodes.facet_nodes
     if facets.dim == 1:
         return np.asarray(np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1)
-    before = corner_nodes[:, list(NEIGHBOURS[facets.cell][0])]
-    sides = np.sort(np.stack([corner_nodes.ravel(), before.ravel()], axis=1), axis=1)
+    along = corner_nodes[:, nodes_round(facets.cell, 1)]
+    sides: Indices = np.stack([along, np.roll(along, 1, axis=1)], axis=2).reshape(-1, 2)
+    sides = np.sort(sides, axis=1)
     sides, count = np.unique(sides, axis=0, return_counts=True)
     result = np.zeros(len(nodes.numbers), dtype=np.bool_)
     result[sides[count == 1]] = True

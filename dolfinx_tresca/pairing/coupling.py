@@ -16,10 +16,16 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log,
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
 from dolfinx_tresca.pairing.group import PairGroup
-from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, FacetIntegrals
-from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, free_normals, node_sums
+from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
+from dolfinx_tresca.pairing.search.facets import (
+    FACING_COSINE,
+    Facets,
+    SurfaceNodes,
+    free_normals,
+    node_sums,
+)
 from dolfinx_tresca.pairing.search.tagged import any_known_surface
+from dolfinx_tresca.pairing.search.visibility import COVER_ROUNDING
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -227,7 +233,7 @@ def mortar_rows(
     primary: Facets | None,
     integrals: FacetIntegrals,
     columns: int,
-    carries: Mask | None = None,
+    carries: Mask,
 ) -> MortarRows:
     """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
 
@@ -236,13 +242,11 @@ def mortar_rows(
         primary: facets of the primary side; None for an obstacle.
         integrals: the integrals over the facets.
         columns: number of nodes of V on all ranks.
-        carries: (facets, corners) whether a corner has a multiplier, see `couple`; None: all have.
+        carries: (facets, corners) whether a corner has a multiplier, see `couple`.
     """
     corners, count = nodes.facet_nodes, len(nodes.numbers)
     dual = dual_coefficients(integrals.hats, integrals.full, carries)
-    weights = integrals.hats.sum(axis=2)
-    if carries is not None:
-        weights = redistributed(weights[:, :, None], carries)[:, :, 0]
+    weights = redistributed(integrals.hats.sum(axis=2)[:, :, None], carries)[:, :, 0]
     weights = node_sums(corners, weights, count)
     own = dual @ integrals.values
     jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns)
@@ -256,7 +260,7 @@ def mortar_rows(
     return MortarRows(weights, jump, across, node_sums(corners, means, count))
 
 
-def dual_coefficients(hats: Array, full: Mask, carries: Mask | None = None) -> Array:
+def dual_coefficients(hats: Array, full: Mask, carries: Mask) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
@@ -271,12 +275,10 @@ def dual_coefficients(hats: Array, full: Mask, carries: Mask | None = None) -> A
         hats: (n, corners, corners) integrals of the products of two hat functions over the covered
             parts of facets.
         full: (n,) whether the whole facet is covered, so that no regularisation is needed.
-        carries: (n, corners) whether a corner carries a multiplier; None: all do. A facet without
-            such corners has no basis functions.
+        carries: (n, corners) whether a corner carries a multiplier. A facet without such corners
+            has no basis functions.
     """
     weights, corners = hats.sum(axis=2), hats.shape[1]
-    if carries is None:
-        carries = np.ones(hats.shape[:2], dtype=np.bool_)
     result = np.zeros_like(hats)
     plain = full & carries.all(axis=1)
     result[plain] = weights[plain][:, :, None] * np.linalg.inv(hats[plain])

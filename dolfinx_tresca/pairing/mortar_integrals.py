@@ -14,25 +14,26 @@ import numpy as np
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
-from dolfinx_tresca.pairing.search.balls import Balls, blocks
+from dolfinx_tresca.pairing.search.balls import Balls, Pieces, blocks
 from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
     Facets,
-    Pieces,
+    SurfaceNodes,
     facets_coincide,
     lagrange_points,
     project,
     quadrature,
     rounding_of,
 )
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact
 from dolfinx_tresca.pairing.search.tagged import OFFSET_DEGREE, any_known_surface
-from dolfinx_tresca.pairing.search.visibility import Visibility, nearest_layer_weights, overlaps
+from dolfinx_tresca.pairing.search.visibility import (
+    COVER_ROUNDING,
+    Visibility,
+    nearest_layer_weights,
+    overlaps,
+)
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-
-#: A facet counts as fully covered if at most this part of its area is uncovered, by rounding.
-COVER_ROUNDING = 1e-8
 
 #: Distance, relative to the radius of a facet, within which opposite facets are sought first on a
 #: surface that touches itself. Without this first search a wall of 2,046 bricks is paired in 71 s.

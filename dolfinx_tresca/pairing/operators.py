@@ -23,8 +23,7 @@ from dolfinx_tresca._base.arrays import (
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.group import Undeformed
-from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets
-from dolfinx_tresca.pairing.search.nodes import FREE_PART, SurfaceNodes, tangents
+from dolfinx_tresca.pairing.search.facets import FREE_PART, RIM_PART, Facets, SurfaceNodes, tangents
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 
 #: Attributes of `PairOperators` with a row for each node.

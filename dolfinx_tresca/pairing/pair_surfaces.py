@@ -32,9 +32,9 @@ from dolfinx_tresca.pairing.group import PairGroup, Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos, with_neighbours
-from dolfinx_tresca.pairing.search.facets import Facets
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import Facets, SurfaceNodes
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
+from dolfinx_tresca.pairing.search.visibility import TOUCHING_DISTANCE
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
@@ -43,9 +43,6 @@ from dolfinx_tresca.scene.pair import ContactPair, SideName
 #: facet. With twice as much, meshes match that are twice as far apart; those of a mesh generator
 #: differ by 1e-10 or less.
 MATCHING_SQUARES = 2e-8
-
-#: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
-SAME_PLACE = 1e-6
 
 
 def pair_surfaces(
@@ -222,7 +219,7 @@ def _surface_nodes(
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
     entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
-    places = np.round(nodes.points[own][entry] / (SAME_PLACE * smallest)).astype(np.int64)
+    places = np.round(nodes.points[own][entry] / (TOUCHING_DISTANCE * smallest)).astype(np.int64)
     places, _ = exchange(comm, places, places.sum(axis=1) % comm.size)
     coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
     if coincident:

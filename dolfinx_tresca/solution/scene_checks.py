@@ -23,8 +23,8 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.balls import flattened, near_lines
-from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets, Pieces
+from dolfinx_tresca.pairing.search.balls import Pieces, flattened, near_lines
+from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
-from dolfinx_tresca.pairing.search.visibility import clip, overlaps
+from dolfinx_tresca.pairing.search.visibility import overlaps
 from scenes.scene import EPS
 
 SEEDS = settings(max_examples=60)
@@ -20,11 +20,6 @@ def convex(rng: np.random.Generator, number: int, corners: int) -> np.ndarray:
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
     shapes = np.eye(2) + 0.5 * rng.standard_normal((number, 2, 2))
     return np.einsum("nij,ncj->nci", shapes, circle) + 0.4 * rng.standard_normal((number, 1, 2))
-
-
-def areas(polygons: np.ndarray) -> np.ndarray:
-    x, y = np.moveaxis(polygons, 2, 0)
-    return 0.5 * np.abs((x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1))
 
 
 def total(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -87,30 +82,6 @@ def test_intersection_is_independent_of_order_of_polygons_and_corners(seed, corn
             assert np.allclose(function(*pair), expected, rtol=0.0, atol=1e4 * EPS)
 
 
-@SEEDS
-@given(st.integers(0, 10**6), st.sampled_from([3, 4]))
-def test_intersections_with_two_half_planes_add_up(seed, corners):
-    """Each half-plane is a large triangle."""
-    rng = np.random.default_rng(seed)
-    a = convex(rng, 8, corners)
-    angle = rng.uniform(0.0, 2.0 * np.pi)
-    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    halves = [np.array([[-100.0, 0.0], [100.0, 0.0], [0.0, y]]) @ axes for y in (100.0, -100.0)]
-    sums = sum(total(a, np.broadcast_to(half, (8, 3, 2))) for half in halves)
-    assert np.allclose(sums, areas(a), rtol=0.0, atol=1e5 * EPS)
-
-
-@SEEDS
-@given(st.integers(0, 10**6), st.sampled_from([3, 4]))
-def test_intersection_with_itself_and_with_an_inner_polygon(seed, corners):
-    a = convex(np.random.default_rng(seed), 8, corners)
-    middle = a.mean(axis=1, keepdims=True)
-    small = middle + 0.5 * (a - middle)
-    assert np.allclose(total(a, a), areas(a), rtol=0.0, atol=1e3 * EPS)
-    for pair in ((a, small), (small, a)):
-        assert np.allclose(total(*pair), areas(small), rtol=0.0, atol=1e3 * EPS)
-
-
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
@@ -131,13 +102,6 @@ def test_two_squares(shift, area):
     )
 
 
-def test_corner_on_a_side_and_collinear_sides():
-    diamond = np.array([[0.5, 0.0], [1.0, 0.5], [0.5, 1.0], [0.0, 0.5]])
-    assert total(SQUARE[None], diamond[None])[0] == pytest.approx(0.5, rel=10 * EPS)
-    half = SQUARE * [0.5, 1.0]
-    assert total(half[None], SQUARE[None])[0] == pytest.approx(0.5, rel=10 * EPS)
-
-
 def test_empty_intersections_have_no_simplices():
     first = np.stack([SQUARE, SQUARE, SQUARE])
     second = np.stack([SQUARE + 5.0, SQUARE, SQUARE - 5.0])
@@ -147,14 +111,6 @@ def test_empty_intersections_have_no_simplices():
     assert simplices.shape == (len(size), 3, 2)
     simplices, size, pair = overlaps(first[:0], second[:0])
     assert len(simplices) == len(size) == len(pair) == 0
-
-
-def test_clip_repeats_the_last_corner_of_polygons_with_fewer_corners():
-    diamond = 0.5 + 0.7 * np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-    eight, four = clip(np.stack([SQUARE, SQUARE]), np.stack([diamond, SQUARE - [0.5, 0.5]]))
-    assert len(np.unique(np.round(eight, 12), axis=0)) == len(eight) == len(four) == 8
-    assert len(np.unique(np.round(four, 12), axis=0)) == 4
-    assert (four[3:] == four[3]).all()
 
 
 def test_triangles_that_coincide_up_to_rounding():
@@ -192,8 +148,3 @@ def test_segments(seed):
     simplices, size, pair = overlaps(a, b)
     assert np.allclose(np.abs(simplices[:, 1] - simplices[:, 0])[:, 0], size)
     assert np.allclose(simplices.min(axis=1)[:, 0], low[pair])
-
-
-def test_segments_with_a_common_end_do_not_intersect():
-    a, b = np.array([[[0.0], [1.0]]]), np.array([[[2.0], [1.0]]])
-    assert total(a, b)[0] == 0.0

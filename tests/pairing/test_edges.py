@@ -14,7 +14,7 @@ from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
 from dolfinx_tresca.pairing.pair_surfaces import _surface_nodes
-from dolfinx_tresca.pairing.search.nodes import EDGE_ANGLE, smooth_patches
+from dolfinx_tresca.pairing.search.facets import EDGE_ANGLE, smooth_patches
 from scenes.scene import EPS
 
 

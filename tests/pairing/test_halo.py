@@ -11,11 +11,12 @@ import pytest
 
 from dolfinx_tresca.pairing.search.balls import (
     Balls,
+    Pieces,
     at_own_nodes,
     facets_at_own_nodes,
     halos,
 )
-from dolfinx_tresca.pairing.search.facets import Facets, Pieces
+from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from scenes.patches import LOWER, UPPER, patch
 

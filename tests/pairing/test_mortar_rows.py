@@ -32,7 +32,8 @@ def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=
         selected = np.arange(len(secondary.points))
     nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
     integrals = MortarIntegrals(nodes, other_nodes, selected, limit)
-    return mortar_rows(nodes, primary, integrals, columns)
+    carries = np.ones(nodes.facet_nodes.shape, dtype=bool)
+    return mortar_rows(nodes, primary, integrals, columns, carries)
 
 
 def values_at(function, *sides: Facets, size: int | None = None) -> np.ndarray:

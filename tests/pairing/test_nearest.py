@@ -18,7 +18,8 @@ def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     everything = np.arange(len(secondary.points))
     integrals = MortarIntegrals(nodes, others, everything, np.inf)
-    found = mortar_rows(nodes, primary, integrals, columns)
+    carries = np.ones(nodes.facet_nodes.shape, dtype=bool)
+    found = mortar_rows(nodes, primary, integrals, columns, carries)
     height = np.zeros(columns)
     for side in (secondary, primary):
         height[side.nodes] = side.points[..., side.dim]

@@ -11,7 +11,7 @@ from sheets import nodes_of as nodes_of_facets
 
 from dolfinx_tresca.pairing.coupling import owned_nodes
 from dolfinx_tresca.pairing.search.balls import facets_at_own_nodes
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes, tangents
+from dolfinx_tresca.pairing.search.facets import SurfaceNodes, tangents
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import EPS
@@ -23,29 +23,6 @@ def nodes_of(scene, name: str) -> SurfaceNodes:
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         facets = tagged_facets(scene.V, system.prescribed, scene.facet_tags, tag, "secondary")
     return SurfaceNodes.from_facets(facets_at_own_nodes(scene.V, facets))
-
-
-AREAS = {
-    "upper_contact": (2.0, (0, 0, -1)),
-    "lower_contact": (2.0, (0, 0, 1)),
-    "upper_fixed": (1.0, (1, 0, 0)),
-    "lower_fixed": (1.0, (-1, 0, 0)),
-}
-
-
-@pytest.mark.parallel(hexahedra=[False])
-@pytest.mark.parametrize("hexahedra", [False, True])
-@pytest.mark.parametrize("name", AREAS)
-def test_weights_sum_to_the_area_and_normals_point_outward(comm, name, hexahedra):
-    area, normal = AREAS[name]
-    N = 4
-    scene = two_bricks(comm, N, hexahedra=hexahedra)
-    surface = nodes_of(scene, name)
-    own = owned_nodes(scene.V, surface)
-    assert comm.allreduce(surface.weights[own].sum()) == pytest.approx(area, rel=1e-12)
-    assert (surface.weights > 0.0).all()
-    assert np.allclose(surface.normals, normal, atol=100 * EPS)
-    assert comm.allreduce(own.sum()) == (N * (N + 1) if area == 2.0 else N * N)
 
 
 @pytest.mark.parallel

@@ -71,19 +71,3 @@ def test_flat_surfaces_that_face_each_other(turned, apart):
     if apart == 50.0:
         assert check(first, normals, radii[0], second, radii[1], limit=1.0) == 0
         assert len(Balls(second, radii[1]).on_normals(first, normals, radii[0], 1.0)[0]) == 0
-
-
-def test_one_ball_and_concentric_balls():
-    one = np.zeros((1, 3))
-    normal = np.array([[0.0, 0.0, 1.0]])
-    assert check(one, normal, np.ones(1), one, np.ones(1)) == 1
-    assert check(one, normal, np.ones(1), np.zeros((5, 3)), np.ones(5)) == 5
-
-
-def test_large_ball_among_small_ones():
-    x = np.linspace(0.0, 1.0, 200)
-    small = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
-    large = np.array([[0.5, 0.0, 40.0]])
-    radii = np.append(np.full(200, 0.01), 30.0)
-    line, up = np.array([[0.25, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]])
-    assert check(line, up, np.array([0.01]), np.concatenate([small, large]), radii) >= 3

@@ -7,7 +7,8 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, part_of, sheet
 
-from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, Facets, Pieces
+from dolfinx_tresca.pairing.search.balls import Pieces
+from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, Facets
 from dolfinx_tresca.pairing.search.visibility import Visibility
 
 UP, DOWN = True, False

@@ -1,4 +1,4 @@
-"""Search for facets along lines, by enclosing boxes and balls, and among the facets of all ranks.
+"""Straight pieces of facets, and the search for them along lines, here and on all ranks.
 
 The halo of a side are the facets that a rank needs: its own and copies of those of other ranks.
 They are requested only from ranks that may have them, judged by the bounding box of the facets that
@@ -8,7 +8,8 @@ each rank owns, and are in the order of the ranks that own them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -17,7 +18,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, cross
 from dolfinx_tresca._base.parallel import exchange
 from dolfinx_tresca.pairing.search.facets import (
     CREDIBLE_PART,
@@ -25,7 +26,8 @@ from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
     SHALLOW_DEPTH,
     Facets,
-    Pieces,
+    frames_along,
+    nodes_round,
 )
 
 #: Number of lines in a block that is searched at once, which bounds the memory.
@@ -90,6 +92,96 @@ def line_intervals(
     enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(at_low, at_high))
     leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(at_low, at_high))
     return enter.max(axis=1), leave.min(axis=1)
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Segments, triangles or quadrilaterals that approximate facets.
+
+    If any facet of the surface is curved (`Facets.bent`), each facet is cut into two (in 2D) or
+    four pieces; else each facet is one piece.
+
+    Attributes:
+        facet: (n,) the facet of each piece, ascending.
+        nodes: (n, corners) global numbers of the displacement's nodes at the corners.
+        points: (n, corners, 3) corners in the order round the piece [length].
+        centres: (n, 3) means of the corners [length].
+        radii: (n,) largest distance of a corner from the centre [length].
+        normals: (n, 3) outward unit normals of the (mean) planes.
+        areas: (n,) areas of the pieces, projected onto these planes [length^2, in 2D length].
+    """
+
+    facet: Indices
+    nodes: GlobalNumbers
+    points: Array
+    centres: Array
+    radii: Array
+    normals: Array
+    areas: Array
+
+    @classmethod
+    def from_facets(cls, facets: Facets) -> Pieces:
+        """Cut facets into pieces."""
+        corners = nodes_round(facets.cell, 1)[None]
+        if facets.bent:
+            count, order = facets.corners, nodes_round(facets.cell, 2)
+            middles, centre = order[count : 2 * count], order[2 * count :]
+            if facets.dim == 1:
+                corners = order[[[0, 2], [2, 1]]]
+            else:
+                inner = np.tile(centre, (count, 1))
+                around = order[:count], middles, inner, np.roll(middles, 1)
+                corners = np.column_stack(around)
+                corners = corners if len(centre) else np.vstack([corners, middles])
+        points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
+        nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
+        facet = np.repeat(np.arange(len(facets.points)), len(corners))
+        centres = points.mean(axis=1)
+        if facets.dim == 1:
+            vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
+        else:  # the area vector is half the cross product of the diagonals, or of two sides
+            vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
+            vectors *= 0.5
+        areas = np.linalg.norm(vectors, axis=1)
+        return cls(
+            facet,
+            nodes,
+            points,
+            centres,
+            np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
+            np.asarray(vectors / (facets.outward[facet] * areas)[:, None]),
+            np.asarray(areas),
+        )
+
+    @cached_property
+    def frames(self) -> Array:
+        """Orthonormal axes (n, dim + 1, 3) of the pieces: tangents, and the normal last."""
+        axes = frames_along(self.points[:, 1] - self.points[:, 0], self.normals)
+        return axes[:, [0, 2]] if self.points.shape[1] == 2 else axes
+
+    def local_coordinates(self, piece: Indices, points: Array) -> Array:
+        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
+
+        The origin is the centre of the piece; the last coordinate is the height over its plane.
+        """
+        relative = points - self.centres[piece][:, None]
+        return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
+
+    def distances(self, chosen: Indices, points: Array) -> Array:
+        """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
+        corners = self.points[chosen] - points[:, None]
+        normals = self.normals[chosen]
+        along = np.roll(corners, -1, axis=1) - corners
+        # parameter in [0, 1] of the nearest point of each side
+        share = -np.einsum("nci,nci->nc", corners, along) / np.square(along).sum(axis=2)
+        share = np.clip(share, 0.0, 1.0)
+        result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
+        if corners.shape[1] > 2:
+            turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
+            projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
+            height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
+            result = np.where(projects_inside, height, result)
+        return np.asarray(result)
 
 
 class Balls:

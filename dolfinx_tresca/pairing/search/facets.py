@@ -1,21 +1,26 @@
-"""Facets of a surface with the shape functions of the displacement, and their straight pieces."""
+"""Facets of a surface with the shape functions of the displacement, and their corners."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 import basix
+import dolfinx
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, cross
 
-#: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
-#: that counts as rounding, in addition to the rounding of coordinates.
-SHAPE_ROUNDING = 1e-10
+#: Deviation, relative to the size of a facet, that counts as rounding, in addition to the rounding
+#: of coordinates: of nodes from a straight shape, of a curved surface from its facet, of areas from
+#: zero. Mesh files have at least ten digits.
+MESH_ROUNDING = 1e-10
 
 #: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
 FACET_ARRAYS = (
@@ -26,14 +31,6 @@ FACET_ARRAYS = (
 #: Largest number of Newton steps; the length of a step, in reference coordinates, that counts as
 #: rounding.
 NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
-
-# corners of each piece, in the order round it, as indices of the facet's nodes in basix' order
-_WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
-_QUARTERS = {
-    "interval": [[0, 2], [2, 1]],
-    "triangle": [[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]],
-    "quadrilateral": [[0, 4, 8, 5], [4, 1, 6, 8], [8, 6, 3, 7], [5, 8, 7, 2]],
-}
 
 #: Distance of two corners, relative to the size of the facet, up to which they match, in addition
 #: to the rounding of coordinates. Twice as much would admit meshes that are twice as far apart;
@@ -57,6 +54,21 @@ SHALLOW_DEPTH = 0.1
 #: side's surface, in any direction, is at least this part of the penetration. The distance is equal
 #: to the penetration for parallel surfaces, and zero if the normal runs along a face.
 CREDIBLE_PART = 0.1
+
+
+#: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
+#: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
+#: (51.4 degrees and less); boxes and hexagonal prisms have sharp edges (60 degrees and more).
+EDGE_ANGLE = 55.0
+
+#: Length of the sum of the facets' weighted normals, relative to the sum of the weights, up to
+#: which the normals cancel and the node has no normal.
+NORMAL_ROUNDING = 1e-6
+
+#: If a unit normal has a projection onto the free directions that is longer than this, the
+#: projection, scaled to length 1, replaces the normal. (The mesh error tilts a normal out of a
+#: symmetry plane by a few degrees, not by 84.)
+FREE_PART = 0.1
 
 
 @dataclass(frozen=True)
@@ -147,7 +159,7 @@ class Facets:
         hats = self.hats(lagrange_points(self.cell, self.degree))
         straight = np.einsum("kc,nci->nki", hats, corners)
         size = np.ptp(corners, axis=1).max(axis=1)
-        rounding = SHAPE_ROUNDING + rounding_of(corners)
+        rounding = MESH_ROUNDING + rounding_of(corners)
         bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
         plane = not bent
         if plane and self.cell == "quadrilateral":
@@ -238,6 +250,16 @@ def lagrange_points(cell: str, degree: int) -> Array:
     return np.asarray(_element(cell, degree).points)
 
 
+@cache
+def nodes_round(cell: str, degree: int) -> Indices:
+    """Return the nodes of a Lagrange basis of degree 1 or 2 in the order round the cell.
+
+    The order is VTK's: corners, then the middle of the side after each of them, then the centre.
+    """
+    kind, count = dolfinx.mesh.to_type(cell), _element(cell, degree).dim
+    return np.argsort(dolfinx.cpp.io.perm_vtk(kind, count))
+
+
 def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
     """Return the Lagrange basis, and its gradient if `derivatives` = 1, at points x (q, dim).
 
@@ -252,86 +274,6 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
     """Return quadrature points (q, dim) and weights (q,) on a reference cell."""
     points, weights = basix.make_quadrature(basix.CellType[cell], degree)
     return np.asarray(points), np.asarray(weights)
-
-
-@dataclass(frozen=True)
-class Pieces:
-    """Segments, triangles or quadrilaterals that approximate facets.
-
-    If any facet of the surface is curved (`Facets.bent`), each facet is cut into two (in 2D) or
-    four pieces; else each facet is one piece.
-
-    Attributes:
-        facet: (n,) the facet of each piece, ascending.
-        nodes: (n, corners) global numbers of the displacement's nodes at the corners.
-        points: (n, corners, 3) corners in the order round the piece [length].
-        centres: (n, 3) means of the corners [length].
-        radii: (n,) largest distance of a corner from the centre [length].
-        normals: (n, 3) outward unit normals of the (mean) planes.
-        areas: (n,) areas of the pieces, projected onto these planes [length^2, in 2D length].
-    """
-
-    facet: Indices
-    nodes: GlobalNumbers
-    points: Array
-    centres: Array
-    radii: Array
-    normals: Array
-    areas: Array
-
-    @classmethod
-    def from_facets(cls, facets: Facets) -> Pieces:
-        """Cut facets into pieces."""
-        corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
-        points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
-        nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
-        facet = np.repeat(np.arange(len(facets.points)), len(corners))
-        centres = points.mean(axis=1)
-        if facets.dim == 1:
-            vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
-        else:  # the area vector is half the cross product of the diagonals, or of two sides
-            vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
-            vectors *= 0.5
-        areas = np.linalg.norm(vectors, axis=1)
-        return cls(
-            facet,
-            nodes,
-            points,
-            centres,
-            np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
-            np.asarray(vectors / (facets.outward[facet] * areas)[:, None]),
-            np.asarray(areas),
-        )
-
-    @cached_property
-    def frames(self) -> Array:
-        """Orthonormal axes (n, dim + 1, 3) of the pieces: tangents, and the normal last."""
-        axes = frames_along(self.points[:, 1] - self.points[:, 0], self.normals)
-        return axes[:, [0, 2]] if self.points.shape[1] == 2 else axes
-
-    def local_coordinates(self, piece: Indices, points: Array) -> Array:
-        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
-
-        The origin is the centre of the piece; the last coordinate is the height over its plane.
-        """
-        relative = points - self.centres[piece][:, None]
-        return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
-
-    def distances(self, chosen: Indices, points: Array) -> Array:
-        """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
-        corners = self.points[chosen] - points[:, None]
-        normals = self.normals[chosen]
-        along = np.roll(corners, -1, axis=1) - corners
-        # parameter in [0, 1] of the nearest point of each side
-        share = -np.einsum("nci,nci->nc", corners, along) / np.square(along).sum(axis=2)
-        share = np.clip(share, 0.0, 1.0)
-        result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
-        if corners.shape[1] > 2:
-            turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
-            projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
-            height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
-            result = np.where(projects_inside, height, result)
-        return np.asarray(result)
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
@@ -385,3 +327,174 @@ def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, partner:
     allowed = (MATCHING_DISTANCE + secondary.rounding[facet]) * size
     nearest = np.linalg.norm(offset, axis=3).min(axis=2)
     return np.asarray((nearest <= allowed[:, None]).all(axis=1))
+
+
+@dataclass(frozen=True)
+class SurfaceNodes:
+    """The corners of facets; a node on a sharp edge has one entry for each smooth patch.
+
+    Weights and normals are valid at nodes whose adjacent facets are all on this rank. See
+    `smooth_patches` for the patches.
+
+    Attributes:
+        facets: the facets.
+        numbers: (n,) global numbers of the nodes in V, ascending. Among the entries of one node the
+            patch with the largest weight comes last.
+        points: (n, 3) positions [length].
+        weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
+        corner_weights: (facets, corners) contribution of each facet to the weights of its corners.
+        normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
+            without prescribed components. (At the edge of a curved surface on a symmetry plane the
+            mean over one side is tilted out of this plane.)
+        free: (n, dim of space) whether a component of the displacement is not prescribed.
+        facet_nodes: (facets, corners) index of each facet's corners in the arrays above.
+        has_no_normal: (n,) whether the normals of the facets cancel.
+    """
+
+    facets: Facets
+    numbers: GlobalNumbers
+    points: Array
+    weights: Array
+    corner_weights: Array
+    normals: Array
+    free: Mask
+    facet_nodes: Indices
+    has_no_normal: Mask
+
+    @classmethod
+    def from_facets(cls, facets: Facets) -> SurfaceNodes:
+        """Return the corners of facets, with their weights and normals."""
+        corners = facets.corners
+        unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
+        normals, spread = _corner_normals(facets)
+        patch, node_of_patch = smooth_patches(node.ravel(), normals.reshape(-1, 3))
+        x, w = quadrature(facets.cell, 2 * facets.degree + 2)
+        corner_weights = facets.area_elements(x) @ (facets.hats(x) * w[:, None])
+        # entries sorted by node, then by the weight of the patch
+        weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
+        order = np.lexsort((weights, node_of_patch))
+        weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
+        position = np.empty_like(order)
+        position[order] = np.arange(len(order))
+        position = position[patch]
+
+        position = position.reshape(-1, corners)
+        vectors = node_sums(position, spread[:, :, None] * normals, len(numbers))
+        lengths = node_sums(position, spread, len(numbers))
+        corner = np.unique(position, return_index=True)[1]
+        points = facets.points[:, :corners].reshape(-1, 3)[corner]
+        free = facets.free.reshape(-1, facets.free.shape[2])[corner]
+        has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
+        return cls(
+            facets,
+            numbers,
+            points,
+            weights,
+            corner_weights,
+            free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free),
+            free,
+            position,
+            has_no_normal,
+        )
+
+
+def _corner_normals(facets: Facets) -> tuple[Array, Array]:
+    """Return outward unit normals (n, corners, 3) of facets at their corners, and their weights.
+
+    The weight (n, corners) is sin(angle) / (|a| |b|) for the two sides a and b that meet in the
+    corner; in 2D it is 1 / length of the segment. If all corners around a node lie on a sphere,
+    the weighted sum is normal to the sphere, whatever the shapes and sizes of the facets (Max 1999,
+    Weights for computing vertex normals from facet normals).
+    """
+    corners = facets.points[:, : facets.corners]
+    normals = facets.area_vectors(lagrange_points(facets.cell, 1))
+    normals = normals / np.linalg.norm(normals, axis=2)[:, :, None]
+    order = nodes_round(facets.cell, 1)
+    place = np.argsort(order)
+    before = corners[:, order[place - 1]] - corners
+    after = corners[:, np.roll(order, -1)[place]] - corners
+    squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
+    if facets.dim == 1:
+        weights = squares**-0.25
+    else:
+        weights = np.linalg.norm(cross(before, after), axis=2) / squares
+    return np.asarray(normals), weights
+
+
+def free_normals(vectors: Array, free: Mask) -> Array:
+    """Return unit normals (n, 3) along vectors (n, 3), without prescribed components.
+
+    A vector keeps all components if its free part is at most `FREE_PART` of its length.
+
+    Args:
+        vectors: (n, 3) sums of the normals of facets.
+        free: (n, dim of space) whether a component of the displacement is not prescribed.
+    """
+    normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    movable = normals.copy()
+    movable[:, : free.shape[1]][~free] = 0.0
+    length = np.linalg.norm(movable, axis=1)
+    turned = (length > FREE_PART) & ~free.all(axis=1)
+    normals[turned] = movable[turned] / length[turned, None]
+    return normals
+
+
+def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
+    """Partition the facet corners at each node into smooth patches.
+
+    Two corners at one node are in the same patch if their normals differ by at most `EDGE_ANGLE`,
+    or if a chain of such corners connects them. So a fillet is smooth.
+
+    Args:
+        node: (n,) the node of each facet corner, numbered 0, 1, 2, ...
+        normals: (n, 3) unit normals of the facets at the corners.
+
+    Returns:
+        The patch (n,) of each corner, numbered by ascending nodes, and the node (patches,) of each
+        patch.
+    """
+    count = int(node.max(initial=-1)) + 1
+    mean = np.stack([np.bincount(node, normals[:, i], count) for i in range(3)], axis=1)
+    leans = np.einsum("ni,ni->n", normals, mean[node])
+    # if all normals differ from their mean by half of EDGE_ANGLE at most, the node is smooth
+    limit = math.cos(math.radians(0.5 * EDGE_ANGLE)) * np.linalg.norm(mean, axis=1)
+    corners = np.flatnonzero(np.isin(node, node[leans <= limit[node]]))
+    if len(corners) == 0:
+        return node, np.arange(count)
+    rows = np.arange(len(corners))
+    at_node = coo_array((np.ones(len(corners)), (rows, node[corners])))
+    corner, partner = (at_node @ at_node.T).nonzero()
+    cosine = np.einsum("ni,ni->n", normals[corners[corner]], normals[corners[partner]])
+    near = cosine >= math.cos(math.radians(EDGE_ANGLE))
+    links = np.ones(near.sum()), (corner[near], partner[near])
+    graph = coo_array(links, shape=(len(corners), len(corners)))
+    component = np.zeros(len(node), dtype=np.intp)
+    component[corners] = connected_components(graph, directed=False)[1]
+    number = int(component.max()) + 1
+    patches, patch = np.unique(node * number + component, return_inverse=True)
+    return patch, patches // number
+
+
+def node_sums(nodes: Indices, values: Array, count: int) -> Array:
+    """Return the sums (count, ...) at nodes of values (facets, corners, ...) at facets' corners.
+
+    Args:
+        nodes: (facets, corners) the node of each corner.
+        values: the values.
+        count: the number of nodes.
+    """
+    sums = np.zeros((count, *values.shape[2:]))
+    np.add.at(sums, nodes, values)
+    return sums
+
+
+def tangents(normals: Array) -> Array:
+    """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals (n, d).
+
+    In 3D the first tangent is across the coordinate axis that is farthest from the normal.
+    """
+    if normals.shape[1] == 2:
+        return np.stack([-normals[:, 1], normals[:, 0]], axis=1)[:, None]
+    along = cross(np.eye(3)[np.abs(normals).argmin(axis=1)], normals)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    return np.stack([along, cross(normals, along)], axis=1)

@@ -18,8 +18,13 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.pairing.search.facets import FACING_COSINE, SHALLOW_DEPTH, Facets, quadrature
-from dolfinx_tresca.pairing.search.nodes import SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import (
+    FACING_COSINE,
+    SHALLOW_DEPTH,
+    Facets,
+    SurfaceNodes,
+    quadrature,
+)
 from dolfinx_tresca.pairing.search.visibility import TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were

@@ -19,6 +19,7 @@ from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, row_of_least
 from dolfinx_tresca.errors import InputError, MeshError, PairingError
 from dolfinx_tresca.pairing.search.facets import (
+    MESH_ROUNDING,
     Facets,
     cross_products,
     lagrange_points,
@@ -34,10 +35,6 @@ from dolfinx_tresca.scene.geometry import (
 )
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-
-#: Area of a facet relative to the square of its size, in 2D its length relative to the longest
-#: facet, up to which the facet counts as degenerate, in addition to the rounding of coordinates.
-AREA_ROUNDING = 1e-10
 
 #: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
 #: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
@@ -175,7 +172,7 @@ def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
     area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
     # in 2D the area of a facet is its size, so it is compared with the largest facet
     whole = size**2 if facets.dim == 2 else largest
-    flat = area <= (AREA_ROUNDING + facets.rounding) * whole
+    flat = area <= (MESH_ROUNDING + facets.rounding) * whole
     number, total = reduce_array(comm, np.array([flat.sum(), len(flat)]))
     if number > 0:
         where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))

@@ -6,12 +6,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.pairing.search.balls import Balls, expanded_ranges, flattened
-from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, SHALLOW_DEPTH, Pieces
+from dolfinx_tresca.pairing.search.balls import Balls, Pieces, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, SHALLOW_DEPTH
 
-#: The overlaps of a piece are taken not to cover each other if their total area is at most this
-#: times the area of the piece: 1 plus rounding.
-COVERED_ONCE = 1.0 + 1e-8
+#: Part of a facet's area that counts as rounding: facets are fully covered if no larger part is
+#: uncovered, and covered once if no larger part is covered twice.
+COVER_ROUNDING = 1e-8
 
 #: Distance of surfaces, relative to the radius of a facet, up to which they touch: above rounding,
 #: and far below the resolution of a mesh.
@@ -353,7 +353,7 @@ def nearest_layer_weights(
     count = len(places) // len(pair)
     counts = weight.reshape(-1, count).any(axis=1)
     covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
-    overlaid = (covered > COVERED_ONCE * piece_area)[piece[pair]]
+    overlaid = (covered > (1.0 + COVER_ROUNDING) * piece_area)[piece[pair]]
     crowded = np.flatnonzero(overlaid & counts)
     if len(crowded) == 0:
         return weight
