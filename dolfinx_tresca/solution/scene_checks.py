@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 from mpi4py import MPI
@@ -30,8 +29,6 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-
-_warn = partial(log, level=logging.WARNING)
 
 
 class Limit(NamedTuple):
@@ -110,7 +107,7 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
     advice = dict.fromkeys(departure.advice for departure in told)
     text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
     if not comm.bcast(bool(outside)):
-        _warn(comm, "near the end of linear theory: %s", text)
+        log(comm, "near the end of linear theory: %s", text, level=logging.WARNING)
         return ""
     return str(comm.bcast(text))
 
@@ -290,11 +287,12 @@ def hint_at_scene(
     for pair, paired in zip(pairs, operators, strict=True):
         coefficient = _coefficient(pair)
         if coefficient > LARGEST_COEFFICIENT:
-            _warn(
+            log(
                 comm,
                 "%s has a coefficient of friction of %g, which no material has: it is neither in "
                 "percent nor an angle",
                 *(pair, coefficient),
+                level=logging.WARNING,
             )
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
@@ -303,19 +301,21 @@ def hint_at_scene(
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
             if alike and not pair.touches_itself:
-                _warn(
+                log(
                     comm,
                     "both sides of %s are on body %d: it touches itself. If these should be two "
                     "bodies, they share nodes: mesh them without merging nodes",
                     *(pair, 1 + int(secondary.argmax())),
+                    level=logging.WARNING,
                 )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
         if depth >= thinnest:
-            _warn(
+            log(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
                 "bodies where they should be, and the tags on the sides that face each other?",
                 *(pair, depth),
+                level=logging.WARNING,
             )
 
 
@@ -352,7 +352,7 @@ def hint_at_overlap(
         # the least of all equally deep points: the same with any number of ranks
         deepest_points = points[paired.nodes[depth >= deepest - rounding]]
         place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
-        _warn(
+        log(
             comm,
             "%s overlaps by up to %.3g, at (%s): Dirichlet conditions prescribe the displacement "
             "along the normal at %d nodes of the secondary side, which so have no pressure to hold "
@@ -360,6 +360,7 @@ def hint_at_overlap(
             "side",
             *(pair, deepest, ", ".join(f"{x:.4g}" for x in place), number),
             about=str(pair),
+            level=logging.WARNING,
         )
 
 
@@ -389,18 +390,20 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     least = [by_pressure.min(initial=0.0), compliance * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
     if falling < 0.0:
-        _warn(
+        log(
             comm,
             "the slip bound F(p, v) p of a contact pair decreases with the pressure at slipping "
             "nodes, by up to %.3g for each unit of pressure: there may be several solutions",
             -falling,
+            level=logging.WARNING,
         )
     if weakening < -1.0:
-        _warn(
+        log(
             comm,
             "the slip bound of a contact pair decreases with the slip up to %.3g times as fast as "
             "elastic tractions do: there may be several solutions, and sliding may begin suddenly",
             -weakening,
+            level=logging.WARNING,
         )
 
 
