@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
@@ -66,7 +67,11 @@ class Factorisation:
         check_choice(stiffness, expected_solves, saddle=is_saddle)
         if linear.comm.rank == 0:
             warn_of_slow_blas()
-        cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
+        cell_tags = [
+            pair.cell_tags
+            for pair in pairs
+            if pair.cell_tags is not None and same_topology(pair.cell_tags, linear.V.mesh)
+        ]
         self.bodies = Bodies.from_space(linear.V, cell_tags[0] if cell_tags else None)
         self.method, self.reason = choose(
             stiffness,

@@ -263,7 +263,9 @@ class Bodies:
         tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * flux - loaded)
 
         forces = cells.facet_forces(tractions)
-        largest = np.abs(forces).max(initial=0.0)
+        # a body may be free of forces where the target, of another load, is not
+        aimed = cells.facet_forces(target[:, :count].reshape(tractions.shape))
+        largest = max(np.abs(field).max(initial=0.0) for field in (forces, aimed))
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
         lacking = np.abs(lacking).max(initial=0.0)

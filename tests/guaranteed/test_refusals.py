@@ -119,12 +119,3 @@ def test_loads_that_have_changed(scene):
         with pytest.raises(InputError, match="steps"):
             problem.guaranteed_error(steps=-1)
         assert problem.guaranteed_error().relative_error > 0.0
-
-
-def test_nonlinear_bodies(scene):
-    u = fem.Function(scene.V)
-    F = ufl.replace(scene.a, {scene.a.arguments()[1]: u}) - no_load(scene.V)
-    with NonlinearContactProblem(F, u, scene.pairs, scene.bcs) as problem:
-        problem.solve()
-        with pytest.raises(InputError, match="linear bodies"):
-            problem.guaranteed_error()
