@@ -185,4 +185,4 @@ def guaranteed_goal(
             best = np.minimum(best, limits)
         if t < start / STEP:
             break
-    return GuaranteedGoal(-best[1], best[0], functional.value(u))
+    return GuaranteedGoal(-float(best[1]), float(best[0]), functional.value(u))
