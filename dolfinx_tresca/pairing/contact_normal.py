@@ -44,6 +44,11 @@ CANCELLED = 0.1
 #: change the heights on irregular meshes.)
 UNEVEN = 0.5
 
+#: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
+#: kink are kept; from twice this angle on, the facet's own normal takes their place. (With
+#: zero, the friction of a block on a plank that it dents varies by 1 % as nodes pass.)
+KINK_ANGLE = 0.1
+
 #: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
 #: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
 #: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
@@ -126,19 +131,19 @@ class SmoothSurface:
         smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        turns_at_kinks = turned_angles(self._cosines())
-        blend = smooth[:, None, None]
-        self.corner_normals = (
-            blend * self.corner_normals + (1.0 - blend) * self._facet_normals[:, None]
-        )
-        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
         cosines = self._cosines()
-        self.turns = turned_angles(cosines)
+        turns_at_kinks = turned_angles(cosines)
         start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        self._heights = 0.5 * (end - start) / stretch
+        self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        is_kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
+        self.corner_normals += is_kinked[:, None, None] * (
+            self._facet_normals[:, None] - self.corner_normals
+        )
+        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
+        self.turns = turned_angles(self._cosines())
         size = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (MESH_ROUNDING + facets.rounding) * size
         above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
