@@ -15,10 +15,9 @@ from dolfinx_tresca import (
     ContactProblem,
     Frictionless,
     InputError,
-    NonlinearContactProblem,
     RigidSphere,
 )
-from scenes.elasticity import elasticity, fixed, no_load
+from scenes.elasticity import elasticity, fixed
 from scenes.known_contact import CONTACT, block_on_plane
 from scenes.manufactured import blocks_scene
 from scenes.patches import patch
