@@ -89,7 +89,7 @@ class GuaranteedError:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What multipliers and displacements of a load say about the exact solution.
+    """Tractions, loads and displacements that bound the exact solution of a load.
 
     Attributes:
         surfaces: the contact surfaces, with admissible tractions.
@@ -110,7 +110,7 @@ class Distance:
 
     Attributes:
         difference: data of the difference of both stresses, see `StressEnergies`.
-        stress: (n,) its norm.
+        stress: (n,) the norm of the difference.
         oscillation: (n,) bounds of what loads do that the stress does not balance.
         defects: (2, n) integrals of complementarity and of friction.
     """
@@ -211,7 +211,7 @@ class Bodies:
         """Return the distance of a stress in equilibrium from that of a displacement. Collective.
 
         Args:
-            candidate: that whose loads and tractions the stress balances.
+            candidate: the loads and tractions that the stress balances.
             v: displacement that does not penetrate.
             target: data of the stress that is to be near, see `StressEnergies`.
             steps: steps of the conjugate gradient method.

@@ -179,6 +179,9 @@ class NewtonRecord:
         return self.steps[-1].residual if self.steps else math.nan
 
     def __repr__(self) -> str:
+        return f"<NewtonRecord: {len(self.steps)} steps, {self.fraction:.4g} of the load>"
+
+    def __str__(self) -> str:
         lines = ["   load  step  correction  residual  contact  pressed  products  added to K"]
         for step in self.steps:
             lines.append(

@@ -18,7 +18,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.jump import entrywise
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -133,7 +133,10 @@ class TangentSystem(LinearSystem):
                     "before_assembly() has changed u, which it must only read: Newton's method "
                     "chooses u."
                 )
-            self._check_finite(StiffnessError, "before_assembly() leaves")
+            if fields := self._not_finite():
+                raise StiffnessError(
+                    f"before_assembly() leaves values that are NaN or infinite in {fields}."
+                )
         self._updated_at = u
         self._material_changed = True
 
@@ -148,18 +151,13 @@ class TangentSystem(LinearSystem):
         if self._before_assembly is not None:
             return
         with errors_on_all_ranks(self.comm):
-            self._check_finite(InputError, "F or J depends on")
+            if fields := self._not_finite():
+                raise InputError(f"F or J depends on values that are NaN or infinite in {fields}.")
 
-    def _check_finite(self, error: type[ContactError], where: str) -> None:
-        """Check that Functions in the forms other than u are finite. Not collective.
-
-        Args:
-            error: the kind of error to raise if they are not.
-            where: beginning of its message.
-        """
-        for field in self._functions:
-            if not np.isfinite(field.x.array).all():
-                raise error(f"{where} values that are NaN or infinite in {shown(field)}.")
+    def _not_finite(self) -> str:
+        """Return the names of Functions in the forms, other than u, that are not finite."""
+        fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
+        return ", ".join(shown(field) for field in fields)
 
     def forget_material(self) -> None:
         """Let the next assembly compute the material again, even at the same u. Not collective."""
