@@ -98,6 +98,19 @@ def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
     return any(_same(topology, side) for both in mapped for side in both)
 
 
+def owned_dofs(bc: Any, owned: int) -> Any:
+    """Return the degrees of freedom of this rank that a condition prescribes. Not collective.
+
+    DOLFINx 0.9 counts some ghosts among the owned ones on blocked spaces.
+
+    Args:
+        bc: the condition.
+        owned: number of this rank's own degrees of freedom.
+    """
+    dofs = bc.dof_indices()[0]
+    return dofs[dofs < owned]
+
+
 def same_topology(tags: Any, mesh: Any) -> bool:
     """Return whether tags belong to a mesh."""
     return _same(tags.topology, mesh.topology)

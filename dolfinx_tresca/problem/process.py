@@ -40,7 +40,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.forces import Forms, Resultant, reaction_at, reaction_form
+from dolfinx_tresca.solution.forces import Forms, Resultant, Supports
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
@@ -488,18 +488,13 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         fields, supports = self._supports()
         surfaces = self._contact.surfaces
-        result = reaction_at(
-            **supports,
-            where=where,
-            point=point,
-            moved=fields.u if surfaces.slides_far else None,
-            frames=surfaces.jump.frames,
-        )
+        moved = fields.u if surfaces.slides_far else None
+        result = supports.reaction(where, point, moved=moved, frames=surfaces.jump.frames)
         tag = integer(where)
         if tag is None:
-            name = f"bcs[{[where is bc for bc in supports['forms'].bcs].index(True)}]"
+            name = f"bcs[{[where is bc for bc in supports.forms.bcs].index(True)}]"
         else:
-            name = getattr(supports["facet_tags"], "names", {}).get(tag, f"tag {tag}")
+            name = getattr(supports.facet_tags, "names", {}).get(tag, f"tag {tag}")
         fields.reactions[name] = result
         return result
 
@@ -519,10 +514,10 @@ class ContactProcess(PetscOwner, Tabulated):
                 support; or a pair has finite sliding.
         """
         self._check_pairing_fixed()
-        return reaction_form(**self._supports()[1], where=where, direction=direction)
+        return self._supports()[1].reaction_form(where, direction)
 
-    def _supports(self) -> tuple[Evaluation, dict[str, Any]]:
-        """Return the last solution, and arguments of `reaction_at`. Not collective.
+    def _supports(self) -> tuple[Evaluation, Supports]:
+        """Return the last solution, and what holds the bodies at it. Not collective.
 
         Raises:
             ContactError: there is no solution.
@@ -531,14 +526,11 @@ class ContactProcess(PetscOwner, Tabulated):
         solved = self._contact.solved
         if solved is None:
             raise ContactError("there is no solution for reaction(): call solve() first.")
-        u = getattr(self, "u", solved.fields.deformation)
-        return solved.fields, {
-            "forms": self._forms_at(u),
-            "u": u,
-            "contact_force": solved.fields.contact_force,
-            "prescribed": self.prescribed,
-            "facet_tags": self.pairs[0].given_tags("secondary")[0],
-        }
+        fields = solved.fields
+        u = getattr(self, "u", fields.deformation)
+        facet_tags = self.pairs[0].given_tags("secondary")[0]
+        supports = Supports(self._forms_at(u), u, fields.contact_force, self.prescribed, facet_tags)
+        return fields, supports
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.

@@ -3,7 +3,7 @@
 - `evaluate` makes an `Evaluation` of multipliers: one pass over the nodes of all pairs, then one
   over the surfaces. `ContactSolution` (`result.py`) adds how the solve went.
 - `Surface`: the mesh of a secondary side; `SurfaceFields`: the Functions on it.
-- `Resultant`: force and moment, of contact on a pair or body, or of a support (`reaction_at`).
+- `Resultant`: force and moment, of contact on a pair or body, or of a support: `Supports`.
 - `scene_checks`: hints at likely mistakes, and the *departures* of a solution from linear theory.
 - `transfer`: tractions and slips of a solution at the nodes of another mesh.
 

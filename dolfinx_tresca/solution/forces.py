@@ -11,13 +11,13 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx.la
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, integer
 from dolfinx_tresca._base.bodies import labels_of
-from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
+from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -229,159 +229,176 @@ BALANCED = 2e-2
 ROUNDED = 1e-10
 
 
-def reaction_at(
-    forms: Forms,
-    u: fem.Function,
-    contact_force: fem.Function,
-    prescribed: Mask,
-    facet_tags: Any,
-    where: Any,
-    point: npt.ArrayLike | None,
-    *,
-    moved: fem.Function | None = None,
-    frames: BodyFrames | None = None,
-) -> Resultant:
-    """Return the force and moment that a support exerts on the bodies. Collective.
+@dataclass(frozen=True)
+class Supports:
+    """Supports of the bodies at a solution: Dirichlet conditions, and springs on surfaces.
 
-    At prescribed degrees of freedom the forces of the support balance internal forces, loads and
-    contact. Springs are the terms of the forms over facets with the tag in which u occurs.
-
-    Args:
+    Attributes:
         forms: the forms and conditions of the bodies.
-        u: the displacement in these forms, of the solution; with `frames` the displacement in them.
+        u: the displacement in these forms; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
         prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
-        facet_tags: tags of facets, for tags.
-        where: the tag of a surface, or a Dirichlet condition of the problem.
-        point: (d,) reference point of the moment [length]; None: the middle of all these forces.
-        moved: displacement of the places at which forces act [length]; None: the undeformed places.
-        frames: the frames of linear bodies that have turned; None: there are none.
-
-    Raises:
-        InputError: `where` is neither of both, no facet has the tag, nothing holds it, or the forms
-            are on a mixed space.
-        ContactError: loads or coefficients have changed since the solution.
+        facet_tags: tags of facets, for supports that are given by a tag.
     """
-    V = contact_force.function_space
-    comm, dim = V.mesh.comm, V.mesh.geometry.dim
-    if u.function_space.element != V.element:
-        raise InputError("reaction() needs forms of the displacement alone, not of a mixed space.")
-    residual = forms.residual(ufl.TestFunction(V))
 
-    def nodal(form: Any) -> Array:
-        vector = fem.Function(V)
-        fem.assemble_vector(vector.x.array, forms.compiled(form))
-        vector.x.scatter_reverse(dolfinx.la.InsertMode.add)
-        return np.asarray(vector.x.array[: len(prescribed)])
+    forms: Forms
+    u: fem.Function
+    contact_force: fem.Function
+    prescribed: Mask
+    facet_tags: Any
 
-    forces = nodal(residual)
-    if frames is not None:  # loads are in space, internal forces in the frames
-        loads = nodal(ufl.replace(residual, {u: fem.Function(u.function_space)}))
-        forces = frames.into_space(forces - loads) + loads
-    forces -= contact_force.x.array[: len(prescribed)]
-    sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~prescribed, slice(None))]
-    sizes.append(np.abs(contact_force.x.array).max(initial=0.0))
-    # internal forces of opposite displacements of neighbours: bodies without any force, which have
-    # moved freely, have forces by rounding of these
-    opposite = fem.Function(u.function_space)
-    opposite.x.array[:] = u.x.array * (1.0 - 2.0 * (np.arange(len(u.x.array)) // dim % 2))
-    opposite.x.scatter_forward()
-    internal = nodal(ufl.derivative(residual, u, opposite))
-    sizes.append(ROUNDED * np.abs(internal).max(initial=0.0))
-    unbalanced, *largest, rounding = reduce_array(comm, sizes, MPI.MAX)
-    if unbalanced > max(BALANCED * max(largest), rounding):
-        raise ContactError(
-            "loads, prescribed values or coefficients have changed since the solution, or it has "
-            f"not converged: forces at free nodes are {unbalanced / max(largest):.2g} of the "
-            "largest force. Call solve() before reaction()."
-        )
-    held, springs = _support(forms, V, u, prescribed, facet_tags, where)
-    forces = np.where(held, forces, 0.0)
-    if springs:
-        forces -= nodal(springs(ufl.TestFunction(V)))
-    rows = forces.reshape(-1, dim)
-    places = V.tabulate_dof_coordinates()[: len(rows), :dim]
-    if moved is not None:
-        places = places + moved.x.array[: len(prescribed)].reshape(-1, dim)
-    centre = centre_of_forces(comm, places, rows)
-    index = np.zeros(len(rows), dtype=np.intp)
-    (result,) = resultants_on(comm, [(places, rows, index)], 1, centre)
-    return result if point is None else result.about(point)
+    def reaction(
+        self,
+        where: Any,
+        point: npt.ArrayLike | None,
+        *,
+        moved: fem.Function | None = None,
+        frames: BodyFrames | None = None,
+    ) -> Resultant:
+        """Return the force and moment that a support exerts on the bodies. Collective.
 
+        At prescribed degrees of freedom the forces of the support balance internal forces, loads
+        and contact. Springs are the terms of the forms over facets with the tag in which u occurs.
 
-def reaction_form(
-    forms: Forms,
-    u: fem.Function,
-    contact_force: fem.Function,
-    prescribed: Mask,
-    facet_tags: Any,
-    where: Any,
-    direction: npt.ArrayLike,
-) -> Any:
-    """Return a component of a support's force as a form of rank 0 that depends on u. Collective.
+        Args:
+            where: the tag of a surface, or a Dirichlet condition of the problem.
+            point: (d,) reference point of the moment [length]; None: the middle of all these
+                forces.
+            moved: displacement of the places at which forces act [length]; None: the undeformed
+                places.
+            frames: the frames of linear bodies that have turned; None: there are none.
 
-    It is the residual R(u; z), where z is the direction at the nodes that the support holds, and
-    zero at all others: see `reaction_at`, also for the arguments.
-
-    Raises:
-        InputError: see `reaction_at`; the direction is no vector, or contact acts on held nodes.
-    """
-    V = contact_force.function_space
-    dim = V.mesh.geometry.dim
-    along = np.asarray(direction, dtype=np.float64)
-    if along.shape != (dim,):
-        raise InputError(f"direction must have {dim} numbers, found {shown(direction)}.")
-    held, springs = _support(forms, V, u, prescribed, facet_tags, where)
-    pressed = np.abs(contact_force.x.array[: len(held)][held]).max(initial=0.0)
-    if reduce_array(V.mesh.comm, pressed, MPI.MAX) > 0.0:
-        raise InputError("contact acts on nodes of the support: their share is in no form.")
-    everywhere, at_support = fem.Function(V), fem.Function(V)
-    everywhere.x.array.reshape(-1, dim)[:] = along
-    at_support.x.array[: len(held)] = np.where(held, everywhere.x.array[: len(held)], 0.0)
-    at_support.x.scatter_forward()
-    form = forms.residual(at_support)
-    return form - springs(everywhere) if springs else form
-
-
-def _support(
-    forms: Forms, V: Any, u: fem.Function, prescribed: Mask, facet_tags: Any, where: Any
-) -> tuple[Mask, Callable[[Any], Any] | None]:
-    """Return what a support holds, see `reaction_at`. Collective.
-
-    Returns:
-        (owned dofs,) whether the support holds the degree of freedom; and function (z) -> the work
-        of its springs with z, a form; None if it has no springs.
-    """
-    held = np.zeros(len(prescribed), dtype=np.bool_)
-    tag = integer(where)
-
-    def springs(z: Any) -> Any:
-        integrals = [
-            integral.reconstruct(subdomain_id=tag)
-            for integral in forms.residual(z).integrals()
-            if integral.integral_type() == "exterior_facet"
-            and tag in np.atleast_1d(integral.subdomain_id())
-            and u in ufl.algorithms.extract_coefficients(integral.integrand())
-        ]
-        return ufl.Form(integrals) if integrals else None
-
-    if tag is None:
-        if not any(where is bc for bc in forms.bcs):
+        Raises:
+            InputError: `where` is neither of both, no facet has the tag, nothing holds it, or the
+                forms are on a mixed space.
+            ContactError: loads or coefficients have changed since the solution.
+        """
+        V, u = self.contact_force.function_space, self.u
+        comm, dim = V.mesh.comm, V.mesh.geometry.dim
+        if u.function_space.element != V.element:
             raise InputError(
-                "reaction() needs the tag of a surface, or a Dirichlet condition in the list bcs "
-                f"of the problem, found {shown(where)}."
+                "reaction() needs forms of the displacement alone, not of a mixed space."
             )
-        dofs, owned = where.dof_indices()
-        held[dofs[:owned]] = True
-    else:
-        facets = facet_tags.find(tag)
-        if reduce_array(V.mesh.comm, len(facets)) == 0:
-            raise InputError(f"no facet has the tag {tag}.")
-        nodes = fem.locate_dofs_topological(V, facet_tags.dim, facets)
-        nodes = nodes[nodes < V.dofmap.index_map.size_local]
-        held.reshape(-1, V.dofmap.bs)[nodes] = True
-    held &= prescribed
-    has_springs = tag is not None and springs(ufl.TestFunction(V)) is not None
-    if not has_springs and not reduce_array(V.mesh.comm, int(held.sum())):
-        raise InputError(f"nothing holds the bodies at {shown(where)}: no condition and no spring.")
-    return held, springs if has_springs else None
+        residual = self.forms.residual(ufl.TestFunction(V))
+        forces = self._at_nodes(residual)
+        if frames is not None:  # loads are in space, internal forces in the frames
+            loads = self._at_nodes(ufl.replace(residual, {u: fem.Function(u.function_space)}))
+            forces = frames.into_space(forces - loads) + loads
+        forces -= self.contact_force.x.array[: len(forces)]
+        sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~self.prescribed, slice(None))]
+        sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
+        unbalanced, *largest = reduce_array(comm, sizes, MPI.MAX)
+        if unbalanced > BALANCED * max(largest) and unbalanced > self._rounding(residual):
+            raise ContactError(
+                "loads, prescribed values or coefficients have changed since the solution, or it "
+                f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
+                "the largest force. Call solve() before reaction()."
+            )
+        held, springs = self._held_and_springs(where)
+        forces = np.where(held, forces, 0.0)
+        if springs:
+            forces -= self._at_nodes(springs(ufl.TestFunction(V)))
+        rows = forces.reshape(-1, dim)
+        places = V.tabulate_dof_coordinates()[: len(rows), :dim]
+        if moved is not None:
+            places = places + moved.x.array[: len(forces)].reshape(-1, dim)
+        centre = centre_of_forces(comm, places, rows)
+        index = np.zeros(len(rows), dtype=np.intp)
+        (result,) = resultants_on(comm, [(places, rows, index)], 1, centre)
+        return result if point is None else result.about(point)
+
+    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> Any:
+        """Return a component of a support's force as a form of rank 0 that depends on u.
+
+        The form is the residual R(u; z), where z is the direction at the nodes that the support
+        holds, and zero at all others. Collective.
+
+        Args:
+            where: see `reaction`.
+            direction: (d,) vector by which the force is multiplied.
+
+        Raises:
+            InputError: see `reaction`; the direction is no vector, or contact acts on held nodes.
+        """
+        V = self.contact_force.function_space
+        dim = V.mesh.geometry.dim
+        along = np.asarray(direction, dtype=np.float64)
+        if along.shape != (dim,):
+            raise InputError(f"direction must have {dim} numbers, found {shown(direction)}.")
+        held, springs = self._held_and_springs(where)
+        pressed = np.abs(self.contact_force.x.array[: len(held)][held]).max(initial=0.0)
+        if reduce_array(V.mesh.comm, pressed, MPI.MAX) > 0.0:
+            raise InputError("contact acts on nodes of the support: their share is in no form.")
+        everywhere = fem.Function(V)
+        everywhere.x.array.reshape(-1, dim)[:] = along
+        at_support = with_owned_values(
+            V, np.where(held, everywhere.x.array[: len(held)], 0.0).reshape(-1, dim)
+        )
+        form = self.forms.residual(at_support)
+        return form - springs(everywhere) if springs else form
+
+    def _at_nodes(self, form: Any) -> Array:
+        """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
+        V = self.contact_force.function_space
+        return owned_values(assembled(form, V, self.forms.entity_maps)).ravel()
+
+    def _rounding(self, residual: Any) -> float:
+        """Return the size of rounding errors of the forces [force]. Collective.
+
+        Bodies that have moved freely have no forces but these. Internal forces of displacements
+        that are opposite at neighbouring nodes tell how large they are.
+        """
+        u = self.u
+        opposite = fem.Function(u.function_space)
+        parity = np.arange(len(u.x.array)) // u.function_space.dofmap.bs % 2
+        opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
+        opposite.x.scatter_forward()
+        forces = self._at_nodes(ufl.derivative(residual, u, opposite))
+        largest = reduce_array(u.function_space.mesh.comm, np.abs(forces).max(initial=0.0), MPI.MAX)
+        return ROUNDED * float(largest)
+
+    def _held_and_springs(self, where: Any) -> tuple[Mask, Callable[[Any], Any] | None]:
+        """Return the nodes that a support holds, and its springs. Collective.
+
+        Args:
+            where: see `reaction`.
+
+        Returns:
+            (owned dofs,) whether the support holds the degree of freedom; and function (z) -> the
+            work of its springs with z, a form; None if it has no springs.
+        """
+        forms, V = self.forms, self.contact_force.function_space
+        held = np.zeros(len(self.prescribed), dtype=np.bool_)
+        tag = integer(where)
+
+        def springs(z: Any) -> Any:
+            integrals = [
+                integral.reconstruct(subdomain_id=tag)
+                for integral in forms.residual(z).integrals()
+                if integral.integral_type() == "exterior_facet"
+                and tag in np.atleast_1d(integral.subdomain_id())
+                and self.u in ufl.algorithms.extract_coefficients(integral.integrand())
+            ]
+            return ufl.Form(integrals) if integrals else None
+
+        if tag is None:
+            if not any(where is bc for bc in forms.bcs):
+                raise InputError(
+                    "reaction() needs the tag of a surface, or a Dirichlet condition in the list "
+                    f"bcs of the problem, found {shown(where)}."
+                )
+            held[owned_dofs(where, len(held))] = True
+        else:
+            facets = self.facet_tags.find(tag)
+            if reduce_array(V.mesh.comm, len(facets)) == 0:
+                raise InputError(f"no facet has the tag {tag}.")
+            nodes = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
+            nodes = nodes[nodes < V.dofmap.index_map.size_local]
+            held.reshape(-1, V.dofmap.bs)[nodes] = True
+        held &= self.prescribed
+        has_springs = tag is not None and springs(ufl.TestFunction(V)) is not None
+        if not has_springs and not reduce_array(V.mesh.comm, int(held.sum())):
+            raise InputError(
+                f"nothing holds the bodies at {shown(where)}: no condition and no spring."
+            )
+        return held, springs if has_springs else None

@@ -18,7 +18,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
+from dolfinx_tresca._base.compat import EntityMaps, owned_dofs, require_real_petsc
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca._base.tolerances import ROUGH
@@ -126,9 +126,7 @@ class LinearSystem(PetscOwner):
             dofmap.index_map.size_local * dofmap.index_map_bs, dtype=np.bool_
         )
         for bc in self.bcs:
-            # with ghosts: DOLFINx 0.9 miscounts the owned degrees of freedom of blocked spaces
-            dofs = bc.dof_indices()[0]
-            self.prescribed[dofs[dofs < len(self.prescribed)]] = True
+            self.prescribed[owned_dofs(bc, len(self.prescribed))] = True
         not_displacement = (
             np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
         )
