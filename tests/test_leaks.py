@@ -27,6 +27,7 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.petsc import free_unused
 from scenes.blocks import block
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.patches import BOTTOM, LOWER, TOP, UPPER, patch
@@ -152,7 +153,7 @@ def test_nothing_stays(
 
     def state() -> tuple[Counter[str], int, float]:
         gc.collect()
-        PETSc.garbage_cleanup(comm)
+        free_unused(comm)
         return petsc_objects(comm, folder / "log.txt"), free_communicators(comm), memory()
 
     used_after = []
@@ -198,7 +199,7 @@ def taken_by_walls(comm: MPI.Comm, *sizes: tuple[int, int]) -> list[tuple[int, i
     for bricks, courses in (sizes[0], *sizes):  # the first wall fills caches
         scene = wall(comm, bricks, courses, divisions=(2, 1))
         gc.collect()  # of the wall before, on all ranks
-        PETSc.garbage_cleanup(comm)
+        free_unused(comm)
         before = free_communicators(MPI.COMM_SELF)
         with scene.problem() as problem:
             solution = problem.solve()

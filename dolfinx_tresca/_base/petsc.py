@@ -56,6 +56,7 @@ def free_unused(comm: MPI.Comm) -> None:
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
+        _unused_references.clear()
 
 
 #: References to PETSc's communicators, of communicators that were freed since.
@@ -78,7 +79,6 @@ def keep_inner_communicator(comm: MPI.Comm) -> None:
     Args:
         comm: the communicator of an index map.
     """
-    _unused_references.clear()
     if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
         # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists
         comm.Set_attr(_REFERENCE, PETSc.Comm(MPI.Comm(comm)).duplicate())
