@@ -302,6 +302,11 @@ def no_scale(store: products.ProductStore, *arguments: Any) -> None:
     store.scale = 1.0
 
 
+def without_near_field(store: products.ProductStore, *arguments: Any, **others: Any) -> None:
+    """Create a store whose model begins with the diagonal."""
+    make_store(store, *arguments, **{**others, "apply_near": None})
+
+
 def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> Balance:
     """Balance the loads, but leave the first multipliers of a solve as they are."""
     if start:
@@ -326,12 +331,12 @@ def first_rho(residual: NaturalResidual, rho: float) -> None:
 
 set_rho = NaturalResidual.set_rho
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
-COMPLIANCE = compliance.ContactCompliance
+make_store = products.ProductStore.__init__
 INEXACT, NEWTON, STORE = iteration.InexactIterate, iteration.ModelNewton, products.ProductStore
 
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
-    "near field": [(COMPLIANCE, "near_products", lambda self: None)],
+    "near field": [(STORE, "__init__", without_near_field)],
     "iteration on the near model": [(semismooth_newton, "MOST_NEAR_PRODUCTS", 1)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
     "A at once where it has few rows": [(compliance, "FEW", 0)],
@@ -405,7 +410,7 @@ def patches(part: str, change: str) -> Patches:
         return PARTS[part]
     factor = FACTORS[change]
     if part == CAPACITY:
-        return [(STORE.__init__, "__defaults__", (int(120 * factor),))]
+        return [(make_store, "__defaults__", (int(120 * factor), None))]
     path, _, name = part.rpartition(".")
     value = getattr(importlib.import_module(f"{PACKAGE}.{path}"), name)
     new = changed(name, value, factor)
