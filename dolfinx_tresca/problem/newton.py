@@ -283,16 +283,24 @@ class Newton:
         (nodes,) = reduce_array(self.problem.comm, [int((self._flips >= OFTEN).sum())])
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
+        elements = self._unstable_elements()
+        if elements in self.failure:
+            return text
         if self._unstable:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
         if any("proximal" in step.added for step in self.steps):
-            text += self._unstable_elements()
+            text += elements
         return text
 
     def _unstable_elements(self) -> str:
         """Return a text on elements that may be unstable since they keep their volume."""
         if self.problem.tangent.component is not None:
-            return ""
+            return (
+                ". In bodies that hardly change their volume, elements with a pressure wrinkle "
+                "under large compression: keep a part of the energy of the volume, with some five "
+                "times the shear modulus, in the displacement (see 'Nearly incompressible rubber' "
+                "in the docs)"
+            )
         return (
             ". In bodies that hardly change their volume (Poisson's ratio from 0.45 on), elements "
             "with displacements alone become unstable early: take a pressure as a further unknown, "

@@ -64,7 +64,8 @@ TURNS = 2.0
 ADVICE_TO_BODIES = (
     "Look for a force that should be a prescribed displacement, for missing supports, and at the "
     "units of moduli and loads; or take NonlinearContactProblem, which has no limit on rotations, "
-    'or ContactPair(..., sliding="finite"), with which linear bodies have frames that turn'
+    'or ContactPair(..., sliding="finite"), with which linear bodies have frames that turn if no '
+    "single components of their displacement are prescribed on a face"
 )
 ADVICE_TO_TOOLS = "Take smaller load steps, with accept() after each"
 ADVICE_TO_PAIRS = (
@@ -148,7 +149,8 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
         if limit is ROTATION:
             ends = 0.5 * value * size[body]
             text = f"{name} turns by {value:.3g} rad: its ends move by some {ends:.3g}, and linear "
-            text += f"theory, which allows {limit.largest} rad, swells it by {value * ends:.2g}"
+            text += f"theory, which allows {limit.largest} rad, swells it by {value * ends:.2g} "
+            text += "and leaves its stresses in their first directions"
         else:
             text = f"{name} deforms by {value * size[body]:.3g} beyond its rigid motion, "
             text += f"{value:.3g} times its diagonal"

@@ -88,12 +88,15 @@ def cholesky(
                 "degree 2 for u and degree 1 for p."
             )
         if constraints and negative != constraints:
-            raise StiffnessError(
+            error = StiffnessError(
                 f"K has {negative} negative pivots, but {constraints} unknowns that are no "
                 "displacements: it is not K of a stable body with a pressure. Its form must be "
                 "a(u, v) + b(v, p) + b(u, q) - c(p, q), with c(p, p) >= 0 and a positive definite "
                 "where b(u, q) = 0 for all q. Check the signs in the form a, and the material data."
             )
+            if negative > constraints:
+                error.evidence = f"{negative - constraints} pivots of displacements are negative"
+            raise error
 
     defaults = DEFAULTS if constraints == 0 else SADDLE
     return StiffnessSolver("cholesky", K, defaults, petsc_options, prefix, check=check)

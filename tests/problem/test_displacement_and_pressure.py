@@ -18,6 +18,7 @@ from dolfinx_tresca import (
     ContactForce,
     ContactPair,
     ContactStatus,
+    ConvergenceError,
     Coulomb,
     Frictionless,
     InputError,
@@ -68,6 +69,17 @@ def test_uniaxial_compression(comm):
     mesh = rubber.scene.mesh
     volume = ufl.det(ufl.Identity(2) + ufl.grad(solution.u)) * ufl.dx(domain=mesh)
     assert comm.allreduce(fem.assemble_scalar(fem.form(volume))) == pytest.approx(1.0, rel=RTOL)
+
+
+def test_wrinkles_are_named_with_their_remedy():
+    """Where a block that keeps its volume gets unstable, the message says what helps."""
+    _, problem = uniaxial(MPI.COMM_SELF, 0.6, newton=NewtonOptions(max_halvings=1))
+    with problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.NO_EQUILIBRIUM
+    with pytest.raises(ConvergenceError, match="a part of the energy of the volume") as error:
+        solution.raise_if_failed()
+    assert str(error.value).count("wrinkle") == 1
 
 
 def test_tetrahedra_on_two_meshes():
