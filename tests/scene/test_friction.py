@@ -17,6 +17,7 @@ from dolfinx_tresca import Coulomb, InputError, Tresca
 from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction
 from scenes.blocks import block
 from scenes.nodal import node_function
+from scenes.patches import patch
 
 
 def test_str_and_repr(comm):
@@ -147,3 +148,18 @@ def test_user_defined_law():
     with model.problem() as problem, same.problem() as other:
         one, two = problem.solve(rtol=1e-8), other.solve(rtol=1e-8)
         assert one.tangential_force == two.tangential_force
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e9])
+def test_bounds_that_are_negative_by_rounding_are_zero(comm, scale):
+    """As those of a pressure between bodies that do not touch; their measure is the stiffness."""
+    scene = patch(comm, "quadrilateral", young=(scale, scale), upper=(2, 1), lower=(3, 1))
+    for zero in (Tresca(-1e-18 * scale), Coulomb(-1e-18, limit=-1e-18 * scale)):
+        with scene.but(friction=zero).problem() as problem:
+            assert problem.solve().tangential_force == 0.0
+    bound = fem.Constant(scene.mesh, -1e-18 * scale)
+    with scene.but(friction=Tresca(bound)).problem() as problem:
+        assert problem.solve().counts.slip + problem.solve().counts.idle > 0
+        bound.value = -1e-6 * scale
+        with pytest.raises(InputError, match="must not be negative"):
+            problem.solve()
