@@ -28,14 +28,6 @@ def total(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.bincount(pair, size, minlength=len(first))
 
 
-def moments(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the integral (n, d) of x over each intersection."""
-    simplices, size, pair = overlaps(first, second)
-    result = np.zeros((len(first), first.shape[2]))
-    np.add.at(result, pair, size[:, None] * simplices.mean(axis=1))
-    return result
-
-
 def within(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return which points lie in a convex polygon."""
     side = np.roll(polygon, -1, axis=0) - polygon
@@ -70,49 +62,6 @@ def test_area_equals_area_of_convex_hull_of_inner_corners_and_crossings(seed, co
     assert np.allclose(found, expected, rtol=0.0, atol=1e5 * EPS)
 
 
-@SEEDS
-@given(st.integers(0, 10**6), st.sampled_from([3, 4]), st.sampled_from([3, 4]))
-def test_intersection_is_independent_of_order_of_polygons_and_corners(seed, corners, others):
-    """Neither the order of the two polygons, nor orientation, nor first corner matter."""
-    rng = np.random.default_rng(seed)
-    a, b = convex(rng, 8, corners), convex(rng, 8, others)
-    for function in (total, moments):
-        expected = function(a, b)
-        for pair in ((b, a), (a[:, ::-1], b), (a, b[:, ::-1]), (np.roll(a, 1, axis=1), b)):
-            assert np.allclose(function(*pair), expected, rtol=0.0, atol=1e4 * EPS)
-
-
-SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-
-
-@pytest.mark.parametrize(
-    ("shift", "area"),
-    [
-        ((0.0, 0.0), 1.0),
-        ((0.25, 0.5), 0.375),
-        ((1.0, 0.0), 0.0),  # with a common side
-        ((1.0, 1.0), 0.0),  # with a common corner
-        ((3.0, 0.5), 0.0),
-        ((1.0 - 1e-9, 0.0), 1e-9),
-    ],
-)
-def test_two_squares(shift, area):
-    assert total(SQUARE[None], SQUARE[None] + np.array(shift))[0] == pytest.approx(
-        area, rel=1e-6, abs=0.0
-    )
-
-
-def test_empty_intersections_have_no_simplices():
-    first = np.stack([SQUARE, SQUARE, SQUARE])
-    second = np.stack([SQUARE + 5.0, SQUARE, SQUARE - 5.0])
-    simplices, size, pair = overlaps(first, second)
-    assert set(pair.tolist()) == {1} and (np.diff(pair) >= 0).all()
-    assert size.sum() == pytest.approx(1.0, rel=10 * EPS)
-    assert simplices.shape == (len(size), 3, 2)
-    simplices, size, pair = overlaps(first[:0], second[:0])
-    assert len(simplices) == len(size) == len(pair) == 0
-
-
 def test_triangles_that_coincide_up_to_rounding():
     """With corners that coincide up to rounding a polygon may cross a line more than twice."""
     first = np.array([
@@ -136,15 +85,3 @@ def test_triangles_that_coincide_up_to_rounding():
     assert (
         np.abs(np.bincount(pair, size, 2000) - areas).max() <= 1e3 * EPS * np.abs(many).max() ** 2
     )
-
-
-@SEEDS
-@given(st.integers(0, 10**6))
-def test_segments(seed):
-    a, b = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 20, 2, 1))
-    low = np.maximum(a.min(axis=1), b.min(axis=1))[:, 0]
-    high = np.minimum(a.max(axis=1), b.max(axis=1))[:, 0]
-    assert np.allclose(total(a, b), np.maximum(high - low, 0.0), atol=EPS)
-    simplices, size, pair = overlaps(a, b)
-    assert np.allclose(np.abs(simplices[:, 1] - simplices[:, 0])[:, 0], size)
-    assert np.allclose(simplices.min(axis=1)[:, 0], low[pair])

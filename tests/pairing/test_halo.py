@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca.pairing.search.balls import (
-    Balls,
-    Pieces,
     at_own_nodes,
-    facets_at_own_nodes,
     halos,
 )
 from dolfinx_tresca.pairing.search.facets import Facets
@@ -34,54 +31,6 @@ def keys(comm: MPI.Comm, facets: Any, *, everywhere: bool = False) -> set[tuple[
     """Return the sorted nodes of facets, of this rank or of all ranks."""
     own = set(map(tuple, np.sort(facets.nodes, axis=1).tolist()))
     return set().union(*comm.allgather(own)) if everywhere else own
-
-
-def ring(x: np.ndarray) -> np.ndarray:
-    """Bend blocks around an axis."""
-    last = 2 if np.ptp(x[:, 2]) > 0.0 else 1
-    result, angle, radius = x.copy(), 2.5 * x[:, 0], 1.0 + x[:, last]
-    result[:, 0], result[:, last] = radius * np.sin(angle), radius * np.cos(angle)
-    return result
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
-def test_owner_of_a_node_has_all_facets_at_the_node(comm, kind):
-    scene = patch(comm, kind, split=True)
-    low, high = scene.V.dofmap.index_map.local_range
-    for owned in owned_sides(scene):
-        everywhere = keys(comm, owned, everywhere=True)
-        wanted = {facet for facet in everywhere if any(low <= node < high for node in facet)}
-        assert keys(comm, facets_at_own_nodes(scene.V, owned)) == wanted
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
-@pytest.mark.parametrize("limit", [np.inf, 0.2])
-def test_halo_contains_all_facets_along_the_normals(comm, kind, limit):
-    """One ring is inside another; normals also meet the opposite side unless the limit is small."""
-    scene = patch(comm, kind, upper=(7, 2), lower=(5, 2), warp=ring, gap=0.1)
-    sides = owned_sides(scene)
-    whole = [comm.allgather(owned) for owned in sides]
-    secondary, primary = halos(scene.V, *sides, limit)
-    mine = Pieces.from_facets(secondary)
-    some = np.isin(mine.facet, at_own_nodes(scene.V, secondary))
-    for halo, parts in zip((secondary, primary), whole, strict=True):
-        found = keys(comm, halo)
-        for facets in parts:
-            pieces = Pieces.from_facets(facets)
-            _, second = Balls(pieces.centres, pieces.radii).on_normals(
-                mine.centres[some], mine.normals[some], mine.radii[some], limit
-            )
-            needed = np.sort(facets.nodes[pieces.facet[second]], axis=1)
-            assert set(map(tuple, needed.tolist())) <= found
-    # all facets at the corners of these facets, which their normals need
-    corners = np.unique(secondary.nodes[at_own_nodes(scene.V, secondary)])
-    for facets in whole[0]:
-        beside = np.isin(facets.nodes, corners).any(axis=1)
-        assert set(map(tuple, np.sort(facets.nodes[beside], axis=1).tolist())) <= keys(
-            comm, secondary
-        )
 
 
 @pytest.mark.parallel

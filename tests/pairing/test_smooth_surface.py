@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sheets import CELLS, joined, nodes_of, sheet
+from sheets import CELLS, nodes_of, sheet
 
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface
 from dolfinx_tresca.pairing.search.facets import quadrature
@@ -64,56 +64,3 @@ def test_sagitta_is_correct_to_second_order(cell, shape, exact):
         assert error < 0.2 * size
         errors.append(error)
     assert np.log2(errors[-2] / errors[-1]) > (3.0 if exact else 2.5)
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_sagitta_of_a_cylinder_with_distorted_facets(cell):
-    """Fitted normals converge; with mean normals the error is a fixed part of the sagitta."""
-    for n in (8, 16, 32):
-        facets = sheet(cell, n, (-0.5, 0.5), height=RADIUS, distort=0.6, move=on_cylinder)
-        found, true = heights(facets, nodes_of(facets), np.array([1.0, 0.0, 1.0]))
-        inner = (np.abs(facets.points[:, :, :2]).max(axis=1) < 0.5 * 0.7).all(axis=1)
-        error = np.abs(found - true).reshape(len(facets.points), -1)[inner].max()
-        assert error < 0.01 * np.abs(true).max()
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_flat_surface_has_no_sagitta(cell):
-    facets = sheet(cell, 4, distort=0.5)
-    surface = SmoothSurface(nodes_of(facets))
-    assert not surface.nonzero
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_sharp_edge_has_no_sagitta(cell):
-    """The mean normal at the ridge of a roof belongs to neither side."""
-
-    def roof(x: np.ndarray) -> np.ndarray:
-        x[:, 1 if cell == "interval" else 2] -= np.abs(x[:, 0] - 0.5)
-        return x
-
-    facets = sheet(cell, 4, move=roof)
-    assert not SmoothSurface(nodes_of(facets)).nonzero
-
-
-def test_smooth_surface_beside_a_sharp_edge_keeps_its_sagitta():
-    cap = sheet("triangle", 6, (-0.5, 0.5), height=RADIUS, move=on_sphere)
-    wall = sheet(
-        "triangle",
-        6,
-        (-0.5, 0.5),
-        height=0.5,
-        first=100,
-        move=lambda x: x[:, [1, 2, 0]] + [0.0, 0.0, RADIUS - 1.0],
-        away=lambda x: np.array([0.0, 1.0, 0.0]),
-    )
-    both = joined(cap, wall)
-    surface = SmoothSurface(nodes_of(both))
-    hats = np.full((2, 3), 1.0 / 3.0)
-    found = surface.heights(np.array([30, len(cap.points) + 5]), hats)
-    assert surface.nonzero and found[0] > 0.0 and abs(found[1]) < 1e-12
-
-
-def test_curved_facets_have_no_sagitta():
-    facets = sheet("triangle", 4, (-0.5, 0.5), degree=2, height=RADIUS, move=on_sphere)
-    assert not SmoothSurface(nodes_of(facets)).nonzero
