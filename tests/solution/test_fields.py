@@ -70,22 +70,6 @@ def test_states_and_counts_agree(comm: MPI.Comm) -> None:
     assert carries == counts.nodes
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-def test_displacement_of_the_surface(comm: MPI.Comm, degree: int) -> None:
-    """It is u on the secondary side, also where nodes are prescribed; u is linear in each block."""
-    scene = patch(comm, "tetrahedron", degree, upper=(2, 1), lower=(3, 1))
-    with scene.problem() as problem:
-        solution = problem.solve(rtol=1e-10)
-    found = solution.surface.displacement
-    points = found.function_space.tabulate_dof_coordinates()
-    u, x = scene.data.exact.x.array.reshape(-1, 3), scene.V.tabulate_dof_coordinates()
-    upper = np.unique(scene.V.dofmap.list[scene.cell_tags.find(1)])
-    values = found.x.array.reshape(-1, 3)
-    for point, value in zip(points, values, strict=True):
-        node = upper[np.linalg.norm(x[upper] - point, axis=1).argmin()]
-        np.testing.assert_allclose(value, u[node], atol=1e-8 * np.abs(u).max())
-
-
 def test_normals(comm: MPI.Comm) -> None:
     """Outwards of the secondary side; before an obstacle they are the obstacle's."""
     scene = patch(comm, "hexahedron", upper=(2, 1), lower=(3, 1))
