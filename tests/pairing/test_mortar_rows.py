@@ -9,6 +9,7 @@ from sheets import CELLS, nodes_of, sheet
 from dolfinx_tresca.pairing.coupling import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets
+from dolfinx_tresca.pairing.search.visibility import overlaps
 from scenes.scene import EPS
 
 #: Rounding of sums of some hundred products of numbers of size 1.
@@ -23,12 +24,10 @@ SIDES = pytest.mark.parametrize(("cell", "other"), PAIRS)
 DEGREES = pytest.mark.parametrize("degree", [1, 2])
 
 
-def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=None) -> MortarRows:
+def pair_of(secondary: Facets, primary: Facets) -> MortarRows:
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
-    if selected is None:
-        selected = np.arange(len(secondary.points))
     nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
-    integrals = MortarIntegrals(nodes, other_nodes, selected, limit)
+    integrals = MortarIntegrals(nodes, other_nodes, np.arange(len(secondary.points)), np.inf)
     carries = np.ones(nodes.facet_nodes.shape, dtype=bool)
     return mortar_rows(nodes, primary, integrals, columns, carries)
 
@@ -112,3 +111,26 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
         errors.append(np.abs(gap - 0.1)[inner].max())
     assert errors[0] < 1e-3
     assert np.log2(errors[0] / errors[1]) > 1.8
+
+
+def test_triangles_that_coincide_up_to_rounding():
+    """With corners that coincide up to rounding a polygon may cross a line more than twice."""
+    first = np.array([
+        [-111.11111111091031, 166.66666666657434],
+        [222.22222222227202, 166.66666666657434],
+        [-111.11111111136182, -333.33333333314835],
+    ])  # fmt: skip
+    second = np.array([
+        [-111.11111111136182, -333.33333333314846],
+        [222.22222222227202, 166.66666666657434],
+        [-111.11111111091037, 166.66666666657457],
+    ])  # fmt: skip
+    area = 0.5 * 333.333333333 * 500.0
+    assert overlaps(first[None], second[None])[1].sum() == pytest.approx(area, rel=1e-9)
+    rng = np.random.default_rng(1)
+    many = rng.standard_normal((2000, 3, 2))
+    shaken = many[:, [2, 0, 1]] * (1.0 + 4 * EPS * rng.standard_normal((2000, 3, 2)))
+    areas = 0.5 * np.abs(np.linalg.det(many[:, 1:] - many[:, :1]))
+    _, size, pair = overlaps(many, shaken)
+    rounding = 1e3 * EPS * np.abs(many).max() ** 2
+    assert np.abs(np.bincount(pair, size, 2000) - areas).max() <= rounding
