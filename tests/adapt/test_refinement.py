@@ -131,28 +131,6 @@ def test_marked_cells_are_cut_and_others_are_conforming(comm):
     assert comm.allreduce(fem.assemble_scalar(length)) == pytest.approx(4.0, rel=1e-12)
 
 
-@pytest.mark.parallel
-def test_the_longest_edge_of_a_tetrahedron_is_cut(comm):
-    before = bricks(comm)
-    errors = near(before, [0.1, 0.2, 0.3])
-    refined = refine(before, errors, 1e-3)
-    largest = comm.allreduce(errors.max(initial=0.0), op=MPI.MAX)
-    corners = before.mesh.geometry.x[geometry_dofmap(before.mesh)[: len(errors)]]
-    worst = np.concatenate(comm.allgather(corners[errors == largest]))[0]
-    parts = np.linalg.solve((worst[1:] - worst[0]).T, (all_middles(refined) - worst[0]).T)
-    inside = (parts.min(axis=0) > 0.0) & (parts.sum(axis=0) < 1.0)
-    assert inside.sum() == 2
-    assert len(all_middles(refined)) < len(all_middles(before)) + 10
-
-
-@pytest.mark.parallel
-def test_the_old_mesh_stays(comm):
-    tagged = bricks(comm)
-    x = tagged.mesh.geometry.x.copy()
-    refine(tagged, near(tagged, [0, 0, 1]))
-    assert np.array_equal(tagged.mesh.geometry.x, x)
-
-
 def test_a_mesh_without_tags_of_cells(comm):
     tagged = dataclasses.replace(square(comm), cell_tags=None)
     refined = refine(tagged, near(tagged, [0.5, 0.5, 0]))

@@ -100,18 +100,6 @@ def test_surfaces_that_have_moved(comm, folder: Path) -> None:
         assert np.array_equal(problem.operators[0].gap, rests)
 
 
-def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
-    scene = scene_of(comm, Tresca(0.3))
-    with scene.problem() as problem:
-        solution = problem.solve(rtol=1e-6)
-        problem.save_state(folder / "state.npz")
-    assert solution.iterations > 0
-    with scene.problem() as problem:
-        problem.load_state(folder / "state.npz")
-        solution = problem.solve(rtol=1.1e-6)
-        assert solution.iterations == 0
-
-
 def test_a_refined_mesh_on_other_ranks(comm, folder: Path) -> None:
     """Its numbers depend on the partition, the places of its nodes do not."""
     path = folder / "state.npz"

@@ -25,7 +25,6 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca.dual.products import compliance
 from scenes.blocks import BELOW
 from scenes.rubber_block import RubberBlock, rubber_block, uniaxial_stress
 
@@ -148,31 +147,6 @@ def test_cycles_repeat_themselves(comm) -> None:
     assert (np.diff(np.concatenate(found)[:, -1]) > 0.0).all()
 
 
-def test_starts_from_another_mesh(comm, monkeypatch) -> None:
-    """The answer is the same, and the way no longer; slips count from there if that was a step."""
-    monkeypatch.setattr(compliance, "FEW", 0)  # products, and not A as a matrix
-    coarse = rubbed(comm, (12, 6))
-    with problem_of(coarse) as problem:
-        first = walk(coarse, problem, PATH[:1])
-    products, answers = [], []
-    for start in (False, True):
-        scene = rubbed(comm, (24, 12))
-        with problem_of(scene) as problem:
-            if start:
-                problem.start_from(first)
-            scene.push.value[:] = PATH[0]
-            solution = problem.solve()
-        answers.append(numbers(solution))
-        products.append(sum(step.products for step in solution.newton.steps))
-    np.testing.assert_allclose(*answers, atol=SAME * RTOL)
-    assert products[1] <= 1.1 * products[0]
-    scene = rubbed(comm, (8, 4))
-    with problem_of(scene) as problem:
-        problem.start_from(first, accepted=True)
-        solution = walk(scene, problem, PATH[:1])
-    assert solution.total_dissipation == first.total_dissipation + solution.dissipation
-
-
 @pytest.mark.parallel
 def test_contact_force_balances_the_residual_form(comm) -> None:
     """F(u; v) is the power of the contact; the operators are those of the whole displacement."""
@@ -193,28 +167,6 @@ def test_contact_force_balances_the_residual_form(comm) -> None:
     p, ds = solution.on_mesh("pressure"), ufl.Measure("ds", subdomain_data=scene.scene.facet_tags)
     total = fem.assemble_scalar(fem.form(p * ds(BELOW, domain=scene.scene.mesh)))
     assert comm.allreduce(total) == pytest.approx(force, rel=SAME * RTOL)
-
-
-def test_forms_with_functions_on_surfaces(comm) -> None:
-    """They need the surface's map, and do what the same Function on the mesh does."""
-    scene = rubbed(comm)
-    with problem_of(scene) as problem:
-        found = walk(scene, problem, PATH[:1])
-    ds = ufl.Measure("ds", domain=scene.scene.mesh, subdomain_data=scene.scene.facet_tags)
-    v = scene.F.arguments()[0]
-    answers = []
-    for p, maps in (
-        (found.on_mesh("pressure"), None),
-        (found.pressure, found.surface.entity_maps),
-    ):
-        scene.u.x.array[:] = 0.0
-        F = scene.F + 0.5 * p * v[0] * ds(BELOW)
-        with problem_of(scene, F=F, entity_maps=maps) as problem:
-            answers.append(numbers(walk(scene, problem, PATH[:1])))
-    np.testing.assert_allclose(*answers, atol=SAME * RTOL)
-    assert abs(answers[0][0]) > 0.1 * found.normal_force
-    with pytest.raises(InputError, match="on another mesh than the problem's"):
-        problem_of(scene, F=F)
 
 
 def test_surfaces_move_where_the_tangent_is_indefinite(comm) -> None:
