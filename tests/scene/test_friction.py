@@ -14,7 +14,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
-from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction
+from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from scenes.blocks import block
 from scenes.nodal import node_function
 from scenes.patches import patch
@@ -61,18 +61,6 @@ def test_str_and_repr(comm):
         ),
     ):
         assert (repr(law), str(law)) == (code, text)
-
-
-def test_terms_of_the_bound():
-    """The slip bound is c + min(F p, l)."""
-    for law, terms in (
-        (Tresca(0.5), BoundTerms(constant=0.5)),
-        (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET_COEFFICIENT, limit=0.5)),
-        (Coulomb(0.3), BoundTerms(coefficient=0.3, limit=math.inf)),
-        (Coulomb(0.3, limit=2.0), BoundTerms(coefficient=0.3, limit=2.0)),
-        (Coulomb(0.3, adhesion=0.1), BoundTerms(constant=0.1, coefficient=0.3)),
-    ):
-        assert law.terms == terms
 
 
 @pytest.mark.parametrize("value", [-0.1, math.nan, -math.inf, "0.3", None, 1j, [0.3]])
