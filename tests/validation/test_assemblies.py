@@ -126,34 +126,6 @@ def hinge(occ):
         bored(occ, occ.fuse([(3, leaf)], knuckles)[0][0][1], pin)
 
 
-def clamp(occ):
-    frame = cut(occ, occ.addBox(0, 0, 0, 40, 12, 50), occ.addBox(12, -1, 12, 40, 14, 26))
-    bored(occ, frame, occ.addCylinder(28, 6, 22, 0, 0, 32, 4))
-    occ.addBox(16, 0, 12, 24, 12, 10)
-
-
-def flange(occ):
-    for z in (0, 10):
-        holes = [occ.addCylinder(x, 0, z, 0, 0, 10, 5) for x in (-18, 18)]
-        cut(occ, occ.addCylinder(0, 0, z, 0, 0, 10, 30), *holes)
-    for x in (-18, 18):
-        shank, nut, head = (
-            (3, occ.addCylinder(x, 0, z, 0, 0, height, radius))
-            for z, height, radius in ((-5, 30, 4), (-5, 5, 8), (20, 5, 8))
-        )
-        occ.fuse([shank], [nut, head])
-
-
-def snap_fit(occ):
-    occ.fuse([(3, occ.addBox(0, 0, 0, 40, 4, 10))], [(3, occ.addBox(34, 4, 0, 6, 3, 10))])
-    occ.addBox(20, 4.05, -3, 14, 10, 16)
-
-
-def pin_with_clearance(occ):
-    cut(occ, occ.addBox(-10, -10, 0, 20, 20, 5), occ.addCylinder(0, 0, 0, 0, 0, 5, 5))
-    occ.addCylinder(0, 0, -2, 0, 0, 9, 4.98)
-
-
 def lattice(occ):
     for layer in range(5):
         for k in range(4):
@@ -236,51 +208,6 @@ ASSEMBLIES = {
         (0.0, 0.02, 0.0),
         9,
     ),
-    "clamp": Assembly(
-        clamp,
-        {
-            **{1: (0, cylinder(4, 28, 6)), 2: (1, cylinder(4, 28, 6)), 3: (1, level(22))},
-            **{4: (2, level(22)), 5: (2, level(12)), 6: (0, level(12))},
-        },
-        [(1, 2), (3, 4), (5, 6)],
-        lambda p: p[0] < 0.1,
-        lambda p: p[2] > 53.9,
-        (0.0, 0.0, -0.02),
-        9,
-    ),
-    "flange": Assembly(
-        flange,
-        {
-            **{1: (0, level(0)), 2: (0, level(10)), 3: (1, level(10)), 4: (1, level(20))},
-            **{5: (2, level(0)), 6: (2, level(20)), 7: (3, level(0)), 8: (3, level(20))},
-        },
-        [(2, 3), (1, 5), (1, 7), (4, 6), (4, 8)],
-        lambda p: (np.hypot(p[0], p[1]) > 29.9) & (p[2] < 0.1),
-        lambda p: (np.hypot(p[0], p[1]) > 29.9) & (p[2] > 19.9),
-        (0.0, 0.0, 0.02),
-        12,
-    ),
-    "snap-fit": Assembly(
-        snap_fit,
-        {
-            **{1: (0, plane(1, 0, 0, 34)), 2: (1, plane(1, 0, 0, 34))},
-            **{3: (0, plane(0, 1, 0, 4)), 4: (1, plane(0, 1, 0, 4.05))},
-        },
-        [(1, 2), (3, 4)],
-        lambda p: p[0] < 0.1,
-        lambda p: p[1] > 14.0,
-        (0.05, 0.0, 0.0),
-        5,
-    ),
-    "pin with clearance": Assembly(
-        pin_with_clearance,
-        {1: (0, cylinder(5)), 2: (1, cylinder(4.98))},
-        [(1, 2)],
-        lambda p: abs(p[0]) > 9.9,
-        lambda p: abs(p[2] - 2.5) > 4.4,
-        (0.03, 0.0, 0.0),
-        6,
-    ),
     "lattice of 20 parts": Assembly(
         lattice,
         {
@@ -297,7 +224,7 @@ ASSEMBLIES = {
 
 
 #: They take 5 to 40 seconds.
-SLOW = ("hinge", "clamp", "flange", "lattice of 20 parts")
+SLOW = ("hinge", "lattice of 20 parts")
 
 
 def write(shapes, path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -57,15 +56,6 @@ def over_a_ball(comm, shift, friction, ball=None, sliding="finite"):
     ball = RigidSphere((0.5 - shift, -RADIUS), RADIUS) if ball is None else ball
     scene, motion = block_over(comm, (10, 4), 0.5, ball, friction, at=(PUSH - shift, -DOWN))
     return scene.but(sliding=sliding).problem(options=OPTIONS), motion
-
-
-def settled(problem, rounds=15):
-    """Return the solution of the loop of solves and updates of the geometry."""
-    for _ in range(rounds):
-        solution = problem.solve()
-        solution.raise_if_failed()
-        problem.update_geometry(solution.u)
-    return solution
 
 
 @pytest.mark.parallel
@@ -209,31 +199,6 @@ def test_the_path_of_nodes_that_leave(comm, folder):
     assert solution.greatest_total_slip == pytest.approx(0.3 + 0.4 + 0.3, rel=0.1)  # with strains
 
 
-def rubber_over_a_ball(comm, divisions):
-    """Return a rubber block that is pressed on a ball and pushed over it."""
-    ball = RigidSphere((0.5, -RADIUS), RADIUS)
-    scene = rubber_block(
-        comm, divisions, size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
-    )
-    scene.push.value[:] = PUSH, -DOWN
-    return scene
-
-
-@pytest.mark.parallel
-def test_newtons_method_and_the_configuration_converge_together(comm):
-    """A rubber block over a ball has the forces of the loop, in a few Newton steps."""
-    scene = rubber_over_a_ball(comm, (6, 3))
-    with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
-        solution = problem.solve()
-        solution.raise_if_failed()
-    scene.u.x.array[:] = 0.0
-    with scene.problem(options=OPTIONS) as problem:
-        loop = settled(problem)
-    found, wanted = (one.pair_resultants[0].force for one in (solution, loop))
-    assert np.allclose(found, wanted, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(wanted))
-    assert len(solution.newton.steps) <= 12
-
-
 class MovingBall:
     """The signed distance of a disc whose centre may change."""
 
@@ -298,21 +263,6 @@ def slides_far_and_near(comm):
     far = ContactPair(scene.facet_tags, BELOW, below, Coulomb(F), sliding="finite")
     near = ContactPair(scene.facet_tags, 3, beside, Frictionless())
     return scene.problem(bcs=[top], pairs=[far, near], options=OPTIONS), motion
-
-
-def test_only_pairs_that_slide_far_are_paired_anew(comm):
-    """A pair with small sliding keeps its normals beside one with finite sliding."""
-    problem, _ = slides_far_and_near(comm)
-    with pytest.raises(InputError, match="sliding must be one of small, finite, found 'large'"):
-        replace(problem.pairs[0], sliding="large")
-    with problem:
-        before = [one.normals.copy() for one in problem.operators]
-        problem.solve().raise_if_failed()
-        after = [one.normals for one in problem.operators]
-    changes = [np.abs(a - b).max(initial=0.0) for a, b in zip(before, after, strict=True)]
-    moved = [comm.allreduce(float(change), op=MPI.MAX) for change in changes]
-    assert moved[0] > 1e-3
-    assert moved[1] == 0.0
 
 
 @pytest.mark.parallel
