@@ -105,3 +105,22 @@ def test_displacement_solves_the_first_equation(comm):
         size = np.sqrt(dual.inner(expected, expected))
         difference = dual.jump.of_unknowns(u.x.petsc_vec) - expected
         assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size
+
+
+def test_products_claim_what_was_reached():
+    """Where the solver for K ends at its largest number of steps, or by its options, too early."""
+    scene = two_bricks(MPI.COMM_SELF, 2)
+    with dual_program(scene) as dual:
+        A = dense_matrix(dual)
+    few = {"pc_type": "jacobi", "ksp_max_it": 20}
+    with dual_program(scene, "multigrid", **few) as dual:
+        operator = dual.compliance.operator
+        for seed in range(3):
+            x = local_random(MPI.COMM_SELF, len(dual.b), seed)
+            product, claimed = operator.product(x)
+            missing = product - A @ x
+            error = np.sqrt(missing @ np.linalg.solve(A, missing))
+            # the norm of A^-1 is the least energy of a displacement with that jump
+            assert 0.0 < error <= claimed
+            dual.operator.apply(x)
+            assert error <= dual.operator.product_error * np.sqrt(x @ A @ x)

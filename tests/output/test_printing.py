@@ -48,7 +48,7 @@ from dolfinx_tresca import (
     Units,
     contacts,
 )
-from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN
+from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN, fill
 from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
@@ -268,6 +268,16 @@ def test_repr_can_be_had_after_destroy(comm):
     problem = bricks_problem(comm, 2)
     problem.destroy()
     assert repr(problem).startswith("<ContactProblem: ")
+
+
+def test_vectors_have_the_digits_that_hold():
+    for values, error, text in (
+        ([13.4567, -0.1234, 0.0001], 3e-3, "(13.5, -0.1, 0)"),
+        ([-1e-9, 2.0], 1e-3, "(0, 2)"),
+        ([1234.0, -987.0], 0.05, "(1.2e+03, -1e+03)"),
+        ([0.0, 0.0], 0.0, "(0, 0)"),
+    ):
+        assert fill(vector(np.array(values), error)) == text
 
 
 @pytest.mark.parallel

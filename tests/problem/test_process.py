@@ -169,6 +169,28 @@ def test_contact_force_balances_the_residual_form(comm) -> None:
     assert comm.allreduce(total) == pytest.approx(force, rel=SAME * RTOL)
 
 
+def test_forms_with_functions_on_surfaces(comm) -> None:
+    """They need the surface's map, and do what the same Function on the mesh does."""
+    scene = rubbed(comm)
+    with problem_of(scene) as problem:
+        found = walk(scene, problem, PATH[:1])
+    ds = ufl.Measure("ds", domain=scene.scene.mesh, subdomain_data=scene.scene.facet_tags)
+    v = scene.F.arguments()[0]
+    answers = []
+    for p, maps in (
+        (found.on_mesh("pressure"), None),
+        (found.pressure, found.surface.entity_maps),
+    ):
+        scene.u.x.array[:] = 0.0
+        F = scene.F + 0.5 * p * v[0] * ds(BELOW)
+        with problem_of(scene, F=F, entity_maps=maps) as problem:
+            answers.append(numbers(walk(scene, problem, PATH[:1])))
+    np.testing.assert_allclose(*answers, atol=SAME * RTOL)
+    assert abs(answers[0][0]) > 0.1 * found.normal_force
+    with pytest.raises(InputError, match="on another mesh than the problem's"):
+        problem_of(scene, F=F)
+
+
 def test_surfaces_move_where_the_tangent_is_indefinite(comm) -> None:
     """What contact holds is known without a solution."""
     scene = rubbed(comm, (4, 3))

@@ -145,6 +145,9 @@ def test_bounds_that_are_negative_by_rounding_are_zero(comm, scale):
     for zero in (Tresca(-1e-18 * scale), Coulomb(-1e-18, limit=-1e-18 * scale)):
         with scene.but(friction=zero).problem() as problem:
             assert problem.solve().tangential_force == 0.0
+    beside_others = Tresca(lambda x: scale * np.where(x[0] < 0.1, -5e-7, 1e6))
+    with scene.but(friction=beside_others).problem() as problem:
+        problem.solve().raise_if_failed()
     bound = fem.Constant(scene.mesh, -1e-18 * scale)
     with scene.but(friction=Tresca(bound)).problem() as problem:
         assert problem.solve().counts.slip + problem.solve().counts.idle > 0

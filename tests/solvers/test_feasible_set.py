@@ -1,4 +1,4 @@
-"""Lambda: its projection, and its faces."""
+"""Lambda: its projection, the slant derivative (38.8), and its faces."""
 
 from __future__ import annotations
 
@@ -28,6 +28,28 @@ def test_projection_is_that_of_the_definition(case):
     lam, rng = case
     y = rng.standard_normal(lam.size) * rng.choice([0.01, 1.0, 100.0])
     assert np.allclose(lam.project(y), brute_projection(lam, y), rtol=ROUNDING, atol=0.0)
+
+
+@BOUNDED
+@given(cases())
+def test_derivative_of_the_projection_agrees_with_differences(case):
+    lam, rng = case
+    y = 2 * rng.standard_normal(lam.size)
+    norms = lam.norms(y)
+    h = 1e-6
+    # stay away from the kinks: |y_nu| = 0 and |y_tau| = g
+    kink = np.minimum(
+        np.abs(y[lam.normal]).min(initial=np.inf),
+        np.abs(norms - lam.radius)[lam.node].min(initial=np.inf),
+    )
+    v = rng.standard_normal(lam.size)
+    if kink < 10 * h * np.abs(v).max():
+        return
+    difference = (brute_projection(lam, y + h * v) - brute_projection(lam, y - h * v)) / (2 * h)
+    shortest = norms[lam.node].min(initial=np.inf)
+    # rounding of the difference and its curvature
+    tolerance = 1e-8 + 10 * (h / min(shortest, 1.0)) ** 2 * np.linalg.norm(v) ** 3
+    assert np.linalg.norm(lam.projection_derivative(y)(v) - difference) <= tolerance
 
 
 @BOUNDED

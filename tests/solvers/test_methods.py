@@ -8,7 +8,7 @@ from dense import clarabel_minimum, problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_tresca import ContactStatus
+from dolfinx_tresca import ContactStatus, SolverOptions
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
@@ -157,3 +157,18 @@ def test_projected_newton_keeps_every_product():
         # NEW = 1e-10 in energy, 1e-5 in the norm, times the root of the condition number
         assert np.linalg.norm(rest) <= 1e-4 * np.linalg.norm(x)
     assert len(store) >= assume_new - 1
+
+
+@pytest.mark.parametrize("rtol", [None, 0.5, 1e-2])
+def test_no_residual_is_too_loose_for_the_default(rtol):
+    """Whatever is asked of the residual, the default's criteria hold at the end."""
+    asked, mesh = SolverOptions(), 0.05
+    for seed in range(4):
+        problem = random_problem(seed, 15, 2.0)
+        solution = run(problem, rtol=rtol)
+        x, r = solution.multipliers, solution.gradient
+        assert solution.status is ContactStatus.CONVERGED
+        # with a bound below 1e-4 the mesh may not have been asked
+        error = problem.energy_bound(x, r, 0.0) / problem.energy_norm(x, r)
+        assert error <= asked.mesh_part * mesh
+        assert problem.local_error(x, r) <= asked.local_accuracy

@@ -80,6 +80,15 @@ def test_an_approximate_solve_without_iteration_is_an_error(system, exact, of):
         solver.solve(system.f.x.petsc_vec, exact.duplicate())
 
 
+@pytest.mark.parametrize("norm", ["natural", "unpreconditioned"])
+def test_what_is_left_is_in_the_energy_norm(system, exact, norm):
+    """Whatever norm the user makes the KSP look at."""
+    f, u = system.f.x.petsc_vec, exact.duplicate()
+    with multigrid(system.K, system.V, system.prescribed, {"ksp_norm_type": norm}, None) as solver:
+        left = solver.solve(f, u)
+        assert left == pytest.approx(solver.error(f, u), rel=1e-3)
+
+
 @pytest.mark.parallel
 def test_a_missed_tolerance_is_no_exception(system, exact, caplog):
     f, u = system.f.x.petsc_vec, exact.duplicate()

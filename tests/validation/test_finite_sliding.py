@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -263,6 +264,21 @@ def slides_far_and_near(comm):
     far = ContactPair(scene.facet_tags, BELOW, below, Coulomb(F), sliding="finite")
     near = ContactPair(scene.facet_tags, 3, beside, Frictionless())
     return scene.problem(bcs=[top], pairs=[far, near], options=OPTIONS), motion
+
+
+def test_only_pairs_that_slide_far_are_paired_anew(comm):
+    """A pair with small sliding keeps its normals beside one with finite sliding."""
+    problem, _ = slides_far_and_near(comm)
+    with pytest.raises(InputError, match="sliding must be one of small, finite, found 'large'"):
+        replace(problem.pairs[0], sliding="large")
+    with problem:
+        before = [one.normals.copy() for one in problem.operators]
+        problem.solve().raise_if_failed()
+        after = [one.normals for one in problem.operators]
+    changes = [np.abs(a - b).max(initial=0.0) for a, b in zip(before, after, strict=True)]
+    moved = [comm.allreduce(float(change), op=MPI.MAX) for change in changes]
+    assert moved[0] > 1e-3
+    assert moved[1] == 0.0
 
 
 @pytest.mark.parallel
