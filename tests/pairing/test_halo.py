@@ -1,8 +1,10 @@
-"""Halos: a rank has few facets that its own facets cannot meet."""
+"""Halos: a rank has all facets that its own facets may meet, and few others."""
 
 from __future__ import annotations
 
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -10,7 +12,10 @@ import pytest
 from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos
 from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.tagged import tagged_facets
+from scenes.assembled import points_of
+from scenes.nodal import global_vector
 from scenes.patches import LOWER, UPPER, patch
+from scenes.scene import EPS
 
 
 def owned_sides(scene: Any) -> tuple[Facets, Facets]:
@@ -38,3 +43,23 @@ def test_halo_contains_no_distant_facets(comm):
                 of_node = ((nodes >= low[0]) & (nodes < low[1])).any()
                 near = np.abs(treated[:, None] - points[:, 0]).min(initial=np.inf) < 4.0 / n
                 assert of_node or near
+
+
+def ring(x: np.ndarray) -> np.ndarray:
+    """Bend blocks around an axis."""
+    last = 2 if np.ptp(x[:, 2]) > 0.0 else 1
+    result, angle, radius = x.copy(), 2.5 * x[:, 0], 1.0 + x[:, last]
+    result[:, 0], result[:, last] = radius * np.sin(angle), radius * np.cos(angle)
+    return result
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
+def test_curved_surfaces_have_the_same_gaps_on_any_number_of_ranks(comm, kind):
+    """They depend on normals of facets around those that meet."""
+    gaps = []
+    for ranks in (MPI.COMM_SELF, comm):
+        scene = patch(ranks, kind, upper=(12, 1), lower=(9, 1), warp=ring, gap=0.02)
+        found = scene.operators()
+        gaps.append(global_vector(ranks, points_of(scene, found), found.gap))
+    assert np.abs(gaps[0] - gaps[1]).max() <= 1e4 * EPS
