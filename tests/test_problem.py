@@ -173,16 +173,6 @@ def test_an_observer_sees_the_iteration_and_stops_it(comm):
 
 
 @pytest.mark.parallel
-def test_one_rank_may_stop_all(comm):
-    """Only the last rank observes."""
-    observer = (lambda iteration: True) if comm.rank == comm.size - 1 else None
-    with bricks_problem(comm, 4) as problem:
-        solution = problem.solve(observer=observer)
-    assert solution.status is ContactStatus.STOPPED
-    assert solution.iterations == 0
-
-
-@pytest.mark.parallel
 def test_an_exception_that_only_one_rank_keeps_delays_no_later_problem(comm):
     """Its traceback keeps the problem, with PETSc's vectors, on that rank alone."""
     scene, kept = two_bricks(comm, 3), []
@@ -207,18 +197,6 @@ def test_an_exception_that_only_one_rank_keeps_delays_no_later_problem(comm):
         with scene.problem(pairs=[pair]) as problem:
             assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
     assert len(kept) == 2 * (comm.rank == 0)
-
-
-@pytest.mark.parallel
-def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
-    def observer(iteration):
-        if comm.rank == 0:
-            raise KeyError("no such thing")
-
-    with bricks_problem(comm, 4) as problem:
-        with pytest.raises(KeyError, match="no such thing"):
-            problem.solve(observer=observer)
-        assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
 @pytest.mark.parallel

@@ -65,12 +65,6 @@ def test_cylinders_with_parameters_of_their_own(comm):
     assert worst(comm, np.hypot(x[:, 0], x[:, 1]) - 8.0) > 1e-2
 
 
-@pytest.mark.parallel
-def test_flat_bodies_need_no_geometry(comm):
-    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
-    assert not bricks.geometry.curved
-
-
 def test_a_file_that_is_gone(comm, tmp_path):
     file = tmp_path / "half_disc.geo"
     file.write_text((MESHES / "half_disc.geo").read_text())

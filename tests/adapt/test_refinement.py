@@ -131,13 +131,6 @@ def test_marked_cells_are_cut_and_others_are_conforming(comm):
     assert comm.allreduce(fem.assemble_scalar(length)) == pytest.approx(4.0, rel=1e-12)
 
 
-def test_a_mesh_without_tags_of_cells(comm):
-    tagged = dataclasses.replace(square(comm), cell_tags=None)
-    refined = refine(tagged, near(tagged, [0.5, 0.5, 0]))
-    assert refined.cell_tags is None
-    assert len(refined.facet_tags.find(5)) >= len(tagged.facet_tags.find(5))
-
-
 @pytest.mark.parallel
 def test_ghost_cells_as_before(comm):
     for mode in (dolfinx.mesh.GhostMode.none, dolfinx.mesh.GhostMode.shared_facet):

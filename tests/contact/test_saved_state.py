@@ -150,20 +150,6 @@ def test_laws_of_another_kind(comm, folder: Path, before, now, message: str) -> 
         problem.load_state(path)
 
 
-def test_friction_that_comes(comm, folder: Path) -> None:
-    """With a coefficient of zero there is a slip to count from."""
-    path = folder / "state.npz"
-    with scene_of(comm, Coulomb(0.0)).problem() as problem:
-        problem.solve(rtol=RTOL)
-        problem.accept()
-        problem.save_state(path, step=3)
-    with scene_of(comm, Coulomb(0.3)).problem() as problem:
-        assert problem.load_state(path) == 3
-        solution = problem.solve(rtol=RTOL)
-    assert solution.normal_force > 0.0
-    assert solution.dissipation == 0.0
-
-
 def test_files_that_do_not_fit(comm, folder: Path) -> None:
     scene = scene_of(comm, Tresca(0.3))
     path = folder / "state.npz"

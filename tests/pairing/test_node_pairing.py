@@ -67,16 +67,6 @@ def test_meshes_that_do_not_match_are_an_error(comm, shift):
     assert 0 <= x <= 2 and 0 <= y <= 1 and z == 1.0
 
 
-@pytest.mark.parallel(kind=["hexahedron"])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("upper", "lower"), [(2, 4), (4, 2)])
-def test_nested_meshes_do_not_match(comm, kind, upper, lower):
-    """All nodes of the coarse side match nodes of the fine side, but not the reverse."""
-    scene = patch(comm, kind, upper=(upper, 1), lower=(lower, 1), distort=0.0)
-    with pytest.raises(PairingError, match="do not match"):
-        scene.but(pairing="nodes").operators()
-
-
 @pytest.mark.parallel
 def test_facets_inside_a_body_are_an_error(comm):
     scene = two_bricks(comm, 4)

@@ -16,7 +16,7 @@ from dolfinx_tresca import (
     PairingError,
     Tresca,
 )
-from scenes.patches import KINDS, LOWER, SIDES, UPPER, dim_of, patch
+from scenes.patches import KINDS, SIDES, UPPER, dim_of, patch
 from scenes.scene import EPS, Scene
 
 RTOL = 1e-12
@@ -81,13 +81,6 @@ def test_a_uniform_stress_passes(comm, kind, degree, options):
 def test_matching_meshes_pass_too(comm, kind):
     scene = patch(comm, kind, upper=(3, 2), lower=(3, 2), distort=0.0, pairing="nodes")
     check_patch(comm, scene)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("degree", [1, 2])
-def test_exchange_of_secondary_and_primary(comm, kind, degree):
-    scene = patch(comm, kind, degree)
-    check_patch(comm, scene.but(secondary=LOWER, primary=UPPER))
 
 
 @pytest.mark.parametrize("kind", KINDS)

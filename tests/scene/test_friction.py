@@ -63,22 +63,15 @@ def test_str_and_repr(comm):
         assert (repr(law), str(law)) == (code, text)
 
 
-@pytest.mark.parametrize("value", [-0.1, math.nan, -math.inf, "0.3", None, 1j, [0.3]])
-def test_invalid_coefficient_is_an_error(value):
+@pytest.mark.parametrize("value", [-math.inf, math.nan, "0.3", 1j, [0.3], None, (0.1, 0.2)])
+def test_invalid_numbers_are_errors(value):
     with pytest.raises(InputError, match="the coefficient of friction"):
         Coulomb(value)
-
-
-@pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, [40.0]])
-def test_invalid_limit_is_an_error(value):
-    with pytest.raises(InputError, match="the limit of the slip bound"):
-        Coulomb(0.3, limit=value)
-
-
-@pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, (0.1, 0.2), None])
-def test_invalid_adhesion_is_an_error(value):
     with pytest.raises(InputError, match="the adhesion must"):
         Coulomb(0.3, adhesion=value)
+    if value is not None:
+        with pytest.raises(InputError, match="the limit of the slip bound"):
+            Coulomb(0.3, limit=value)
 
 
 def test_infinite_coefficient_is_an_error():

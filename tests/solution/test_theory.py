@@ -285,10 +285,7 @@ def test_a_block_leaves_the_rim_of_another_one(comm, caplog, kind, again, outwar
 
 @pytest.mark.parallel
 def test_a_pin_without_friction_is_pulled_out_of_its_hole(comm, folder, caplog):
-    """The hole is 12 mm long, and 4 mm from the end of the pin: after 20 mm they have parted.
-
-    All of the hole is beyond the end of the pin then, by 4 mm and more, which is more than a facet.
-    """
+    """The hole is 12 mm long, and 4 mm from the end of the pin: after 20 mm they have parted."""
     problem, pull = pin_without_friction(comm, folder)
     caplog.clear()
     with problem:

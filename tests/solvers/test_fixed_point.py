@@ -19,8 +19,6 @@ from scenes.dense import (
     DenseProblem,
     OneRank,
     brute_projection,
-    cones_over,
-    random_balanced_problem,
     random_cone_problem,
     random_dry_problem,
     run,
@@ -155,18 +153,3 @@ def wedge(coefficient: float) -> DenseProblem:
     problem = DenseProblem(A, np.array([1.0, 2.0]), lam)
     problem.cones = FrictionCones(*vars(lam).values(), *values)
     return problem
-
-
-@pytest.mark.parametrize("softness", [0.0, 1e-3])
-@pytest.mark.parametrize("seed", range(6))
-def test_balanced_loads(seed, softness):
-    """Equations besides the cones, as for floating bodies: those of the conic solver, too."""
-    problem = random_balanced_problem(seed, 8, 2, 1.0, softness)
-    problem.cones = cones_over(problem.feasible_set, 0.3)
-    found = run(problem, rtol=RTOL)
-    assert found.status is ContactStatus.CONVERGED
-    x, constraints = found.multipliers, problem.constraints
-    assert np.abs(constraints.residual(x, found.c)).max() <= 1e-9 * np.linalg.norm(x)
-    section = problem.cones.section(x)
-    wanted = clarabel_minimum(problem.A, problem.b, section, constraints=constraints)
-    assert np.linalg.norm(x - wanted) <= 1e-4 * np.linalg.norm(wanted)

@@ -157,21 +157,6 @@ def test_petsc_options_of_the_user_take_effect(comm):
     assert krylov(pc_type="jacobi") > 2 * usual
 
 
-def test_options_under_a_prefix_of_the_user(comm):
-    """What stands in the database already wins over the defaults, and stays there."""
-    database = PETSc.Options("mine_")
-    database["ksp_max_it"] = 1
-    try:
-        options = {"stiffness": "multigrid", "petsc_options_prefix": "mine_"}
-        with bricks_problem(comm, 3, options=options) as problem:
-            solution = problem.solve(rtol=1e-6, max_iterations=3)
-        # a step, or none, in each product, for the load and for the displacement
-        assert 0 < solution.krylov_iterations <= solution.products + 2
-        assert database.getInt("ksp_max_it") == 1
-    finally:
-        database.delValue("ksp_max_it")
-
-
 def test_cholmod_that_the_user_chose_is_not_replaced(comm):
     """It factors K, or an error says that this PETSc does not have it."""
     options = {"pc_factor_mat_solver_type": "cholmod"}

@@ -112,20 +112,6 @@ def bearing(occ):
     occ.cut([(2, occ.addDisk(0, 0, 0, 14, 14))], [(2, occ.addDisk(0, 0, 0, 10, 10))])
 
 
-def bored(occ, body, *tools):
-    """Cut copies of tools: in OpenCASCADE a cut shares its new faces with a tool that stays."""
-    return occ.cut([(3, body)], occ.copy([(3, tool) for tool in tools]))[0]
-
-
-def hinge(occ):
-    pin = occ.addCylinder(0, 0, -1, 0, 0, 11, 3)
-    for heights, spaces, side in (((0, 6), (3,), 1), ((3,), (0, 6), -1)):
-        leaf = occ.addBox(min(0, 24 * side), -6, 0, 24, 4, 9)
-        knuckles = [(3, occ.addCylinder(0, 0, z, 0, 0, 3, 6)) for z in heights]
-        cut(occ, leaf, *(occ.addCylinder(0, 0, z, 0, 0, 3, 6.5) for z in spaces))
-        bored(occ, occ.fuse([(3, leaf)], knuckles)[0][0][1], pin)
-
-
 def lattice(occ):
     for layer in range(5):
         for k in range(4):
@@ -133,11 +119,6 @@ def lattice(occ):
                 occ.addBox(0, 12 * k, 4 * layer, 40, 4, 4)
             else:
                 occ.addBox(12 * k, 0, 4 * layer, 4, 40, 4)
-
-
-def between(low: float, high: float, face: tuple[Where, Any]) -> tuple[Where, Any]:
-    """The part of a face between two heights."""
-    return lambda p: face[0](p) & (p[2] > low - 1e-6) & (p[2] < high + 1e-6), face[1]
 
 
 def level(z: float) -> tuple[Where, None]:
@@ -195,19 +176,6 @@ ASSEMBLIES = {
         (0.0, 0.0, -0.02),
         {"body 1": 5, "body 2": 3},
     ),
-    "hinge": Assembly(
-        hinge,
-        {
-            **{1: (0, cylinder(3)), 2: (1, between(0, 3, cylinder(3)))},
-            **{3: (1, between(6, 9, cylinder(3))), 4: (2, cylinder(3))},
-            **{5: (1, level(3)), 6: (1, level(6)), 7: (2, level(3)), 8: (2, level(6))},
-        },
-        [(1, 2), (1, 3), (1, 4), (5, 7), (6, 8)],
-        lambda p: p[0] < -23.9,
-        lambda p: p[0] > 23.9,
-        (0.0, 0.02, 0.0),
-        9,
-    ),
     "lattice of 20 parts": Assembly(
         lattice,
         {
@@ -223,8 +191,8 @@ ASSEMBLIES = {
 }
 
 
-#: They take 5 to 40 seconds.
-SLOW = ("hinge", "lattice of 20 parts")
+#: It takes 40 seconds.
+SLOW = ("lattice of 20 parts",)
 
 
 def write(shapes, path):

@@ -61,10 +61,7 @@ def over_a_ball(comm, shift, friction, ball=None, sliding="finite"):
 
 @pytest.mark.parallel
 def test_a_ball_that_is_elsewhere(comm):
-    """A block pushed over a ball has the forces of a block pressed on a ball that is there.
-
-    Both are paired where their tops are moved to, so the one needs no more configurations.
-    """
+    """A block pushed over a ball has the forces of a block pressed on a ball that is there."""
     forces, configurations = [], []
     for shift in (0.0, PUSH):
         seen = []

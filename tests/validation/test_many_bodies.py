@@ -183,11 +183,7 @@ def bricks_of_cells(scene):
 
 @pytest.mark.long
 def test_a_wall_of_a_thousand_bricks():
-    """The floor carries the weight of 1,104 bricks, found by Newton's method in a few steps.
-
-    Faces of the first steps do not hold some bricks. With whole steps, or with constraints as stiff
-    as they are, Newton's method moves these bricks far away and finds no fixed point.
-    """
+    """The floor carries the weight of 1,104 bricks, found by Newton's method in a few steps."""
     scene = wall(MPI.COMM_SELF, 34, 32, one_pair=True)
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)

@@ -172,10 +172,7 @@ def test_pairs_between_parts_are_one_pair(comm, kind, law, sides):
 @pytest.mark.parallel
 @pytest.mark.parametrize("sliding", ["small", "finite"])
 def test_load_steps_goals_and_files(comm, folder, sliding):
-    """Load steps, restarts and derivatives are those of uncut surfaces.
-
-    With finite sliding nodes pass from one primary tag to the next.
-    """
+    """Load steps, restarts and derivatives are those of uncut surfaces."""
     found = []
     for name in ("whole", "parts"):
         scene = pushed(comm, "quadrilateral")

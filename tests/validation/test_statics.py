@@ -87,8 +87,7 @@ FREE_FORCE = 0.1
 def test_slip_spreads_over_a_belt():
     """The forces of a belt are those of Euler and Eytelwein, before and after its slip has turned.
 
-    The drum takes the moment of friction about its axis. Newton's method alone ended without a
-    fixed point when the end was first pulled.
+    The drum takes the moment of friction about its axis.
     """
     scene = block(
         MPI.COMM_SELF,
