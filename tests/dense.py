@@ -22,13 +22,6 @@ def problems(draw: st.DrawFn, most_nodes: int = 12, most_decades: float = 3.0) -
     )
 
 
-def moved_to_circles(lam: FeasibleSet, v: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """V with the tangential parts of some discs moved radially to their circles."""
-    norms, factor = lam.norms(v), np.ones_like(lam.radius)
-    np.divide(lam.radius, norms, out=factor, where=slips & (norms > 0.0))
-    return lam.scaled_discs(v, factor)
-
-
 def clarabel_minimum(
     A: np.ndarray,
     b: np.ndarray,

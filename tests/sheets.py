@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -97,11 +96,6 @@ def joined(*parts: Facets) -> Facets:
     together = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     bent, plane = any(part.bent for part in parts), all(part.plane for part in parts)
     return Facets(one.cell, one.degree, bent=bent, plane=plane, **together)
-
-
-def part_of(facets: Facets, some: np.ndarray) -> Facets:
-    """Return some of the facets of a surface."""
-    return replace(facets, **{name: getattr(facets, name)[some] for name in FACET_ARRAYS})
 
 
 def nodes_of(facets: Facets) -> SurfaceNodes:

@@ -11,7 +11,6 @@ import re
 import shlex
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -162,50 +161,12 @@ def test_cases_in_processes_of_their_own(tmp_path, echo):
     assert rows["sleep"]["found"] == 1  # what it had found until then
 
 
-def test_a_cell_without_its_figure_is_empty():
-    """As in the row of a case that failed."""
-    table = importlib.import_module("harness.table")
-    for text in ("{found}", lambda rows: f"{rows[0]['found']}"):
-        assert table.Column("found", text, missing="none").cell([{"status": "stopped"}]) == "none"
-
-
-def test_rows_of_different_runs(tmp_path):
-    """Each keeps its run; figures of one run are put together, those of others are replaced."""
-    record = importlib.import_module("harness.record").Record(tmp_path / "rows.json", ["N"])
-    old, new = {"commit": "1234567"}, {"commit": "89abcde"}
-    record.add({"N": 1, "a": 1, "b": 1}, old)
-    record.add({"N": 2, "a": 2}, old)
-    record.add({"N": 1, "a": 3}, new)
-    record.add({"N": 1, "c": 4}, new)
-    record.write()
-    assert kept(tmp_path / "rows.json") == [
-        {"N": 1, "a": 3, "c": 4, "run": new},
-        {"N": 2, "a": 2, "run": old},
-    ]
-
-
 def test_code_that_is_not_committed_measures_nothing_to_keep(tmp_path, monkeypatch):
     benchmark = importlib.import_module("harness.benchmark")
     monkeypatch.setattr(benchmark, "commit", lambda: "1234567+")
     with pytest.raises(SystemExit, match="not committed"):
         run(monkeypatch, "pairing", "--facets", 100, "--json", tmp_path / "rows.json")
     assert not (tmp_path / "rows.json").exists()
-
-
-def test_a_table_says_who_measured_which_lines(tmp_path):
-    harness = importlib.import_module("harness")
-    machine = {"cpu": "M1", "cores": 2, "threads": 1, "dolfinx": "0.9.0", "petsc": "3.22.5"}
-    runs = [{"commit": name, "date": "2026-11-22", **machine} for name in ("a", "b")]
-    rows = [
-        {"N": N, "method": method, "k": k, "run": runs[run]}
-        for N, method, k, run in ((4, "x", 7, 0), (6, "x", 8, 0), (8, "x", 9, 1), (4, "y", 5, 1))
-    ]
-    columns = [harness.Column("N", "{N}")]
-    columns += [harness.Column(name, "{k}", {"method": name}, "?") for name in "xy"]
-    text = harness.Table("t", columns, line=["N"]).markdown(rows).splitlines()
-    assert text[2:5] == ["| 4 | 7 | 5 |", "| 6 | 8 | ? |", "| 8 | 9 | ? |"]
-    on = "of 2026-11-22 (M1, 2 cores, threads: 1, DOLFINx 0.9.0, PETSc 3.22.5)"
-    assert text[-1] == (f"Code: lines 1-2, column 2: `a` {on}; lines 1, 3, columns 2-3: `b` {on}.")
 
 
 def test_tables_of_the_page_are_up_to_date():
@@ -228,28 +189,6 @@ def test_commands_of_the_page_are_understood():
     for name, arguments in found:
         parser = importlib.import_module(name).BENCHMARK.parser()
         parser.parse_args(shlex.split(arguments, comments=True))
-
-
-def test_measure_runs_the_commands_of_the_named_scripts_only(monkeypatch, tmp_path, capsys):
-    measure = importlib.import_module("measure")
-    monkeypatch.setattr(measure, "LOG", tmp_path / "results" / "measure.log")
-    ran = []
-    monkeypatch.setattr(
-        measure.subprocess,
-        "run",
-        lambda command, **_: ran.append(command) or SimpleNamespace(returncode=0),
-    )
-    monkeypatch.setattr(sys, "argv", ["measure.py", "peers", "adaptive"])
-    measure.main()
-    assert {re.search(r"benchmarks/(\w+)\.py", c)[1] for c in ran} == {"peers", "adaptive"}
-    monkeypatch.setattr(sys, "argv", ["measure.py", "--list"])
-    with pytest.raises(SystemExit):
-        measure.main()
-    monkeypatch.setattr(sys, "argv", ["measure.py", "peer"])
-    with pytest.raises(SystemExit):
-        measure.main()
-    assert "has no command of peer" in capsys.readouterr().err
-    assert len(ran) == len((tmp_path / "results" / "measure.log").read_text().splitlines())
 
 
 @pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)

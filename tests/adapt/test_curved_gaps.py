@@ -124,25 +124,6 @@ def test_each_tag_of_a_list_has_its_own_geometry(comm, names, of_gmsh):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("curved", ["pin", "plate"])
-def test_tags_of_a_list_without_geometry(comm, curved):
-    """Facets whose tag has no geometry have the smooth surface through their nodes."""
-    fit = press_fit(comm)
-    pin, plate = fit.tags["pin_contact"], fit.tags["plate_contact"]
-    name = f"{curved}_contact"
-    geometry = {fit.tags[name]: SURFACES[name]}
-    listed, *given = (
-        paired(fit, ContactPair(fit.facet_tags, *sides, Frictionless(), geometry=geometry))
-        for sides in (([pin, plate], [pin, plate]), (pin, plate), (plate, pin))
-    )
-    same = [
-        one for one in given if comm.allreduce(np.array_equal(one.nodes, listed.nodes), MPI.LAND)
-    ]
-    assert len(same) == 1
-    assert np.abs(same[0].gap - listed.gap).max(initial=0.0) <= 1e-12 * RADIUS
-
-
-@pytest.mark.parallel
 def test_errors_name_the_tags_of_a_list(comm):
     """Errors blame the tag whose facets or surface are wrong, not the first tag of the list."""
     fit = press_fit(comm)

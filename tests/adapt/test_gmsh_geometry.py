@@ -9,7 +9,6 @@ import pytest
 from test_refinement import half_disc, near, nodes_of
 
 from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh, refine
-from scenes.hertz import RADIUS, cylinder_on_plane
 
 #: Of Gmsh's projections, absolute; sizes are about 1.
 ROUNDING = 1e-8
@@ -66,31 +65,6 @@ def test_cylinders_with_parameters_of_their_own(comm):
     assert worst(comm, np.hypot(x[:, 0], x[:, 1]) - 8.0) > 1e-2
 
 
-@pytest.mark.parallel
-def test_a_circle_in_2d(comm):
-    tagged = half_disc(comm)
-    for _ in range(2):
-        tagged = refine(tagged, near(tagged, [0, 0, 0]))
-    x = nodes_of(tagged, "contact") - [0.0, 1.0, 0.0]
-    assert worst(comm, np.linalg.norm(x, axis=1) - 1.0) <= ROUNDING
-
-
-@pytest.mark.parallel
-def test_scenes_keep_the_geometry(comm):
-    """So that meshes of them are refined onto it."""
-    tagged = cylinder_on_plane(comm, 1.0).tagged_mesh
-    refined = refine(tagged, near(tagged, [0, 0, 0]), 1.0)
-    x = nodes_of(refined, "contact") - [0.0, RADIUS, 0.0]
-    assert comm.allreduce(len(x)) > comm.allreduce(len(nodes_of(tagged, "contact")))
-    assert worst(comm, np.linalg.norm(x, axis=1) - RADIUS) <= ROUNDING * RADIUS
-
-
-@pytest.mark.parallel
-def test_flat_bodies_need_no_geometry(comm):
-    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
-    assert not bricks.geometry.curved
-
-
 def test_a_file_that_is_gone(comm, tmp_path):
     file = tmp_path / "half_disc.geo"
     file.write_text((MESHES / "half_disc.geo").read_text())
@@ -126,30 +100,3 @@ def test_a_face_that_goes_on_flat(comm, tmp_path):
     with tagged.geometry.projections() as projections:
         moved = projections[tagged.tags["face"]](x.T)
     assert worst(comm, moved - x.T) <= ROUNDING
-
-
-def test_nearest_points_of_the_built_in_kernel():
-    """Points off a cylinder and a sphere by 1e-3 of their radius go back to where they came from.
-
-    Gmsh's own search misses by 1e-4 along the cylinder.
-    """
-    fit = read_gmsh(MESHES / "press_fit.geo", MPI.COMM_SELF, N=4, Hex=1, Radius=10.0)
-    ball = read_gmsh(MESHES / "sphere_octant.geo", MPI.COMM_SELF, h=0.15, Zone=0.3)
-    angle, height = np.random.default_rng(0).uniform(0.1, 0.9, (2, 200))
-    angle *= 0.5 * np.pi
-    hole = np.array([10.0 * np.cos(angle), 10.0 * np.sin(angle), 10.0 * height])
-    tip = np.array([0.0, 0.0, 1.0])[:, None]
-    slope = 0.2 * height
-    direction = [np.sin(slope) * np.cos(angle), np.sin(slope) * np.sin(angle), -np.cos(slope)]
-    sphere = tip + np.array(direction)
-    off = np.where(np.arange(200) % 2, 1.001, 0.999)
-    cases = [
-        (fit, "plate_contact", hole, hole * [off, off, np.ones(200)]),
-        (ball, "upper_contact", sphere, tip + off * (sphere - tip)),
-    ]
-    for tagged, name, wanted, points in cases:
-        with tagged.geometry.pieces() as pieces:
-            size = np.ptp(wanted, axis=1).max()
-            (projection,) = pieces[tagged.tags[name]]
-            found = projection(points)
-        assert np.abs(found - wanted).max() <= ROUNDING * size

@@ -7,7 +7,6 @@ from itertools import combinations
 from mpi4py import MPI
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,28 +40,3 @@ def test_small_errors_of_errors_change_nothing():
     marked = largest_part(MPI.COMM_SELF, squares, 0.5)
     same = [np.array_equal(largest_part(MPI.COMM_SELF, row, 0.5), marked) for row in changed]
     assert sum(same) >= 18
-
-
-@pytest.mark.parallel
-def test_the_same_on_any_number_of_ranks(comm):
-    squares = np.random.default_rng(3).lognormal(0.0, 4.0, 500)
-    squares[::7] = squares[0]  # ties
-    squares[1::50] = 0.0
-    mine = np.arange(len(squares)) % comm.size == comm.rank
-    for fraction in (0.1, 0.5, 0.999, 1.0):
-        alone = largest_part(MPI.COMM_SELF, squares, fraction)
-        assert (largest_part(comm, squares[mine], fraction) == alone[mine]).all()
-
-
-@pytest.mark.parallel
-def test_a_rank_without_cells(comm):
-    squares = np.arange(1.0, 5.0) if comm.rank == 0 else np.zeros(0)
-    marked = largest_part(comm, squares, 0.6)
-    assert marked.tolist() == ([False, False, True, True] if comm.rank == 0 else [])
-
-
-def test_sizes_of_any_magnitude(comm):
-    """Squares are no more than 1; the least ones may be as small as numbers are."""
-    squares = np.array([1.0, 1e-160, 1e-300, 0.0])
-    assert largest_part(comm, squares, 0.5).tolist() == [True, False, False, False]
-    assert largest_part(comm, np.full(3, 1e-300), 0.5).all()

@@ -132,35 +132,6 @@ def test_marked_cells_are_cut_and_others_are_conforming(comm):
 
 
 @pytest.mark.parallel
-def test_the_longest_edge_of_a_tetrahedron_is_cut(comm):
-    before = bricks(comm)
-    errors = near(before, [0.1, 0.2, 0.3])
-    refined = refine(before, errors, 1e-3)
-    largest = comm.allreduce(errors.max(initial=0.0), op=MPI.MAX)
-    corners = before.mesh.geometry.x[geometry_dofmap(before.mesh)[: len(errors)]]
-    worst = np.concatenate(comm.allgather(corners[errors == largest]))[0]
-    parts = np.linalg.solve((worst[1:] - worst[0]).T, (all_middles(refined) - worst[0]).T)
-    inside = (parts.min(axis=0) > 0.0) & (parts.sum(axis=0) < 1.0)
-    assert inside.sum() == 2
-    assert len(all_middles(refined)) < len(all_middles(before)) + 10
-
-
-@pytest.mark.parallel
-def test_the_old_mesh_stays(comm):
-    tagged = bricks(comm)
-    x = tagged.mesh.geometry.x.copy()
-    refine(tagged, near(tagged, [0, 0, 1]))
-    assert np.array_equal(tagged.mesh.geometry.x, x)
-
-
-def test_a_mesh_without_tags_of_cells(comm):
-    tagged = dataclasses.replace(square(comm), cell_tags=None)
-    refined = refine(tagged, near(tagged, [0.5, 0.5, 0]))
-    assert refined.cell_tags is None
-    assert len(refined.facet_tags.find(5)) >= len(tagged.facet_tags.find(5))
-
-
-@pytest.mark.parallel
 def test_ghost_cells_as_before(comm):
     for mode in (dolfinx.mesh.GhostMode.none, dolfinx.mesh.GhostMode.shared_facet):
         before = square(comm, ghost_mode=mode)

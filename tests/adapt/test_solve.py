@@ -27,11 +27,9 @@ from dolfinx_tresca import (
     TaggedMesh,
     Tresca,
     read_gmsh,
-    refine,
     solve_adaptively,
 )
 from dolfinx_tresca.adapt.solve import MOST_LOCAL
-from dolfinx_tresca.solution.transfer import tractions_at
 from scenes.elasticity import elasticity, fixed
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 from scenes.scene import EPS
@@ -165,18 +163,6 @@ def test_two_bricks(comm):
     assert len(result.levels) >= 3
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("degree", "accuracy", "rate"), [(1, 0.11, 0.27), (2, 0.1, 0.4)])
-def test_error_of_two_bricks_falls_as_cells_without_preferred_direction_let_it(
-    comm, degree, accuracy, rate
-):
-    """In the end by n^-1/3 and n^-1/2: along edges cells are as short as across them."""
-    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=4)
-    result = solve_adaptively(lambda tagged: two_bricks(tagged, degree), bricks, accuracy)
-    result.raise_if_failed()
-    assert decay(result) >= rate
-
-
 @pytest.mark.parallel
 def test_what_ends_it(comm):
     build = cantilever
@@ -246,38 +232,6 @@ def test_options_of_the_problem_count_at_the_end(comm):
     result = solve_adaptively(lambda t: cantilever(t, options=options), sheet(comm), 0.2)
     assert result.solution.residuals[-1] <= 1e-9
     assert result.error <= 0.2
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("degree", [1, 2])
-def test_a_start_on_the_same_mesh_is_the_solution(comm, degree):
-    tagged = sheet(comm)
-    with cantilever(tagged, degree) as problem:
-        solution = problem.solve(rtol=1e-8)
-    with cantilever(tagged, degree) as problem:
-        problem.start_from(solution)
-        again = problem.solve(rtol=1e-6)
-    assert again.iterations <= 1
-    assert again.iterations < solution.iterations
-
-
-@pytest.mark.parallel
-def test_tractions_on_a_refined_mesh_are_interpolated(comm):
-    """Exactly, at nodes and in the middles of edges; where nothing is near there is none."""
-    tagged = sheet(comm)
-    with cantilever(tagged) as problem:
-        solution = problem.solve()
-    fields = solution.surface
-    fields.pressure.interpolate(lambda x: 3.0 + 2.0 * x[0])
-    fields.traction.interpolate(lambda x: np.stack([x[0], 0.0 * x[0]]))
-    cells = tagged.mesh.topology.index_map(2).size_local
-    fine = refine(tagged, np.ones(cells), 1.0)
-    points = nodes_of(fine, "bottom")
-    pressure, traction = tractions_at(fields, points)
-    assert np.allclose(pressure, 3.0 + 2.0 * points[:, 0], rtol=1e-12)
-    assert np.allclose(traction, points[:, :1] * [1.0, 0.0], atol=1e-12)
-    pressure, _ = tractions_at(fields, points + np.array([0.0, 1.0, 0.0]))
-    assert not pressure.any()
 
 
 def test_a_start_that_does_not_fit(comm):

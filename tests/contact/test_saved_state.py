@@ -100,18 +100,6 @@ def test_surfaces_that_have_moved(comm, folder: Path) -> None:
         assert np.array_equal(problem.operators[0].gap, rests)
 
 
-def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
-    scene = scene_of(comm, Tresca(0.3))
-    with scene.problem() as problem:
-        solution = problem.solve(rtol=1e-6)
-        problem.save_state(folder / "state.npz")
-    assert solution.iterations > 0
-    with scene.problem() as problem:
-        problem.load_state(folder / "state.npz")
-        solution = problem.solve(rtol=1.1e-6)
-        assert solution.iterations == 0
-
-
 def test_a_refined_mesh_on_other_ranks(comm, folder: Path) -> None:
     """Its numbers depend on the partition, the places of its nodes do not."""
     path = folder / "state.npz"
@@ -160,20 +148,6 @@ def test_laws_of_another_kind(comm, folder: Path, before, now, message: str) -> 
         problem.save_state(path)
     with scene_of(comm, now).problem() as problem, pytest.raises(InputError, match=message):
         problem.load_state(path)
-
-
-def test_friction_that_comes(comm, folder: Path) -> None:
-    """With a coefficient of zero there is a slip to count from."""
-    path = folder / "state.npz"
-    with scene_of(comm, Coulomb(0.0)).problem() as problem:
-        problem.solve(rtol=RTOL)
-        problem.accept()
-        problem.save_state(path, step=3)
-    with scene_of(comm, Coulomb(0.3)).problem() as problem:
-        assert problem.load_state(path) == 3
-        solution = problem.solve(rtol=RTOL)
-    assert solution.normal_force > 0.0
-    assert solution.dissipation == 0.0
 
 
 def test_files_that_do_not_fit(comm, folder: Path) -> None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
@@ -14,9 +11,7 @@ from dolfinx.fem.petsc import assemble_matrix
 from dolfinx_tresca import (
     ContactError,
     ContactForce,
-    ConvergenceError,
     Coulomb,
-    Frictionless,
     GoalError,
     InputError,
     MeanPressure,
@@ -25,9 +20,8 @@ from dolfinx_tresca import (
     PressureNorm,
     refine,
 )
-from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.derivatives.goals import CHANGING, DOUBT
-from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.mesh_error import total
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks
@@ -168,35 +162,6 @@ def test_estimates_against_a_fine_mesh(comm):
                 assert one.corrected_value == one.value
 
 
-@pytest.mark.parallel
-def test_state_changes_by_hand(comm):
-    """In 2D they are h / 6 times what two nodes of different states have, of a normal force.
-
-    Without friction y is the pressure under w = q - B z, and both are zero on the other's nodes.
-    """
-    with pressed_blocks(comm, 8).but(friction=Frictionless()).problem() as problem:
-        solution = problem.solve(accuracy=1e-8)
-        found = problem.goal_error(NormalForce())
-        solved = problem._contact.solved
-        dual, x = solved.dual, solved.multipliers
-        jump = dual.jump
-        contact = LinearisedContact.of_last_solve(problem._contact)
-        on_x = np.sqrt(jump.pairs[0].weights)
-        _, y = contact.adjoint(np.zeros_like(x), on_x)
-        r = jump.gap - jump.of_displacement(solution.u)
-        w = on_x - jump.of_displacement(found.adjoint)
-        scale = 1.0 / on_x
-        rows = np.column_stack([jump.pairs[0].places[:, 0], x, r, y, w])
-        rows[:, 1:] *= scale[:, None]
-    places, x, r, y, w = gather_rows(comm, rows)[np.argsort(gather_rows(comm, rows)[:, 0])].T
-    last = np.flatnonzero(x > 0.0)[-1]  # the right part of the surface is open
-    assert (x[: last + 1] > 0.0).all()
-    assert last + 1 < len(x)
-    h = places[last + 1] - places[last]
-    expected = h / 6.0 * (x[last] * abs(w[last + 1]) + abs(y[last]) * r[last + 1])
-    assert found.state_changes == pytest.approx(expected, rel=1e-5)
-
-
 @pytest.mark.parallel(dim=[2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_estimates_of_random_scenes(comm, dim):
@@ -257,21 +222,6 @@ def test_what_is_refused(comm):
         with pytest.raises(InputError, match="a form of UFL"):
             problem.goal_error(NormalForce())
     matrix.destroy()
-
-
-@pytest.mark.parallel
-def test_a_body_that_nothing_holds_has_no_adjoint(comm):
-    """Where all nodes are open how far it slips depends on nothing."""
-    with floating(comm, "upper", 2).problem() as problem:
-        problem.solve()
-        dual = problem._contact.solved.dual
-        lam = replace(dual.admissible, radius=np.zeros_like(dual.admissible.radius))
-        nothing = -np.ones(lam.size)
-        contact = LinearisedContact.of_last_solve(problem._contact)
-        states = lam.face(nothing), np.zeros(lam.size), csr_array(np.eye(lam.size))
-        vars(contact)["_states"] = states
-        with pytest.raises(ConvergenceError, match="no adjoint"):
-            contact.adjoint(np.ones(lam.size), np.zeros(lam.size))
 
 
 def test_goals_are_checked():

@@ -112,17 +112,6 @@ def test_every_kind_of_control(comm, kind, degree, law):
         check(lambda: solved(problem), problem, goals, model.controls)
 
 
-def test_a_load_step(comm):
-    """Slip counts from an accepted step, which the controls do not change."""
-    model = Rubbing(comm, "triangle")
-    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
-        model.end.x.array[:] *= 0.7
-        solved(problem)
-        problem.accept()
-        model.end.x.array[:] *= 1.2
-        check(lambda: solved(problem), problem, lambda u: model.goals, model.controls[-5:])
-
-
 @pytest.mark.parallel
 def test_a_body_that_contact_holds(comm):
     """A block on a rigid floor, pressed and pushed: also of a form, by rigid displacements."""

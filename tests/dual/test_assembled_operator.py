@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
-import ufl
-from dolfinx import fem
-
-from dolfinx_tresca import NonlinearContactProblem
 from dolfinx_tresca.dual.products import assembled_operator, compliance
 from scenes.scene import EPS
 from scenes.two_bricks import bricks_problem
@@ -83,21 +77,6 @@ def test_solutions_are_those_without_the_matrix(comm, monkeypatch):
     assert products <= 32
 
 
-def test_two_bodies_have_none(found):
-    """Each of two bodies has all multipliers: A is full."""
-    with bricks_problem(MPI.COMM_SELF, 2) as problem:
-        problem.solve(rtol=1e-6)
-    assert found
-    assert all(matrix is None for _, matrix in found)
-
-
-def test_bodies_with_many_multipliers_have_none(found, monkeypatch):
-    monkeypatch.setattr(assembled_operator, "MOST_ON_BODY", 10)
-    with wall(MPI.COMM_SELF, 2, 3).problem() as problem:
-        problem.solve(rtol=1e-6)
-    assert [matrix for _, matrix in found] == [None]
-
-
 @pytest.mark.parallel
 def test_a_dense_matrix_is_A(comm, monkeypatch):
     """Against single products with random vectors; each column is a product."""
@@ -109,43 +88,3 @@ def test_a_dense_matrix_is_A(comm, monkeypatch):
         matrix = assembled_operator.dense_model(operator, local_compliance)
         assert operator.products - before == len(matrix)
         check_products(comm, operator, matrix)
-
-
-@pytest.mark.parallel
-def test_gradients_are_differences_of_solutions(comm, found):
-    """The sway of the wall by the push: the adjoint against central differences."""
-    scene = wall(comm, *SIZE)
-    push = scene.data.push
-    start, step = 0.1 * scene.data.weights.sum() / SIZE[1] / HEIGHT, 1e-4
-    with scene.problem() as problem:
-
-        def sway(value: float) -> tuple[float, float]:
-            push.value = value
-            solution = problem.solve(rtol=1e-11)
-            solution.raise_if_failed()
-            goal = solution.u[0] * ufl.dx
-            (derivative,) = problem.gradient(goal, [push])
-            return comm.allreduce(fem.assemble_scalar(fem.form(goal))), float(derivative)
-
-        (more, _), (less, _) = sway((1.0 + step) * start), sway((1.0 - step) * start)
-        exact = sway(start)[1]
-    assert found[0][1] is not None
-    # relative residuals of 1e-11 over steps of 1e-4, magnified by the wall as a whole
-    assert abs(exact - (more - less) / (2.0 * step * start)) <= 1e-4 * abs(exact)
-
-
-@pytest.mark.parallel
-def test_newton_steps_of_linear_bodies_are_one_solve(comm, found):
-    """`NonlinearContactProblem` with a linear material: the displacement of `ContactProblem`."""
-    scene = wall(comm, *SIZE)
-    with scene.problem() as problem:
-        expected = problem.solve(rtol=1e-9).u.x.petsc_vec.copy()
-    u = fem.Function(scene.V)
-    residual = ufl.action(scene.a, u) - scene.L
-    with NonlinearContactProblem(residual, u, scene.pairs) as problem:
-        solution = problem.solve()
-        solution.raise_if_failed()
-        difference = solution.u.x.petsc_vec.copy()
-    assert all(matrix is not None for _, matrix in found)
-    difference.axpy(-1.0, expected)
-    assert difference.norm() <= 1e-6 * expected.norm()

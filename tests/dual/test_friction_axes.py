@@ -34,24 +34,6 @@ def ellipses_of(pair, direction, shape) -> NodalEllipses:
     )
 
 
-@pytest.mark.parallel
-def test_tangents_are_the_axes_and_rows_of_T_rotate_with_them(comm):
-    V, pair = floor_operators(comm)
-    turned = with_tangents_along_axes(V, pair, ellipses_of(pair, (3.0, 4.0, -7.0), (0.5, 1.0)))
-    first = turned.tangents[::2]
-    second = np.cross(pair.normals[turned.tangent_node[::2]], first)
-    assert np.abs(first - [0.6, 0.8, 0.0]).max(initial=0.0) <= ROUNDING
-    assert np.abs(turned.tangents[1::2] - second).max(initial=0.0) <= ROUNDING
-    assert np.abs(turned.semi_axes - np.tile([0.5, 1.0], len(first))).max(initial=0.0) <= ROUNDING
-    # the vector of the jump does not change
-    u = np.random.default_rng(1).standard_normal(pair.T.shape[1])
-    vectors = [one.tangential_vectors(one.T @ u) for one in (pair, turned)]
-    assert np.abs(vectors[0] - vectors[1]).max(initial=0.0) <= 100 * EPS * np.abs(u).max()
-    again = with_tangents_along_axes(V, turned, ellipses_of(pair, (0.3, 0.4, 1.0), (0.5, 1.0)))
-    assert again is turned  # the axes have not changed
-    assert (turned is pair) == (len(first) == 0)
-
-
 @pytest.mark.parametrize("shape", [(1.0, 0.25), (0.0, 1.0), (1.0, 1e-17)])
 def test_bound_of_a_single_tangent_is_the_semi_diameter(comm, shape):
     V, pair = floor_operators(comm, across=(FRONT,))

@@ -13,9 +13,7 @@ from logged import logged
 
 from dolfinx import fem
 
-from dolfinx_tresca import Coulomb, RigidSphere
-from dolfinx_tresca.dual.moved import Carry, moved_jump
-from dolfinx_tresca.pairing import group
+from dolfinx_tresca import RigidSphere
 from dolfinx_tresca.pairing.group import straightened
 from scenes.blocks import BELOW, block
 from scenes.patches import patch
@@ -23,7 +21,7 @@ from scenes.patches import patch
 #: Divisions of the faces, and the gap between them.
 UPPER, LOWER, GAP = 3, 4, 0.05
 
-#: Angle by which surfaces are turned.
+#: Slope of a surface that a displacement bends.
 SLOPE = 0.1
 
 
@@ -106,48 +104,13 @@ def test_straightened_displacements(comm, kind):
     u.interpolate(lambda x: np.array([np.sin(3.0 * x[i] + x[1]) for i in range(dim)]))
     linear.interpolate(u)
     straight.interpolate(linear)
-    for one in (u, straight):
-        one.x.scatter_forward()
-    values, expected = (one.x.array.reshape(-1, dim) for one in (u, straight))
+    for function in (u, straight):
+        function.x.scatter_forward()
+    values, expected = (function.x.array.reshape(-1, dim) for function in (u, straight))
     assert np.abs(values - expected).max() > 1e-3
     assert np.allclose(straightened(V, values), expected, rtol=0.0, atol=1e-14)
     V = linear.function_space
     assert straightened(V, values) is values
-
-
-def test_surfaces_are_extracted_from_the_mesh_once(comm, monkeypatch):
-    """Displaced surfaces follow from the undeformed ones."""
-    scene = patch(comm, "triangle", upper=(UPPER, 1), lower=(LOWER, 1), gap=GAP)
-    u = fem.Function(scene.V)
-    down = scene.V.tabulate_dof_coordinates()[:, 1] > 1.0 + 0.5 * GAP
-    u.x.array.reshape(-1, 2)[down, 1] = -0.5 * GAP
-    with scene.problem() as problem:
-        monkeypatch.delattr(group, "tagged_facets")
-        problem.update_geometry(u)
-        (one,) = problem._contact.surfaces.jump.pairs
-        assert one.distance == pytest.approx(GAP, rel=1e-9)  # that of the undeformed bodies
-
-
-def test_values_are_carried_over_column_by_column(comm):
-    """On the same surfaces they stay the same, and on turned surfaces their work does."""
-    scene = patch(comm, "hexahedron", upper=(2, 1), lower=(3, 1), friction=Coulomb(0.3))
-    u = fem.Function(scene.V)
-    x = scene.V.tabulate_dof_coordinates()
-    u.x.array.reshape(-1, 3)[:, 2] = SLOPE * x[:, 0]  # a rotation, to first order
-    with scene.problem() as problem:
-        before = problem._contact.surfaces.jump
-        values = np.random.default_rng(1).standard_normal((len(before.gap), 3))
-        same = Carry(before, before).physical(values)
-        assert np.allclose(same, values, rtol=0.0, atol=1e-14)
-        after = moved_jump(before, problem.pairs, u)
-        carry = Carry(before, after)
-        columns = [carry.physical(column) for column in values.T]
-        assert np.array_equal(carry.physical(values), np.column_stack(columns))
-        x, r = values.T[:2]
-        work = (carry.multipliers(x) * carry.residuals(r)).sum()
-        after.destroy()
-    # the cosine of the angle, and the change of areas, are 1 to second order
-    assert work == pytest.approx((x * r).sum(), abs=2.0 * SLOPE**2 * np.abs(x * r).sum())
 
 
 def gap_at(problem, u: fem.Function) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dolfinx_tresca.output.panels import colour_range, quantity, scaled
+from dolfinx_tresca.output.panels import colour_range, scaled
 
 
 @pytest.mark.parametrize(
@@ -24,19 +24,6 @@ from dolfinx_tresca.output.panels import colour_range, quantity, scaled
 def test_scaled(unit: str, largest: float, factor: float, label: str) -> None:
     """Names of units have powers of thousand, and there are no empty brackets."""
     assert scaled("p", unit, largest) == (pytest.approx(factor), label)
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
-        (1.8871e-5, "m", "18.9 · 10⁻⁶ m"),
-        (915.3, "kPa", "915 kPa"),
-        (0.3342, "mm", "0.334 mm"),
-        (13.456, "", "13.5"),
-    ],
-)
-def test_quantity(value: float, unit: str, text: str) -> None:
-    assert quantity(value, unit) == text
 
 
 def test_colours_show_what_varies() -> None:

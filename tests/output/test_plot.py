@@ -30,13 +30,12 @@ from dolfinx_tresca import (
     Units,
 )
 from dolfinx_tresca.output import panels, plot, views
-from dolfinx_tresca.output.grid import Grid, blocks_of, gather_grid
+from dolfinx_tresca.output.grid import blocks_of, gather_grid
 from dolfinx_tresca.output.panels import (
     CURVE_COLOUR,
     OPEN_COLOUR,
     TANGENT_COLOUR,
     gather_contact,
-    unrolled,
 )
 from dolfinx_tresca.solution.fields import IntegerFunction
 from scenes.blocks import ABOVE, block
@@ -279,23 +278,6 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
 
 
 @needs_xvfb
-def test_the_line_of_a_picture_of_2d_is_red_where_the_surfaces_touch(
-    folder: Path, flat: ContactSolution
-) -> None:
-    """The line is half as wide if only half of the nodes are pressed; open surfaces have none."""
-    fields, widths = flat.surface, []
-    for end in (-1.0, 0.5, 2.0):
-        state = IntegerFunction(fields.state.function_space, name="state")
-        pressed = fields.points[:, 0] < end
-        state.x.array[:] = np.where(pressed, ContactState.SLIP, ContactState.OPEN_SLIP)
-        plot.plot(folder / "line.png", flat.u, [dataclasses.replace(fields, state=state)])
-        left = image(folder / "line.png")[70:, : round(plot.SPLIT * WIDTH)]  # without the legend
-        widths.append(sum(near(left[:, [i]], CURVE_COLOUR) > 0.0 for i in range(left.shape[1])))
-    assert widths[0] == 0
-    assert 0.3 < widths[1] / widths[2] < 0.55  # the last facet of the half is not pressed
-
-
-@needs_xvfb
 def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
     flat = on_plane(Frictionless(), degree=2)
@@ -372,75 +354,6 @@ def test_slip_of_earlier_steps_where_nodes_stick(comm) -> None:
         assert shown == pytest.approx(solution.greatest_slip, rel=64 * EPS)
     total = np.linalg.norm(slip[touching], axis=1).max()
     assert after.greatest_total_slip >= (1.0 - 64 * EPS) * total > after.greatest_slip
-
-
-@pytest.mark.parallel
-def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
-    """Slip is zero there."""
-    contact = gather_contact(flat.surface)
-    if contact is None:
-        return
-    values = contact.grid.values
-    sticks = values["sticks"] > 0.0
-    assert sticks.sum() == flat.counts.stick
-    assert values["pressed"].sum() == flat.counts.contact
-    assert np.all(values["slip"][sticks] == 0.0)
-    assert np.all(values["slip"][~sticks, 0] != 0.0)
-
-
-def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) -> Grid:
-    """Return the curve of some lines."""
-    x = np.array([(*point, 0.0) for point in points])
-    cells = np.array([(2, *line) for line in lines])
-    return Grid(2, 1, x, cells, np.full(len(cells), 3), {})
-
-
-def test_open_curve() -> None:
-    """It begins at the end with the least coordinates, whatever the numbers are."""
-    curve = curve_of([(2, 0), (0, 0), (2, 3), (1, 0)], [(0, 3), (2, 0), (1, 3)])
-    ((nodes, arc, directions),) = unrolled(curve)
-    assert nodes.tolist() == [1, 3, 0, 2]
-    np.testing.assert_allclose(arc, [0.0, 1.0, 2.0, 5.0])
-    np.testing.assert_allclose(directions[[0, 1, 3], 0], [1.0, 1.0, 0.0], atol=1e-12)
-
-
-@pytest.mark.parametrize("turn", [1, -1])
-def test_closed_curve(turn: int) -> None:
-    """It runs counterclockwise, and ends with the node with which it begins."""
-    lines = [(0, 1), (1, 2), (2, 3), (3, 0)]
-    curve = curve_of([(0, 0), (1, 0), (1, 1), (0, 1)][::turn], lines)
-    ((nodes, arc, directions),) = unrolled(curve)
-    points = curve.points[nodes]
-    np.testing.assert_array_equal(points[:, :2], [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-    np.testing.assert_allclose(arc, np.arange(5))
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(directions[:, 0], [half, half, -half, -half, half])
-
-
-@needs_xvfb
-@pytest.mark.parametrize("beyond", [1, 2])
-def test_tip_of_a_crack_is_closed(flat: ContactSolution, beyond: int) -> None:
-    """A node shared by both lips has no multiplier, and is drawn as the node beside it.
-
-    Where a surface goes on beyond the other side there are more such nodes: these are open.
-    """
-    x = flat.surface.points[:, 0]
-    state = IntegerFunction(flat.surface.state.function_space, name="state")
-    state.x.array[:] = np.where(x < 0.5, ContactState.OPEN_SLIP, ContactState.SLIP)
-    state.x.array[x > 1.01 - beyond / 8] = ContactState.OUTSIDE
-    contact = gather_contact(dataclasses.replace(flat.surface, state=state))
-    assert contact is not None
-    order = np.argsort(contact.grid.points[:, 0])
-    pressed = contact.grid.values["pressed"][order]
-    assert pressed.tolist() == [0.0] * 4 + [1.0] * 4 + [1.0] if beyond == 1 else [0.0] * 2
-
-
-@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-0.8, 0.6, 0.0)])
-def test_view_is_along_the_normal(direction: tuple[float, float, float]) -> None:
-    """From the side of the larger coordinate, however the facets are oriented."""
-    normal, up = views.direction(pyvista.Plane(direction=direction).triangulate().compute_normals())
-    np.testing.assert_allclose(normal, np.sign(sum(direction)) * np.array(direction), atol=1e-6)
-    assert abs(normal @ up) < 1e-6
 
 
 @pytest.fixture

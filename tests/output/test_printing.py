@@ -7,8 +7,6 @@ import inspect
 import logging
 from html.parser import HTMLParser
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
@@ -50,7 +48,7 @@ from dolfinx_tresca import (
     Units,
     contacts,
 )
-from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN, fill, log
+from dolfinx_tresca._base.parallel import LINE_WIDTH, UNBROKEN, fill
 from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
@@ -126,12 +124,6 @@ def test_units_are_printed_behind_numbers(comm, dim):
     assert str(plain_problem) == str(problem).replace(" mm,", ",").replace(" MPa\n", "\n")
 
 
-def test_bounds_that_are_no_numbers_have_no_unit(comm):
-    scene = two_bricks(comm, 2, slip_bound=lambda x: 0.1 + 0.0 * x[0])
-    with scene.problem(units=UNITS) as problem:
-        assert "gap 0 mm, slip bound a function of points solver" in " ".join(str(problem).split())
-
-
 def test_a_bound_is_printed_as_it_is_now(comm):
     scene = two_bricks(comm, 2)
     bound = fem.Constant(scene.V.mesh, 1.0)
@@ -139,15 +131,6 @@ def test_a_bound_is_printed_as_it_is_now(comm):
     with scene.problem(pairs=[pair], units=UNITS) as problem:
         bound.value = 2.0
         assert "slip bound Constant, now 2 MPa solver" in " ".join(str(problem).split())
-
-
-def test_two_bounds_have_one_unit(comm):
-    scene = two_bricks(comm, 2)
-    for second, unit in ((0.5, " MPa"), (lambda x: 0.5, "")):
-        law = Tresca((1.0, second), direction=(1, 0, 0))
-        pair = dataclasses.replace(scene.pair, friction=law)
-        with scene.problem(pairs=[pair], units=UNITS) as problem:
-            assert f"{law}{unit} solver for K" in " ".join(str(problem).split())
 
 
 def test_units_that_are_exchanged():
@@ -176,7 +159,6 @@ def test_names_are_escaped_in_notebooks(comm):
 
 
 X, Y = 1 / 7, float(np.sqrt(2))
-CEILING = RigidPlane((X, X, 1), (0, 0, -1))
 
 #: Scenes with long names, reasons and numbers.
 SCENES = {
@@ -209,15 +191,6 @@ def test_lines_are_short(comm, caplog, name):
         for text in (*logged, str(problem), str(solution)):
             assert all(len(line) <= LINE_WIDTH for line in text.splitlines())
     assert len(logged) >= 3 * (comm.rank == 0)
-
-
-def test_a_long_message_is_one_record_of_several_lines(caplog):
-    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        log(MPI.COMM_SELF, "%s: %d %% of %s", "x" * 30, 3, "many words " * 30)
-    (record,) = caplog.records
-    lines = record.getMessage().splitlines()
-    assert len(lines) == 4 and all(len(line) <= LINE_WIDTH for line in lines)
-    assert " ".join(record.getMessage().split()) == f"{'x' * 30}: 3 % of{' many words' * 30}"
 
 
 # repr
@@ -305,11 +278,6 @@ def test_vectors_have_the_digits_that_hold():
         ([0.0, 0.0], 0.0, "(0, 0)"),
     ):
         assert fill(vector(np.array(values), error)) == text
-
-
-def test_vectors_stay_on_one_line():
-    words = "word " * (LINE_WIDTH // 5 - 1)
-    assert fill(words + vector(np.array([1.0, 2.0, 3.0]), 1e-3)).endswith("\n  (1, 2, 3)")
 
 
 @pytest.mark.parallel

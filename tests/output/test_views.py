@@ -1,34 +1,26 @@
-"""Views: obstacles, marks and magnification show what is there."""
+"""Views: obstacles and magnification show what is there."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dolfinx_tresca import ContactState, RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.output import views
+from dolfinx_tresca import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.output.grid import Grid
-from dolfinx_tresca.output.panels import OPEN_COLOUR, Contact
+from dolfinx_tresca.output.panels import Contact
 from dolfinx_tresca.output.views import (
     INVISIBLE,
     SAMPLES,
     VISIBLE,
     draw_obstacle,
-    draw_surface,
     magnification,
 )
 from scenes.rigid_obstacle import distance_from_ring
-from scenes.scene import EPS
 
 pytest.importorskip("pyvista")
-Figure = pytest.importorskip("matplotlib.figure").Figure
-
-QUADRILATERAL = 9
 
 AROUND = np.linspace(0.0, 0.5 * np.pi, 7)  #: a quarter
 OVERLAP = 1e-3
@@ -42,41 +34,21 @@ KINDS = [
 CORNERS = np.array([(x, y, z) for x in (-9.0, 9.0) for y in (-9.0, 9.0) for z in (0.0, 12.0)])
 
 
-def drawn(obstacle: RigidObstacle, points: np.ndarray, dim: int) -> list[Any]:
-    """Return what is drawn of an obstacle near points."""
+def drawn(obstacle: RigidObstacle) -> list[Any]:
+    """Return what is drawn of an obstacle near a box."""
     meshes: list[Any] = []
     plotter: Any = SimpleNamespace(add_mesh=lambda mesh, **_: meshes.append(mesh))
-    assert draw_obstacle(plotter, obstacle, points, dim == 2) == bool(meshes)
+    assert draw_obstacle(plotter, obstacle, CORNERS, False) == bool(meshes)
     return meshes
 
 
 @pytest.mark.parametrize("obstacle", KINDS, ids=str)
 def test_obstacles_are_drawn_where_their_distance_is_zero(obstacle: RigidObstacle) -> None:
     """The surface is off by the square of the grid's spacing, and goes beyond the bodies."""
-    surface = drawn(obstacle, CORNERS, 3)[0]
+    surface = drawn(obstacle)[0]
     spacing = 1.3 * (np.prod(np.ptp(CORNERS, axis=0)) / SAMPLES) ** (1.0 / 3.0)
     assert np.abs(obstacle.distance(np.asarray(surface.points))).max() < spacing**2 / 6.0
     assert (np.ptp(surface.points, axis=0)[:2] > 12.0).all()
-
-
-def test_obstacles_in_the_plane() -> None:
-    """All of the obstacle near the body is drawn, up to its surface."""
-    plane, corners = RigidPlane((0.0, -0.1), (0.0, 1.0)), np.array([(0, 0, 0), (1, 1, 0)])
-    (inside,) = drawn(plane, corners, 2)
-    assert inside.bounds[3] == pytest.approx(-0.1, abs=1e-6)
-    assert inside.bounds[1] - inside.bounds[0] > 1.1
-
-
-def test_obstacles_far_away_are_not_drawn() -> None:
-    """Their surface is not near the bodies."""
-    assert not drawn(RigidPlane((0.0, 0.0, -99.0), (0.0, 0.0, 1.0)), CORNERS, 3)
-
-
-def test_distances_that_are_no_numbers() -> None:
-    """What is no number counts as far away."""
-    obstacle = RigidObstacle(lambda x: (np.log(x[2]), x))
-    distances = obstacle.distance(np.array([(0.0, 0.0, 1.0), (0.0, 0.0, np.e), (0.0, 0.0, -1.0)]))
-    np.testing.assert_allclose(distances, [0.0, 1.0, 1.0], atol=1e-12)
 
 
 def test_an_obstacle_whose_function_fails(caplog: pytest.LogCaptureFixture) -> None:
@@ -85,68 +57,9 @@ def test_an_obstacle_whose_function_fails(caplog: pytest.LogCaptureFixture) -> N
     def table(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError("out of the table")
 
-    assert not drawn(RigidObstacle(table, name="a rail"), CORNERS, 3)
+    assert not drawn(RigidObstacle(table, name="a rail"))
     assert "a rail" in caplog.text
     assert "out of the table" in caplog.text
-
-
-def strip(state: list[ContactState]) -> Contact:
-    """Return two squares; their cells name the nodes in another order than that of the nodes."""
-    points = np.array([(x, y, 0.0) for x in (0.0, 1.0) for y in (0.0, 1.0, 2.0)])
-    cells = np.array([[4, 0, 3, 4, 1], [4, 1, 4, 5, 2]])
-    pressed = np.array(state) >= ContactState.PRESSED
-    values = {
-        "pressed": 1.0 * pressed,
-        "pressure": 1.0 * pressed,
-        "sticks": 1.0 * (np.array(state) == ContactState.STICK),
-        "slip": np.zeros((6, 3)),
-        "normal": np.tile([0.0, 0.0, 1.0], (6, 1)),
-    }
-    return Contact(Grid(3, 1, points, cells, np.full(2, QUADRILATERAL), values))
-
-
-def drawn_surface(contact: Contact, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, list[Any]]:
-    """Return the direction to the viewer, and what is drawn: (mesh, options)."""
-    drawn: list[Any] = []
-    normals: list[Any] = []
-
-    @contextmanager
-    def view_in(panel: Any, normal: Any, up: Any) -> Iterator[Any]:
-        normals.append(normal)
-        yield SimpleNamespace(add_mesh=lambda mesh, **how: drawn.append((mesh, how)))
-
-    monkeypatch.setattr(views, "view_in", view_in)
-    draw_surface(Figure(), contact, None)
-    return normals[0], drawn
-
-
-@pytest.mark.parametrize("last", [0, 2, 5])
-def test_marks_are_where_nodes_stick(monkeypatch: pytest.MonkeyPatch, last: int) -> None:
-    """Of pressed nodes that stick black discs; and the part round an open node is grey."""
-    state = [ContactState.SLIP] * 6
-    state[3], state[last] = ContactState.STICK, ContactState.OPEN
-    contact = strip(state)
-    _, drawn = drawn_surface(contact, monkeypatch)
-    (disc,) = [mesh for mesh, how in drawn if how.get("color") == "black"]
-    (grey,) = [mesh for mesh, how in drawn if how.get("color") == OPEN_COLOUR]
-    np.testing.assert_allclose(disc.center[:2], contact.grid.points[3, :2], atol=1e-6)
-    assert np.linalg.norm(np.asarray(grey.points) - contact.grid.points[last], axis=1).min() == 0.0
-
-
-def test_of_a_whole_boundary_what_touches_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a cube on its bottom: neither its top is in the way, nor its sides."""
-    points = np.array([(x, y, z) for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
-    faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
-    cells = np.array([(4, *face) for face in faces])
-    pressed = np.repeat([1.0, 0.0], 4)
-    normals = np.outer(pressed, [0.0, 0.0, -1.0])
-    values = {"pressed": pressed, "pressure": pressed, "normal": normals, "sticks": 0.0 * pressed}
-    contact = Contact(Grid(3, 1, points, cells, np.full(6, QUADRILATERAL), values))
-    normal, drawn = drawn_surface(contact, monkeypatch)
-    np.testing.assert_allclose(normal, [0.0, 0.0, 1.0], atol=64 * EPS)
-    colours = drawn[0][0]
-    assert colours.n_cells == 1
-    np.testing.assert_array_equal(colours.points[:, 2], 0.0)
 
 
 def circle(radius: float) -> np.ndarray:

@@ -200,10 +200,7 @@ def test_an_exact_fit_has_no_gap_at_its_rims(comm, folder, sides):
 @pytest.mark.parallel
 @pytest.mark.parametrize(("turned", "wall"), [(20.0, 0.9), (35.0, 0.9), (20.0, 0.3)])
 def test_a_sharp_corner_pushes_along_the_normal_of_a_flat_side(comm, folder, turned, wall):
-    """Both smooth patches of the corner face the plate, one of them at 55 or 70 degrees.
-
-    This one faces a wall beside the plate, too, which the block does not touch.
-    """
+    """Both smooth patches of the corner face the plate, one of them at 55 or 70 degrees."""
     text = """
     SetFactory("OpenCASCADE");
     DefineConstant[ angle = 20, wall = 1 ];

@@ -10,12 +10,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from rotations import rotation
-from sheets import CELLS, joined, nodes_of, sheet
+from sheets import nodes_of, sheet
 
 from dolfinx_tresca import PairingError
 from dolfinx_tresca.pairing.pair_surfaces import _surface_nodes
 from dolfinx_tresca.pairing.search.facets import EDGE_ANGLE, smooth_patches
-from scenes.scene import EPS
 
 
 def fan(angles: np.ndarray) -> np.ndarray:
@@ -50,40 +49,6 @@ def test_patch_is_a_chain_of_normals(angles, patches):
         assert np.bincount(of_patch).tolist() == [1, patches, 1]
         near = normals @ normals.T >= np.cos(np.radians(EDGE_ANGLE))
         assert (patch[:, None] == patch)[near & (node[:, None] == node)].all()
-
-
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("degree", [1, 2])
-def test_nodes_on_a_sharp_edge_have_one_normal_and_weight_per_side(cell, degree):
-    """Two sheets share nodes at a right angle; the first sheet is larger."""
-    n = 3
-    first = sheet(cell, n, degree=degree)
-    up = np.array([0.0, 1.0, 0.0] if cell == "interval" else [0.0, 0.0, 1.0])
-
-    def upright(x):
-        height = 0.5 * x[:, :1]
-        return height * up + x * (np.array([0.0, 0.0, 1.0]) if cell == "interval" else [0, 1, 0])
-
-    second = sheet(cell, n, degree=degree, first=1000, move=upright,
-                   away=lambda x: np.broadcast_to([1.0, 0.0, 0.0], x.shape))  # fmt: skip
-    places = {tuple(p): k for k, p in zip(first.nodes.ravel(),
-                                          np.round(first.points, 9).reshape(-1, 3) + 0.0,
-                                          strict=True)}  # fmt: skip
-    numbers = np.array([
-        places.get(tuple(p), k) for k, p in zip(second.nodes.ravel(),
-                                                np.round(second.points, 9).reshape(-1, 3) + 0.0,
-                                                strict=True)
-    ])  # fmt: skip
-    nodes = nodes_of(
-        joined(first, dataclasses.replace(second, nodes=numbers.reshape(second.nodes.shape)))
-    )
-    shared = np.flatnonzero(np.diff(nodes.numbers) == 0)
-    assert len(shared) == (1 if cell == "interval" else n + 1)
-    assert np.allclose(nodes.normals[shared], [1.0, 0.0, 0.0], atol=10 * EPS)
-    assert np.allclose(nodes.normals[shared + 1], up, atol=10 * EPS)  # the larger one comes last
-    assert nodes.weights.sum() == pytest.approx(1.5)
-    assert np.allclose(nodes.weights[shared], 0.5 * nodes.weights[shared + 1])
-    assert nodes.corner_weights.sum() == pytest.approx(1.5)
 
 
 def test_error_names_a_node_whose_normals_cancel():

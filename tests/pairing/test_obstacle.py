@@ -14,9 +14,7 @@ from logged import logged
 from rotations import rotation
 
 from dolfinx_tresca import (
-    Bonded,
     ContactPair,
-    ContactState,
     ContactStatus,
     Frictionless,
     InputError,
@@ -64,33 +62,6 @@ def test_normals_are_gradients_of_the_distance(name, seed):
         assert np.allclose(slope[clear], normal[clear, i], atol=1e-4)
     surface, _ = obstacle.at(points - distance[:, None] * normal)
     assert np.abs(surface).max() <= 100 * EPS
-
-
-@pytest.mark.parametrize(
-    ("name", "point", "distance", "normal"),
-    [
-        ("plane", (0, 0, 3), 2.0, (0, 0, 1)),
-        ("sphere", (0, 3, 0), 1.0, (0, 1, 0)),
-        ("hollow sphere", (0, 1, 0), 1.0, (0, -1, 0)),
-        ("cylinder", (5, 0, -3), 1.0, (0, 0, -1)),
-        ("hollow cylinder", (5, 0, -1.5), 0.5, (0, 0, 1)),
-        ("line", (3, 7, 0), 6.0, (0, 1, 0)),
-        ("disc", (-4, 0, 0), 2.0, (-1, 0, 0)),
-    ],
-)
-def test_known_distances(name, point, distance, normal):
-    obstacle = {
-        "plane": RigidPlane((9, 9, 1), (0, 0, 7)),
-        "sphere": RigidSphere((0, 0, 0), 2),
-        "hollow sphere": RigidSphere((0, 0, 0), 2.0, hollow=True),
-        "cylinder": RigidCylinder((0, 0, 0), (1, 0, 0), 2.0),
-        "hollow cylinder": RigidCylinder((0, 0, 0), (1, 0, 0), 2.0, hollow=True),
-        "line": RigidPlane((0, 1), (0, 1)),
-        "disc": RigidSphere((0, 0), 2.0),
-    }[name]
-    found, direction = obstacle.at(np.array([point], dtype=float))
-    assert found[0] == pytest.approx(distance, rel=10 * EPS)
-    assert np.allclose(direction[0], normal, atol=10 * EPS)
 
 
 @pytest.mark.parametrize("hollow", [False, True])
@@ -199,31 +170,6 @@ def test_a_plane_passes_a_uniform_stress(comm, kind, degree, friction):
         assert solution.tangential_force <= 0.4
 
 
-@pytest.mark.parallel(kind=["triangle", "tetrahedron"])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("degree", [1, 2])
-def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
-    """Jumps of linear displacements are the nodal values; the gap is the node's distance."""
-    scene = patch(comm, kind, degree)
-    operators = scene.operators(floor(scene, Tresca(0.1), away=0.25))
-    dim = scene.mesh.geometry.dim
-    assert np.allclose(operators.normals, -scene.data.axis[:dim], atol=100 * EPS)
-    modulus = 1000.0 / (1.0 if dim == 3 else 1.0 - POISSON**2)
-    assert np.allclose(operators.gap, 0.25 + 2.5 / modulus, atol=1e4 * EPS)
-    x = scene.V.tabulate_dof_coordinates()
-    points = np.zeros((operators.N.shape[1] // dim, dim))
-    low = scene.V.dofmap.index_map.local_range[0]
-    local = np.concatenate(comm.allgather(x[: scene.V.dofmap.index_map.size_local]))
-    points[:] = local[:, :dim]
-    u = points @ np.arange(1.0, dim * dim + 1).reshape(dim, dim)
-    at_nodes = u[operators.nodes + low]
-    expected = np.einsum("ni,ni->n", at_nodes, operators.normals)
-    assert np.allclose(operators.N @ u.ravel(), expected, atol=1e4 * EPS)
-    along = np.einsum("ni,ni->n", at_nodes[operators.tangent_node], operators.tangents)
-    assert np.allclose(operators.T @ u.ravel(), along, atol=1e4 * EPS)
-    assert comm.allreduce(operators.weights.sum()) == pytest.approx(1.0, rel=1e4 * EPS)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_plane_with_the_opposite_normal_is_an_error(comm, kind):
     scene = patch(comm, kind)
@@ -257,37 +203,6 @@ def test_search_distance_bounds_the_gap(comm):
                 scene.operators(near)
 
 
-ROUND = {
-    "sphere": lambda dim: RigidSphere([0.5] * (dim - 1) + [0.4], 0.6),
-    "cylinder": lambda dim: RigidCylinder(
-        [0.5] * (dim - 1) + [0.4], (0, 1, 0) if dim == 3 else (0, 0, 1), 0.6
-    ),
-}
-
-
-@pytest.mark.parallel(kind=["tetrahedron"], degree=[1])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("shape", ROUND)
-def test_block_on_a_round_obstacle(comm, kind, degree, shape):
-    """Only the middle of the face touches; the linearised gap of nodes in contact is zero."""
-    scene = patch(comm, kind, degree, upper=(4, 2), pressure=10.0)
-    obstacle = ROUND[shape](scene.mesh.geometry.dim)
-    pair = ContactPair(scene.facet_tags, UPPER, obstacle, Tresca(0.01))
-    with scene.problem(pairs=[pair]) as problem:
-        solution = problem.solve(rtol=1e-7)
-    assert solution.status is ContactStatus.CONVERGED
-    assert 0 < solution.counts.contact < solution.counts.nodes
-    assert solution.normal_force > 0.0
-    state, gap = solution.state.x.array, solution.gap.x.array
-    length = 1e4 * 1e-7 * 0.01
-    assert gap[state >= 0].min(initial=0.0) >= -length
-    assert np.abs(gap[state >= ContactState.PRESSED]).max(initial=0.0) <= length
-    surface = solution.surface
-    # the penetration depth is less than a tenth of the radius
-    assert np.abs(surface.points[surface.touching, 0] - 0.5).max(initial=0.0) < 0.49
-
-
 FITTING = {  # function that builds the body, and the size of cells [mm]
     "circle": (cylinder_on_plane, 0.4),
     "sphere": (sphere_on_plane, 0.4),
@@ -310,27 +225,6 @@ def test_round_bodies_of_degree_2_fit_into_a_hollow_as_round(comm, body):
     assert comm.allreduce(inner.sum()) > 2
     largest = comm.allreduce(np.abs(found.gap[inner]).max(initial=0.0), op=MPI.MAX)
     assert largest <= 0.1 * 2.0 / 3.0 * h**2 / (8.0 * RADIUS)
-
-
-def test_block_in_a_hollow_cylinder_touches_at_its_corners(comm):
-    scene = patch(comm, "quadrilateral", pressure=10.0)
-    hole = RigidSphere((0.5, 1.5), np.hypot(0.5, 0.5), hollow=True)
-    pair = ContactPair(scene.facet_tags, UPPER, hole, Frictionless())
-    with scene.problem(pairs=[pair]) as problem:
-        solution = problem.solve(rtol=1e-7)
-    assert solution.status is ContactStatus.CONVERGED
-    assert 0 < solution.counts.contact < solution.counts.nodes
-    points = np.concatenate(comm.allgather(solution.surface.points[solution.surface.touching]))
-    assert {0.0, 1.0} >= set(np.round(points[:, 0], 9)) and len(points) > 0
-
-
-def test_body_bonded_to_a_wall_bears_tension(comm):
-    scene = patch(comm, "hexahedron", pressure=-2.5)
-    wall = floor(scene, Bonded())
-    with scene.problem(pairs=[wall]) as problem:
-        solution = problem.solve(rtol=RTOL)
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.normal_force < 0.0
 
 
 def test_repr_of_primary_tag_and_obstacle(comm):

@@ -181,10 +181,7 @@ def owned_points(V) -> np.ndarray:
     ("degree", "cells", "plate"), [(1, 4, 8), (1, 3, 5), (1, 4, 3), (2, 3, 2), (2, 2, 3)]
 )
 def test_friction_of_a_block_with_prescribed_sides(comm, kind, degree, cells, plate):
-    """The whole block slides, with F times the pressure as traction, on finer and coarser plates.
-
-    The displacement of the block's two end faces along the first axis is prescribed.
-    """
+    """The whole block slides, with F times the pressure as traction."""
     dim, F = dim_of(kind), 0.3
     rest = [(0.0, 1.0)] * (dim - 2)
     bodies = [

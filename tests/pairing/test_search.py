@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rotations import rotation
 
 from dolfinx_tresca.pairing.search.balls import Balls
 
@@ -53,21 +51,3 @@ def test_random_balls(seed, decades, limit):
         0.3 * 10.0 ** -rng.uniform(0.0, decades + 1e-9, m),
         limit,
     )
-
-
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("apart", [0.0, 1e-3, 50.0])
-def test_flat_surfaces_that_face_each_other(turned, apart):
-    """Along the axes the directions have zero components, rotated they have rounding errors."""
-    R = rotation(4) if turned else np.eye(3)
-    grids = []
-    for n in (6, 9):
-        x, y = np.meshgrid(*[(np.arange(n) + 0.5) / n] * 2)
-        grids.append(np.stack([x.ravel(), y.ravel(), np.zeros(n * n)], axis=1))
-    first, second = grids[0] @ R.T, (grids[1] + [0.0, 0.0, -apart]) @ R.T
-    normals = np.broadcast_to(R @ [0.0, 0.0, -1.0], first.shape)
-    radii = [np.full(len(x), 0.71 / np.sqrt(len(x))) for x in (first, second)]
-    assert check(first, normals, radii[0], second, radii[1]) > 81
-    if apart == 50.0:
-        assert check(first, normals, radii[0], second, radii[1], limit=1.0) == 0
-        assert len(Balls(second, radii[1]).on_normals(first, normals, radii[0], 1.0)[0]) == 0

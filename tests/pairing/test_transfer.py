@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from mpi4py import MPI
 
 import numpy as np
@@ -13,7 +11,7 @@ import basix.ufl
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import InputError, RigidPlane, Tresca
+from dolfinx_tresca import InputError, Tresca
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from scenes.nodal import nodal, node_function
 from scenes.patches import LOWER, UPPER, patch
@@ -120,28 +118,6 @@ def test_force_on_both_sides_of_a_partial_overlap(comm):
         assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
 
 
-@pytest.mark.parametrize(("kind", "degree"), KINDS)
-def test_area_fraction_of_fully_covered_sides(comm, kind, degree):
-    """It is 1 on both sides, and 0 elsewhere."""
-    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    part = ContactOperators(scene.V, scene.operators(), scene.pair).area_fraction()
-    assert (part.name, part.ufl_shape) == ("area_fraction", ())
-    touching = np.concatenate(sides(scene))
-    assert np.abs(nodal(part)[touching] - 1.0).max(initial=0.0) <= ROUNDING
-    assert np.abs(np.delete(nodal(part), touching)).max(initial=0.0) == 0.0
-
-
-def test_area_fraction_of_a_pair_with_an_obstacle(comm):
-    """It is 1 on the secondary side, and 0 elsewhere."""
-    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
-    floor = RigidPlane(point=(0.0, 1.0), normal=(0.0, 1.0))
-    pair = dataclasses.replace(scene.pair, primary=floor)
-    part = ContactOperators(scene.V, scene.operators(pair), pair).area_fraction()
-    secondary, _ = sides(scene)
-    assert np.abs(nodal(part)[secondary] - 1.0).max(initial=0.0) <= ROUNDING
-    assert np.abs(np.delete(nodal(part), secondary)).max(initial=0.0) == 0.0
-
-
 def test_slip_bound_from_the_pressure_of_another_solution(comm):
     """A field on the mesh may be part of a law and be changed in place; surface fields may not."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
@@ -154,39 +130,6 @@ def test_slip_bound_from_the_pressure_of_another_solution(comm):
         assert problem.solve(rtol=1e-8).counts.idle + problem.solve().counts.slip > 0
     with pytest.raises(InputError, match=r"another mesh .* take solution.on_mesh\("):
         scene.but(friction=Tresca(pressed.pressure)).problem()
-
-
-@pytest.mark.parametrize(("kind", "degree"), KINDS)
-def test_conductance_matrix_conserves_heat(comm, kind, degree):
-    """The flow is w h (T - P T) on one side and its transfer by P' on the other."""
-    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
-    across = scene.mesh.geometry.dim - 1
-    T = node_function(scene.mesh, lambda x: 20.0 + np.sin(9.0 * x[0]) + 5.0 * (x[across] > 1.001))
-    h = node_function(scene.mesh, lambda x: 1.0 + x[0] ** 2)
-    C = transfer.conductance_matrix(h)
-    flow, nothing = fem.Function(T.function_space), C.createVecLeft()
-    C.mult(T.x.petsc_vec, flow.x.petsc_vec)
-    flow.x.scatter_forward()
-    ones = C.createVecRight()
-    ones.set(1.0)
-    C.mult(ones, nothing)
-    assert nothing.norm() <= ROUNDING * C.norm()
-    secondary, primary = sides(scene)
-    load, before, areas = transfer.areas(), transfer.transfer(T, "secondary"), transfer.areas()
-    load.x.array[:] = h.x.array * areas.x.array * (T.x.array - before.x.array)
-    size = comm.allreduce(np.abs(load.x.array).max(), op=MPI.MAX)
-    taken = nodal(transfer.transfer_loads(load))[primary]
-    for side, wanted in ((secondary, nodal(load)[secondary]), (primary, -taken)):
-        found = nodal(flow)[side]
-        assert np.abs(found - wanted).max(initial=0.0) <= ROUNDING * size
-        assert comm.allreduce(len(side)) > 0
-    for owned in (C, ones, nothing):
-        owned.destroy()
-    with pytest.raises(
-        InputError, match="degree 1 on the mesh of the displacement, a scalar, found"
-    ):
-        transfer.conductance_matrix(fem.Function(fem.functionspace(scene.mesh, ("DG", 0))))
 
 
 def test_functions_that_cannot_be_transferred(comm):

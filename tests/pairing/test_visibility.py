@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from rotations import rotation
-from sheets import CELLS, joined, part_of, sheet
+from sheets import CELLS, joined, sheet
 
 from dolfinx_tresca.pairing.search.balls import Pieces
 from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, Facets
@@ -78,42 +78,6 @@ def hidden(cell: str, own, other, target: float) -> np.ndarray:
 def test_hidden(cell, own, other, target, expected):
     """A negative height of the target is a gap, a positive height is penetration."""
     assert (hidden(cell, own, other, target) == expected).all()
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_layer_hides_only_points_behind_it(cell):
-    """A plate of the secondary body covers one half of the surface."""
-    first, far = layer(cell, 0.0, DOWN, 4), layer(cell, -0.5, UP, 3)
-    plate = [layer(cell, -0.2, UP, 4), layer(cell, -0.3, DOWN, 4)]
-    inverse = turn_of(cell)
-    half = []
-    for part in plate:
-        left = (part.points.mean(axis=1) @ inverse)[:, 0] < 0.5
-        half.append(part_of(part, left))
-    pieces = Pieces.from_facets(joined(first, *half))
-    piece = np.arange(len(first.points))
-    x = (pieces.centres[piece] @ inverse)[:, 0]
-    places, start = np.zeros((len(piece), first.dim)), np.zeros(len(piece))
-    found = Visibility(pieces, Pieces.from_facets(far)).hidden(piece, places, start, start + 0.5)
-    assert np.array_equal(found, x < 0.5)
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_distance_equals_distance_from_nearest_of_many_points(cell):
-    facets = layer(cell, 0.3, UP, 2)
-    pieces = Pieces.from_facets(facets)
-    rng = np.random.default_rng(3)
-    points = 2.0 * rng.standard_normal((200, 3))
-    if cell == "interval":
-        points[:, 2] = 0.0
-    chosen = rng.integers(0, len(pieces.facet), 200)
-    corners = pieces.points[chosen]
-    count = 1000
-    shares = rng.dirichlet(np.full(corners.shape[1], 0.3), count)
-    cloud = np.einsum("qc,nci->nqi", shares, corners)
-    nearest = np.linalg.norm(cloud - points[:, None], axis=2).min(axis=1)
-    found = pieces.distances(chosen, points)
-    assert (found <= nearest + 1e-12).all() and (found >= nearest - 0.1).all()
 
 
 @pytest.mark.parametrize("cell", CELLS)

@@ -24,7 +24,6 @@ from dolfinx_tresca import (
     StiffnessError,
 )
 from scenes.blocks import RIGHT
-from scenes.blocks import YOUNG as block_young
 from scenes.plastic_block import YIELD, YOUNG, plastic_block, uniaxial_path
 from scenes.rubber_block import rubber_block
 
@@ -109,36 +108,6 @@ def test_only_accept_moves_the_history(comm, numeric):
         assert kept[1].max() > 0.0
         found = forces(problem, metal.push, PATH[2:])
     assert np.allclose(found, uniaxial_path(PATH)[2:], rtol=0.0, atol=100 * RTOL * found.max())
-
-
-def test_the_function_is_called_once_for_each_displacement(comm):
-    """It is not called again for another assembly at the same u; after a step it is."""
-    metal = plastic_block(comm, (1, 1, 1), numeric=True)
-    at = []
-
-    def before_assembly():
-        at.append(metal.u.x.array.copy())
-        metal.before_assembly()
-
-    with metal.problem(before_assembly=before_assembly, **OPTIONS) as problem:
-        assert len(at) == 1  # before the first factorisation
-        metal.push.value = -PATH[1]
-        solution = problem.solve()
-    assert all(not np.array_equal(a, b) for a, b in itertools.combinations(at[1:], 2))
-    assert len(at) == 2 + len(solution.newton.steps)
-
-
-def test_a_history_that_is_not_free_of_stress(comm):
-    """A restart with saved history and displacement goes on as if there had been none."""
-    metal = plastic_block(comm)
-    with metal.problem(**OPTIONS) as problem:
-        forces(problem, metal.push, PATH[:3])
-    other = plastic_block(comm)
-    for new, old in zip((other.u, *other.history), (metal.u, *metal.history), strict=True):
-        new.x.array[:] = old.x.array
-    with other.problem(**OPTIONS) as problem:
-        found = forces(problem, other.push, PATH[3:])
-    assert np.allclose(found, uniaxial_path(PATH)[3:], rtol=0.0, atol=100 * RTOL * found.max())
 
 
 def remembers(metal):
@@ -359,24 +328,3 @@ def test_a_history_that_is_changed_between_solves(comm, numeric):
     assert virgin == pytest.approx(uniaxial_path(PATH[:2])[1], rel=100 * RTOL)
     assert hardened == pytest.approx(PATH[1] * YOUNG, rel=100 * RTOL)  # elastic
     assert again == pytest.approx(virgin, rel=100 * RTOL)
-
-
-def test_added_stiffness_is_the_last_converged_tangent():
-    """It is the elastic one after unloading; the undeformed body would yield the other way."""
-    metal = plastic_block(MPI.COMM_SELF, (1, 1, 1))
-    x = fem.Function(metal.scene.V)
-    with metal.problem(**OPTIONS) as problem:
-        forces(problem, metal.push, PATH[:4])
-        problem.solve()
-        metal.u.x.array[:] *= 1.7  # of the next Newton step, where the material flows
-        linearised = problem._contact
-        x.x.array[: len(problem.prescribed)] = np.where(problem.prescribed, 0.0, 1.0)
-        x.x.array[:] *= np.sin(np.arange(len(x.x.array)))
-        added = linearised._reference_stiffness(3.0)
-        product = added.createVecLeft()
-        added.mult(x.x.petsc_vec, product)
-        elastic = fem.assemble_scalar(fem.form(ufl.action(ufl.action(metal.scene.a, x), x)))
-        wanted = 3.0 * YOUNG / block_young * elastic
-        assert x.x.petsc_vec.dot(product) == pytest.approx(wanted, rel=1e-9)
-        added.destroy()
-        product.destroy()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from logged import logged
@@ -92,32 +90,6 @@ def test_a_failure_shows_where_contact_changes(comm):
     assert len(x) and ((corner <= x[:, 0]) & (x[:, 0] <= end) & (x[:, 1] > 0.0)).all()
     assert 0.0 < np.abs(unbalanced.x.array).max() < np.inf
     assert not unbalanced.x.array[: len(held)][held].any()
-
-
-@pytest.mark.parallel()
-def test_a_process_goes_on_on_other_ranks(comm, folder):
-    """A file that all ranks have written is read by each rank on its own, after two steps."""
-    path, state = [0.9, 1.8, 2.7, 3.3], folder / "hook.npz"
-    whole = snap_fit(comm, Coulomb(ROUGH))
-    with whole.problem as problem:
-        for distance in path:
-            whole.push(distance)
-            solution = problem.solve()
-            solution.raise_if_failed()
-            problem.accept()
-            if distance == path[1]:
-                problem.save_state(state)
-        steps = len(solution.newton.steps)
-    alone = snap_fit(MPI.COMM_SELF, Coulomb(ROUGH))
-    with alone.problem as problem:
-        problem.load_state(state)
-        for distance in path[2:]:
-            alone.push(distance)
-            repeated = problem.solve()
-            problem.accept()
-    assert len(repeated.newton.steps) == steps
-    expected = solution.pair_resultants[0].force
-    assert repeated.pair_resultants[0].force == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_solve_of_many_newton_steps_says_so(comm, caplog, monkeypatch):

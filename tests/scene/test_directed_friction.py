@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
+from scenes.blocks import block
 
 X = (1.0, 0.0, 0.0)
 LAWS = pytest.mark.parametrize(
@@ -93,3 +94,27 @@ def test_str_and_repr_of_laws_with_a_direction():
         assert repr(law) == f"Tresca((0.2, 0.1), direction={text})"
     limited = Coulomb((0.2, 0.1), limit=3.0, direction=X)
     assert repr(limited) == "Coulomb((0.2, 0.1), limit=3, direction=(1, 0, 0))"
+
+
+@pytest.mark.parallel
+def test_what_is_wrong_with_values_at_nodes(comm):
+    scene = block(comm, (2, 2, 2))
+    elsewhere = fem.Function(block(comm, (2, 2, 2)).V)
+
+    def infinite_at_one(x):
+        return np.where(np.arange(x.shape[1]) > 0, 0.1, np.inf)
+
+    for law, text in (
+        (Tresca((np.inf, 0.1), direction=X), "slip bound must be finite in both directions"),
+        (Tresca((0.1, lambda x: -0.1), direction=X), "slip bound across the direction must not be"),
+        (Coulomb((infinite_at_one, 0.1), direction=X), "friction along the .* must be finite"),
+        (Tresca((0.1, 0.2), direction=elsewhere), "direction of the slip bound is a Function on"),
+        (Tresca((0.1, 0.2), direction=2 * elsewhere), "direction .* is an expression on another"),
+        (Tresca((0.1, 0.2), direction=lambda x: x[0]), "must return a vector, or one for each"),
+        (Tresca((0.1, 0.2), direction=lambda x: x.T), "must return a vector, or one for each"),
+        (Tresca((0.1, 0.2), direction=lambda x: 1j * x), "must return a vector, or one for each"),
+    ):
+        with pytest.raises(InputError, match=text), scene.but(friction=law).problem() as problem:
+            problem.solve()
+    with pytest.raises(InputError, match="in 2D the surfaces slide along one direction only"):
+        block(comm, (2, 2), friction=Tresca((0.1, 0.2), direction=X)).problem()

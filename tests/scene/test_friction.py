@@ -14,9 +14,10 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
-from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction
+from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from scenes.blocks import block
 from scenes.nodal import node_function
+from scenes.patches import patch
 
 
 def test_str_and_repr(comm):
@@ -62,34 +63,15 @@ def test_str_and_repr(comm):
         assert (repr(law), str(law)) == (code, text)
 
 
-def test_terms_of_the_bound():
-    """The slip bound is c + min(F p, l)."""
-    for law, terms in (
-        (Tresca(0.5), BoundTerms(constant=0.5)),
-        (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET_COEFFICIENT, limit=0.5)),
-        (Coulomb(0.3), BoundTerms(coefficient=0.3, limit=math.inf)),
-        (Coulomb(0.3, limit=2.0), BoundTerms(coefficient=0.3, limit=2.0)),
-        (Coulomb(0.3, adhesion=0.1), BoundTerms(constant=0.1, coefficient=0.3)),
-    ):
-        assert law.terms == terms
-
-
-@pytest.mark.parametrize("value", [-0.1, math.nan, -math.inf, "0.3", None, 1j, [0.3]])
-def test_invalid_coefficient_is_an_error(value):
+@pytest.mark.parametrize("value", [-math.inf, math.nan, "0.3", 1j, [0.3], None, (0.1, 0.2)])
+def test_invalid_numbers_are_errors(value):
     with pytest.raises(InputError, match="the coefficient of friction"):
         Coulomb(value)
-
-
-@pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, [40.0]])
-def test_invalid_limit_is_an_error(value):
-    with pytest.raises(InputError, match="the limit of the slip bound"):
-        Coulomb(0.3, limit=value)
-
-
-@pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, (0.1, 0.2), None])
-def test_invalid_adhesion_is_an_error(value):
     with pytest.raises(InputError, match="the adhesion must"):
         Coulomb(0.3, adhesion=value)
+    if value is not None:
+        with pytest.raises(InputError, match="the limit of the slip bound"):
+            Coulomb(0.3, limit=value)
 
 
 def test_infinite_coefficient_is_an_error():
@@ -147,3 +129,21 @@ def test_user_defined_law():
     with model.problem() as problem, same.problem() as other:
         one, two = problem.solve(rtol=1e-8), other.solve(rtol=1e-8)
         assert one.tangential_force == two.tangential_force
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e9])
+def test_bounds_that_are_negative_by_rounding_are_zero(comm, scale):
+    """As those of a pressure between bodies that do not touch; their measure is the stiffness."""
+    scene = patch(comm, "quadrilateral", young=(scale, scale), upper=(2, 1), lower=(3, 1))
+    for zero in (Tresca(-1e-18 * scale), Coulomb(-1e-18, limit=-1e-18 * scale)):
+        with scene.but(friction=zero).problem() as problem:
+            assert problem.solve().tangential_force == 0.0
+    beside_others = Tresca(lambda x: scale * np.where(x[0] < 0.1, -5e-7, 1e6))
+    with scene.but(friction=beside_others).problem() as problem:
+        problem.solve().raise_if_failed()
+    bound = fem.Constant(scene.mesh, -1e-18 * scale)
+    with scene.but(friction=Tresca(bound)).problem() as problem:
+        assert problem.solve().counts.slip + problem.solve().counts.idle > 0
+        bound.value = -1e-6 * scale
+        with pytest.raises(InputError, match="must not be negative"):
+            problem.solve()

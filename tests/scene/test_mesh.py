@@ -51,24 +51,6 @@ def test_names_tags_and_numbers(comm):
     assert marked[0] == marked[1] == cell_count(bricks) // 2
 
 
-def test_hexahedra(comm):
-    bricks = read_gmsh(str(BRICKS), comm, N=3, Hex=1)
-    assert bricks.mesh.topology.cell_type == dolfinx.mesh.CellType.hexahedron
-    assert cell_count(bricks) == 2 * 3 * 2 * 2
-
-
-def test_tagged_surfaces_have_the_areas_of_the_geometry(comm):
-    import ufl
-
-    bricks = read_gmsh(BRICKS, comm, N=3)
-    ds = ufl.Measure("ds", domain=bricks.mesh, subdomain_data=bricks.facet_tags)
-    for name, area in (("upper_contact", 2.0), ("lower_contact", 2.0), ("upper_fixed", 1.0),
-                       ("lower_free_end", 1.0), ("upper_top", 2.0)):  # fmt: skip
-        one = dolfinx.fem.Constant(bricks.mesh, 1.0)
-        form = dolfinx.fem.form(one * ds(bricks.tags[name]))
-        assert comm.allreduce(dolfinx.fem.assemble_scalar(form)) == pytest.approx(area, rel=1e-12)
-
-
 def test_msh_file_gives_the_same_mesh_as_its_geo_file(comm, folder):
     if comm.rank == 0:
         import gmsh
@@ -225,13 +207,6 @@ def test_unknown_parameter_names_those_that_can_be_set(comm):
 def test_missing_file_is_named(comm, folder):
     with pytest.raises(MeshError, match=r"no file '.*absent\.geo'"):
         read_gmsh(folder / "absent.geo", comm)
-
-
-def test_file_can_be_read_after_an_error(comm, folder):
-    """An error leaves Gmsh in a usable state."""
-    with pytest.raises(MeshError):
-        read_gmsh(write_file(comm, folder, "box.geo", "Box(1 = {;\n"), comm)
-    assert cell_count(read_gmsh(BRICKS, comm, N=2)) > 0
 
 
 def test_gmsh_session_of_the_user_stays_open(comm):

@@ -9,14 +9,10 @@ import pytest
 from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
 
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.solvers.constraints import EqualityConstraints, balance
-from dolfinx_tresca.solvers.convergence import energy_norm
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.linear_algebra import is_positive_definite
-from dolfinx_tresca.solvers.problem import Point
 from scenes.dense import (
     DenseProblem,
     brute_projection,
@@ -127,63 +123,3 @@ def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
     size = np.linalg.norm(opening)
     assert (opening[lam.normal] <= 1e-6 * size).all()
     assert work > float(lam.radius @ lam.norms(opening)) - 1e-6 * size
-
-
-def test_a_motion_that_nothing_resists_is_told():
-    rng = np.random.default_rng(5)
-    lam = random_set(rng, 6)
-    jumps = rng.standard_normal((lam.size, 3))
-    jumps[:, 2] = jumps[:, 0] - 2.0 * jumps[:, 1]
-
-    def describe(motions: np.ndarray) -> str:
-        assert np.linalg.norm(jumps @ motions) <= 1e-6 * np.linalg.norm(motions)
-        return "it"
-
-    with pytest.raises(InputError, match="nothing holds it, and no contact resists that"):
-        equilibrium(lam, jumps, np.zeros(3), np.zeros(3), describe=describe)
-
-
-def pulled(work: float) -> tuple[FeasibleSet, EqualityConstraints]:
-    """Half of the normals press and balance loads; the rest opens, and loads do work on that."""
-    rng = np.random.default_rng(7)
-    lam = dataclasses.replace(random_set(rng, 8), radius=np.zeros(8))
-    opening, pressed = np.array_split(lam.normal, 2)
-    jumps = rng.standard_normal((lam.size, 2))
-    jumps[opening, 0], jumps[pressed, 0] = -rng.uniform(0.1, 1.0, len(opening)), 0.0
-    inside = np.zeros(lam.size)
-    inside[pressed] = rng.uniform(0.1, 1.0, len(pressed))
-    sizes = np.full(2, float(np.abs(jumps[:, 1]) @ inside))
-    loads = np.array([work * sizes[0], jumps[:, 1] @ inside])
-    return lam, equilibrium(lam, jumps, loads, sizes)
-
-
-def test_resultants_that_are_rounding_are_balanced():
-    """Loads that cancel leave some 1e-16 of their sizes, which may pull where nothing holds."""
-    for work in (1e-16, 1e-12):
-        lam, constraints = pulled(work)
-        found = balance(constraints, lam)
-        x = lam.project(constraints.columns @ found.shift)
-        assert found.satisfied
-        check_member(lam, constraints, x, np.zeros(2), np.linalg.norm(constraints.sizes))
-    with pytest.raises(InputError, match="no contact forces balance"):
-        pulled(1e-6)
-
-
-def test_signs_of_pivots_tell_positive_definite_matrices():
-    Q, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 6)))
-    for least in (1e-12, 1.0):
-        values = np.array([least, 1.0, 1.0, 2.0, 3.0, 4.0])
-        for sign in (1.0, -1.0):
-            values[0] = sign * least
-            assert is_positive_definite(csr_array((Q * values) @ Q.T)) == (sign > 0.0)
-
-
-def test_rounding_of_soft_equations_is_no_energy():
-    """A softness that is negative by rounding adds nothing to the energy norm."""
-    problem = random_balanced_problem(4, 8, 2, 2.0, 0.0)
-    x, c = np.zeros(len(problem.b)), np.ones(len(problem.constraints))
-    point = Point(x, c, -problem.b - problem.constraints.columns @ c)
-    rigid = energy_norm(problem, point)
-    negative = csr_array(-EPS * np.eye(len(c)))
-    problem.constraints = dataclasses.replace(problem.constraints, softness=negative)
-    assert energy_norm(problem, point) == rigid

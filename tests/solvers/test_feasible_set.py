@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from dense import moved_to_circles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,25 +72,6 @@ def test_faces_are_those_of_the_definition(case):
     assert np.allclose(face.radial, expected, atol=4 * EPS)
     parts, v = rng.standard_normal(len(lam.radius)), rng.standard_normal(lam.size)
     assert np.isclose(parts @ face.radial_parts(v), face.along_radius(parts) @ v)
-
-
-@BOUNDED
-@given(cases())
-def test_face_projection_is_orthogonal_and_settled_points_lie_on_the_face(case):
-    lam, rng = case
-    y = rng.standard_normal(lam.size)
-    face = lam.face(y)
-    v, w = rng.standard_normal((2, lam.size))
-    pv = face.project(v)
-    assert np.allclose(face.project(pv), pv, atol=10 * EPS * np.linalg.norm(v))
-    assert abs(w @ pv - v @ face.project(w)) <= 100 * EPS * np.linalg.norm(v) * np.linalg.norm(w)
-    both = face.project(np.column_stack([v, w]))
-    assert np.allclose(both[:, 0], pv, atol=4 * EPS * np.linalg.norm(v))
-    settled = lam.on_face(y, face)
-    assert np.allclose(settled, brute_projection(lam, y), atol=10 * EPS * np.linalg.norm(y))
-    moved = moved_to_circles(lam, settled + 0.1 * pv, face.slip)
-    slip = face.slip & (lam.norms(settled) > 0)
-    assert np.allclose(lam.norms(moved)[slip], lam.radius[slip], rtol=10 * EPS)
 
 
 @BOUNDED

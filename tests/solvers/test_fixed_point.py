@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
-from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.solvers import iteration
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
-from dolfinx_tresca.solvers.convergence import EXHAUSTED
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.problem import Point
 from scenes.dense import (
     METHODS,
     DenseProblem,
     OneRank,
     brute_projection,
-    cones_over,
-    equilibrium,
-    random_balanced_problem,
     random_cone_problem,
     random_dry_problem,
     run,
@@ -110,13 +102,6 @@ def test_converged_means_what_it_says(problem):
     assert np.linalg.norm(moved) <= 100 * EPS * np.linalg.norm(found.multipliers)
 
 
-def test_newton_systems_may_be_singular():
-    """The solve ends with a status, whatever the numbers in the system."""
-    problem = random_dry_problem(325, 3, 3.7915943179032503, 3.0)
-    found = run(problem, rtol=RTOL)
-    assert found.status in (ContactStatus.NO_FIXED_POINT, ContactStatus.CONVERGED)
-
-
 def test_methods_of_the_paper_are_refused():
     """They are for slip bounds that are given."""
     problem = random_cone_problem(3, 6, 0.5, 0.3)
@@ -160,13 +145,6 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     assert found.iterations <= 4 < iteration.PATIENCE
 
 
-def test_a_tolerance_below_rounding_ends_as_stagnated():
-    problem = random_cone_problem(1, 20, 1.0, 0.3)
-    found = run(problem, rtol=1e-18)
-    assert found.status in (ContactStatus.STAGNATED, ContactStatus.CONVERGED)
-    assert problem.natural_residual(found.multipliers, found.rho) <= EXHAUSTED
-
-
 def wedge(coefficient: float) -> DenseProblem:
     """One node in two dimensions that jams: pressure and traction of a skewed A."""
     lam = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.array([0.0]))
@@ -175,87 +153,3 @@ def wedge(coefficient: float) -> DenseProblem:
     problem = DenseProblem(A, np.array([1.0, 2.0]), lam)
     problem.cones = FrictionCones(*vars(lam).values(), *values)
     return problem
-
-
-@pytest.mark.parametrize("coefficient", [0.0, 0.1, 1.0, 5.0])
-def test_one_node(coefficient):
-    """It slips, along +1: p + 0.9 F p = 1, until the pressure vanishes or it sticks."""
-    problem = wedge(coefficient)
-    found = run(problem, rtol=1e-12)
-    assert found.status is ContactStatus.CONVERGED
-    p = 1.0 / (1.0 + 0.9 * coefficient)
-    traction = coefficient * p
-    free = np.linalg.solve(problem.A, problem.b)  # sticks, with tension here
-    assert free[0] < 0.0
-    assert 0.9 * p + traction <= 2.0
-    assert np.allclose(found.multipliers, [p, traction], atol=1e-10)
-
-
-@FEW
-@given(cone_problems())
-def test_warm_starts_find_it_again_without_a_product(problem):
-    """From the solution, with its products: only the gradient there is computed."""
-    first = run(problem, rtol=RTOL)
-    before = problem.products
-    again = run(problem, start=first.multipliers, keep=True, rtol=2 * RTOL)
-    assert again.status is ContactStatus.CONVERGED
-    assert again.iterations == 0
-    assert problem.products <= before + 1
-
-
-def test_bounds_that_change_keep_the_products():
-    """A does not know of them: a new coefficient costs less than a new problem."""
-    for seed in range(5):
-        problem = random_cone_problem(seed, 30, 2.0, 0.5)
-        first = run(problem, rtol=RTOL)
-        cold = problem.products
-        problem.cones = dataclasses.replace(
-            problem.cones, coefficient=1.1 * problem.cones.coefficient
-        )
-        again = run(problem, start=first.multipliers, keep=True, rtol=RTOL)
-        assert again.status is ContactStatus.CONVERGED
-        assert problem.natural_residual(again.multipliers, again.rho) <= 1.01 * RTOL
-        assert problem.products - cold <= cold
-
-
-@FEW
-@given(cone_problems(), st.integers(0, 100))
-def test_inexact_products(problem, seed):
-    """Errors of products are a tenth of what is wanted: the residual is reached in truth."""
-    rtol = 1e-5
-    inexact = NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
-    inexact.cones = problem.cones
-    found = run(inexact, rtol=rtol, max_iterations=1000)
-    assert found.status is ContactStatus.CONVERGED
-    # the residual is Lipschitz in r with constant 1
-    assert problem.natural_residual(found.multipliers, found.rho) <= 1.2 * rtol
-
-
-@pytest.mark.parametrize("softness", [0.0, 1e-3])
-@pytest.mark.parametrize("seed", range(6))
-def test_balanced_loads(seed, softness):
-    """Equations besides the cones, as for floating bodies: those of the conic solver, too."""
-    problem = random_balanced_problem(seed, 8, 2, 1.0, softness)
-    problem.cones = cones_over(problem.feasible_set, 0.3)
-    found = run(problem, rtol=RTOL)
-    assert found.status is ContactStatus.CONVERGED
-    x, constraints = found.multipliers, problem.constraints
-    assert np.abs(constraints.residual(x, found.c)).max() <= 1e-9 * np.linalg.norm(x)
-    section = problem.cones.section(x)
-    wanted = clarabel_minimum(problem.A, problem.b, section, constraints=constraints)
-    assert np.linalg.norm(x - wanted) <= 1e-4 * np.linalg.norm(wanted)
-
-
-@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
-def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
-    """One node under a pressure of 1 resists 0.1 of the load 1, in whatever unit motions are."""
-    discs = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.zeros(1))
-    zero = np.zeros(1)
-    cones = FrictionCones(*vars(discs).values(), np.array([0]), zero + 0.1, zero + np.inf)
-    constraints = equilibrium(cones, np.array([[0.0], [unit]]), zero + unit, zero + unit)
-    problem = DenseProblem(np.eye(2), np.ones(2), discs, constraints=constraints, cones=cones)
-    found = iteration.friction_deficit(
-        problem, Point(np.array([1.0, 0.0]), np.zeros(1), np.zeros(2))
-    )
-    assert np.linalg.norm(found.motion) == pytest.approx(1.0, rel=4 * EPS)
-    assert found.load == pytest.approx(10.0 * found.friction, rel=4 * EPS)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense import moved_to_circles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from scenes.dense import brute_projection, random_cone_problem
+from scenes.dense import random_cone_problem
 from scenes.scene import EPS
 
 #: Rounding of some thirty operations on numbers, over the size of the largest of them.
@@ -75,21 +73,6 @@ def test_projection_is_the_nearest_point(case):
 
 @BOUNDED
 @given(cases())
-def test_a_projection_lies_in_its_own_section_and_moves_no_more(case):
-    cones, rng = case
-    y, z = 3 * rng.standard_normal((2, cones.size))
-    p, q = cones.project(y), cones.project(z)
-    assert np.linalg.norm(brute_projection(cones.section(p), p) - p) <= ROUNDING * np.linalg.norm(y)
-    assert np.linalg.norm(cones.project(p) - p) <= ROUNDING * np.linalg.norm(y)
-    rounding = ROUNDING * (np.linalg.norm(y) + np.linalg.norm(z))
-    assert np.linalg.norm(p - q) <= np.linalg.norm(y - z) + rounding
-    for _ in range(5):  # the set is convex
-        inside = cones.project(3 * rng.standard_normal(cones.size))
-        assert (y - p) @ (inside - p) <= ROUNDING * (y @ y + inside @ inside)
-
-
-@BOUNDED
-@given(cases())
 def test_derivative_of_the_projection_agrees_with_differences(case):
     cones, rng = case
     y = 2 * rng.standard_normal(cones.size)
@@ -121,50 +104,11 @@ def test_sections_have_the_bounds_of_the_law(case):
     assert section.section(x) is section
 
 
-@BOUNDED
-@given(cases())
-def test_slipping_nodes_follow_their_pressures(case):
-    """I + Q is the derivative of points on their circles whose bounds grow with the pressure."""
-    cones, rng = case
-    x = rng.standard_normal(cones.size)
-    x[cones.normal] = rng.uniform(0.1, 1.0, len(cones.normal))
-    section = cones.section(x)
-    face = section.face(4 * x)
-    x = section.on_face(x, face)
-    v = face.project(rng.standard_normal(cones.size))
-    h, diagonal = 1e-7, np.ones(cones.size)
-    slip = face.slip & (cones.norms(x) > 0.0)
-    near = np.abs(cones.coefficient * cones._pressures(x) - cones.limit) < 10 * h
-    moved, back = (
-        moved_to_circles(cones.section(x + step), x + step, face.slip) for step in (h * v, -h * v)
-    )
-    change = cones.with_bound_change(x, face, diagonal)
-    wrong = cones.norms(change(v, v) - (moved - back) / (2 * h))
-    # curvature of circles, and rounding of the difference
-    shortest = section.radius[slip].min(initial=1.0)
-    assert wrong[slip & ~near].max(initial=0.0) <= 1e-7 + 10 * (h / shortest) ** 2 * (v @ v)
-
-
 def cone(constant: float, coefficient: float, limit: float) -> FrictionCones:
     """A node with the pressure first, and two tangential multipliers."""
     values = [np.array([value]) for value in (coefficient, limit)]
     rows = 3, np.array([0]), np.array([1, 2]), np.array([0, 0])
     return FrictionCones(*rows, np.array([constant]), np.array([0]), *values)
-
-
-@pytest.mark.parametrize(
-    ("terms", "carries"),
-    [
-        ((0.0, 0.0, np.inf), False),
-        ((0.0, 0.3, 0.0), False),
-        ((0.0, 0.3, np.inf), True),
-        ((0.1, 0.0, np.inf), True),
-        ((np.inf, 0.0, np.inf), True),
-    ],
-)
-def test_what_carries_forces(terms, carries):
-    """Floating bodies rest on multipliers that a projection does not set to zero."""
-    assert (cone(*terms).project(np.ones(3)) != 0.0).tolist() == [True, carries, carries]
 
 
 @pytest.mark.parametrize(
@@ -186,19 +130,3 @@ def test_special_points(terms, y, wanted):
     cones = cone(*terms)
     assert np.allclose(cones.project(np.array(y)), wanted, atol=10 * EPS)
     assert np.isfinite(cones.projection_derivative(np.array(y))(np.ones(3))).all()
-
-
-@pytest.mark.parametrize("nodes", [0, 2])
-def test_a_rank_without_multipliers(nodes):
-    """It may have nodes all the same: those where everything is prescribed."""
-    nothing, none = np.zeros(0, dtype=np.intp), np.zeros(nodes)
-    lam = FeasibleSet(0, nothing, nothing, nothing, none)
-    cones = FrictionCones(
-        **vars(lam), normal_of=np.full(nodes, -1), coefficient=none + 0.3, limit=none + np.inf
-    )
-    x, columns = np.zeros(0), np.zeros((0, 3))
-    assert cones.project(x).shape == (0,)
-    assert cones.projection_derivative(x)(x).shape == (0,)
-    assert cones.projection_derivative(x)(columns).shape == (0, 3)
-    section = cones.section(x)
-    assert cones.with_bound_change(x, section.face(x), x)(columns, columns).shape == (0, 3)

@@ -1,14 +1,14 @@
-"""All five algorithms: minimisers, KKT conditions, honesty of the status, counting, invariance."""
+"""All five algorithms: minimisers, KKT conditions, honesty of the status, invariance."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from dense import clarabel_minimum, problems
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_tresca import ContactStatus
+from dolfinx_tresca import ContactStatus, SolverOptions
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
@@ -97,22 +97,6 @@ def test_methods_agree_where_they_converge_and_with_clarabel(problem):
     assert set(GUARANTEED) <= set(converged)
 
 
-def test_every_method_converges_somewhere():
-    """The comparison above would be empty for a method that never converged."""
-    problem = random_problem(3, 6, 0.5)
-    for method in METHODS:
-        assert run(problem, method, rtol=RTOL).status is ContactStatus.CONVERGED
-
-
-@pytest.mark.parametrize("method", GUARANTEED)
-def test_tight_tolerances_are_reached(method):
-    """A relative residual of 1e-10 is 1e6 times above rounding for cond(A) = 10."""
-    for seed in range(20):
-        problem = random_problem(seed, 5, 1.0)
-        found = run(problem, method, rtol=1e-10, max_iterations=2000)
-        assert found.status is ContactStatus.CONVERGED, (seed, found.residuals[-1])
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_stagnates_below_what_double_precision_gives(method):
     """A tolerance below rounding ends in STAGNATED, or in a residual that happens to be zero."""
@@ -130,47 +114,6 @@ def test_stagnates_below_what_double_precision_gives(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_iteration_limit(method):
-    problem = random_problem(5, 10, 2.0)
-    found = run(problem, method, rtol=1e-10, max_iterations=1)
-    assert found.status is ContactStatus.MAX_ITERATIONS
-    assert found.iterations == 1
-    assert len(found.residuals) == len(found.q) == 2
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_the_observer_sees_each_iterate_and_stops(method):
-    problem = random_problem(5, 10, 2.0)
-    seen = []
-
-    def observe(iteration):
-        seen.append(iteration)
-        return iteration.number == 2
-
-    found = run(problem, method, observe=observe, rtol=1e-10)
-    assert found.status is ContactStatus.STOPPED
-    assert found.iterations == 2
-    assert [at.number for at in seen] == [0, 1, 2]
-    assert tuple(at.residual for at in seen) == found.residuals
-    assert tuple(at.q for at in seen) == found.q
-    products = [at.products for at in seen]
-    assert products == sorted(products) and products[-1] == problem.products
-
-
-@settings(max_examples=30)
-@given(problems(), st.sampled_from(METHODS))
-def test_reported_numbers_belong_to_the_answer(problem, method):
-    """q, gradient and residual are those of the returned multipliers, recomputed."""
-    found = run(problem, method, max_iterations=15, rtol=1e-6)
-    x = found.multipliers
-    gradient = problem.A @ x - problem.b
-    size = np.linalg.norm(problem.b) + np.abs(problem.A).sum(axis=1).max() * np.linalg.norm(x)
-    assert np.linalg.norm(found.gradient - gradient) <= 1e4 * EPS * size
-    assert found.q[-1] == pytest.approx(problem.q(x), abs=1e4 * EPS * size * np.linalg.norm(x))
-    assert found.iterations == len(found.residuals) - 1
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_no_multiplier_at_all(method):
     """A rank, or a scene, may have none."""
     empty = np.zeros(0, dtype=np.intp)
@@ -181,22 +124,10 @@ def test_no_multiplier_at_all(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_start_at_the_solution_needs_no_step(method):
-    problem = random_problem(4, 6, 0.5)
-    best = run(problem, rtol=1e-9).multipliers
-    assert run(problem, method, best, rtol=1e-6).iterations == 0
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_an_infeasible_start_is_allowed(method):
-    problem = random_problem(4, 6, 0.5)
-    best = run(problem, rtol=1e-9).multipliers
-    found = run(problem, method, -10.0 * np.ones_like(best), rtol=RTOL)
-    assert found.status is ContactStatus.CONVERGED
-    assert np.linalg.norm(found.multipliers - best) <= 100 * RTOL * np.linalg.norm(best)
-
-
-def other_units_change_nothing(method: str, stiffness: float, load: float) -> None:
+@pytest.mark.parametrize(
+    ("stiffness", "load"), [(1.0, 4.0**20), (1.0, 4.0**-20), (4.0**15, 1.0), (4.0**-15, 1.0)]
+)
+def test_units_of_load_change_nothing(method, stiffness, load):
     """A and b times powers of 4: the same steps, to the last bit but rounding."""
     for seed in range(4):
         problem = random_problem(seed, 8, 1.5)
@@ -214,20 +145,6 @@ def other_units_change_nothing(method: str, stiffness: float, load: float) -> No
         assert np.allclose(second.multipliers / unit, first.multipliers, rtol=100 * EPS)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("power", [20, -20])
-def test_units_of_load_change_nothing(method, power):
-    """Load and bound times 4^20 = 1.1e12."""
-    other_units_change_nothing(method, stiffness=1.0, load=4.0**power)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("power", [15, -15])
-def test_units_of_stiffness_change_nothing(method, power):
-    """A times 4^15 = 1.1e9, with b the same: lambda is divided by it, so g is too."""
-    other_units_change_nothing(method, stiffness=4.0**power, load=1.0)
-
-
 def test_projected_newton_keeps_every_product():
     """All that was paid for is in the store pairs, or held nothing new."""
     problem = random_problem(9, 8, 1.0)
@@ -242,33 +159,16 @@ def test_projected_newton_keeps_every_product():
     assert len(store) >= assume_new - 1
 
 
-def test_projected_newton_starts_again_for_less():
-    """With the pairs of the first solve the second, for another load, needs fewer products."""
-    problem = random_problem(21, 12, 2.0)
-    run(problem)
-    first = problem.products
-    problem.b = problem.b * 1.1
-    found = run(problem, keep=True)
-    assert found.status is ContactStatus.CONVERGED
-    assert problem.products - first < first
-
-
-@settings(max_examples=20)
-@given(problems(most_decades=1.0), st.integers(0, 10**6))
-def test_a_poor_diagonal_costs_speed_only(problem, seed):
-    """`diagonal` steers speed, not results."""
-    assume(len(problem.b) > 2)
-    good = run(problem, rtol=RTOL)
-    factor = np.random.default_rng(seed).uniform(0.1, 10.0)
-
-    class Poor(DenseProblem):
-        @property
-        def diagonal(self) -> np.ndarray:
-            return factor * super().diagonal
-
-    poor = Poor(problem.A, problem.b, problem.feasible_set)
-    found = run(poor, rtol=RTOL, max_iterations=500)
-    assert found.status is ContactStatus.CONVERGED
-    assert poor.q(found.multipliers) == pytest.approx(
-        problem.q(good.multipliers), abs=1e-10 * (1.0 + abs(good.q[-1]))
-    )
+@pytest.mark.parametrize("rtol", [None, 0.5, 1e-2])
+def test_no_residual_is_too_loose_for_the_default(rtol):
+    """Whatever is asked of the residual, the default's criteria hold at the end."""
+    asked, mesh = SolverOptions(), 0.05
+    for seed in range(4):
+        problem = random_problem(seed, 15, 2.0)
+        solution = run(problem, rtol=rtol)
+        x, r = solution.multipliers, solution.gradient
+        assert solution.status is ContactStatus.CONVERGED
+        # with a bound below 1e-4 the mesh may not have been asked
+        error = problem.energy_bound(x, r, 0.0) / problem.energy_norm(x, r)
+        assert error <= asked.mesh_part * mesh
+        assert problem.local_error(x, r) <= asked.local_accuracy

@@ -10,9 +10,8 @@ from dense import clarabel_minimum
 
 from dolfinx_tresca import ContactStatus, FrictionCurve
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones, NodalCurves
+from dolfinx_tresca.solvers.friction_cones import NodalCurves
 from scenes.dense import DenseProblem, random_cone_problem, run
-from scenes.scene import EPS
 
 RTOL = 1e-8
 
@@ -71,25 +70,3 @@ def test_solutions_solve_their_own_tresca_problem(curve):
         assert np.linalg.norm(x - wanted) <= tolerance, seed
         slipping += np.count_nonzero(section.norms(x)[:6] > 0.99 * section.radius[:6])
     assert slipping > 3
-
-
-def test_slips_and_slopes_of_a_node():
-    """The slip is the tangential gradient, and the bound has its derivatives there."""
-    cones = _one_node(lambda p, v: 0.1 + 0.2 * p + 0.3 * v)
-    x, r = np.array([1.0, 0.2, 0.1]), np.array([0.0, -0.4, -0.2])
-    at = cones.at_point(x, r)
-    assert at.slip is not None
-    assert at.slip[0] == pytest.approx(np.hypot(0.4, 0.2), rel=10 * EPS)
-    lam, y = at.section(x), x - 2.0 * r
-    face = lam.face(y)
-    by_pressure, by_slip = at.slopes(x, face.slip)
-    assert by_pressure[0] == pytest.approx(0.1 + 0.4 + 0.3 * at.slip[0], rel=1e-8)
-    assert by_slip[0] == pytest.approx(0.3, rel=1e-8)
-
-
-def _one_node(curve) -> FrictionCones:
-    """A node with the pressure first, and two tangential multipliers."""
-    rows = 3, np.array([0]), np.array([1, 2]), np.array([0, 0])
-    curves = NodalCurves([(slice(0, 1), FrictionCurve(curve))], np.ones(1))
-    none = np.zeros(1)
-    return FrictionCones(*rows, none, np.array([0]), none + 100.0, none + np.inf, curves)

@@ -1,4 +1,4 @@
-"""The parts of the algorithms: CGM_feas, store products, the eigenvalue, (Step 3.1)."""
+"""Parts of the algorithms: products that are kept, the model of A, (Step 3.1)."""
 
 from __future__ import annotations
 
@@ -7,49 +7,15 @@ import pytest
 from dense import problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.solvers.convergence import History, NaturalResidual
-from dolfinx_tresca.solvers.linear_algebra import NodalMaps
-from dolfinx_tresca.solvers.paper import (
-    adaptive_precision,
-    conjugate_gradients,
-)
+from dolfinx_tresca.solvers.paper import adaptive_precision
 from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 
 BOUNDED = settings(max_examples=50)
-
-
-def inside(lam, x) -> bool:
-    """Whether x lies in Lambda, up to rounding."""
-    return bool(np.linalg.norm(x - brute_projection(lam, x)) <= 32 * EPS * np.linalg.norm(x))
-
-
-@BOUNDED
-@given(problems(), st.integers(0, 10**6))
-def test_feasible_cg_ends_inside_and_never_raises_q(problem, seed):
-    """CGM_feas ends before the first iterate outside Lambda; the one returned is inside."""
-    rng = np.random.default_rng(seed)
-    lam = problem.feasible_set
-    x = brute_projection(lam, rng.standard_normal(lam.size))
-    r = problem.A @ x - problem.b
-    active = lam.face(x - r).active
-    step, product = conjugate_gradients(
-        problem,
-        active,
-        r,
-        1e-10 * np.linalg.norm(problem.b),
-        feasible=lambda s: inside(lam, x + s),
-    )
-    assert inside(lam, x + step)
-    assert not step[~active].any()
-    end = x + step
-    terms = sum(np.abs(z) @ (np.abs(problem.A) @ np.abs(z) + np.abs(problem.b)) for z in (x, end))
-    assert problem.q(end) <= problem.q(x) + 100 * EPS * terms
-    assert np.allclose(product, problem.A @ step, atol=1e4 * EPS * np.linalg.norm(problem.b))
 
 
 def filled(problem, rng, number: int, capacity: int = 120) -> ProductStore:
@@ -83,31 +49,6 @@ def test_recycled_pairs_are_orthonormal_and_the_model_is_exact_on_them(problem, 
     assert np.allclose(dense, dense.T, atol=rounding * size)
     assert np.linalg.eigvalsh(0.5 * (dense + dense.T))[0] > 0.0
     assert np.allclose(dense @ W, Y, atol=rounding * size * np.abs(W).max(initial=0.0))
-
-
-@BOUNDED
-@given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(0, 12))
-def test_the_model_is_inverted_on_any_face(problem, seed, number):
-    """A step on a face against a dense solve of (P M P + C) s = P right on the range of P."""
-    rng = np.random.default_rng(seed)
-    lam = problem.feasible_set
-    store = filled(problem, rng, number)
-    model = store.model()
-    M = np.column_stack([model.apply(e) for e in np.eye(lam.size)])
-    face = lam.face(rng.standard_normal(lam.size))
-    P = face.project(np.eye(lam.size))
-    C = lam.circle_stiffness(rng.standard_normal(lam.size), face)
-    right = rng.standard_normal(lam.size)
-    values, vectors = np.linalg.eigh(P)
-    basis = vectors[:, values > 0.5]
-    system = basis.T @ (M + np.diag(C)) @ basis
-    expected = basis @ np.linalg.solve(system, basis.T @ right)
-    none = csr_array((len(right), 0))
-    maps = NodalMaps.on_face(lam, right, face, model.diagonal, C)
-    found, _ = model.solve_between(maps, right, none, csr_array((0, 0)), np.empty(0))
-    condition = np.linalg.cond(system) if len(system) else 1.0
-    tolerance = 1e5 * EPS * max(condition, 1e3) * max(np.linalg.norm(expected), 1e-300)
-    assert np.linalg.norm(found - expected) <= tolerance
 
 
 def test_capacity_keeps_the_largest_ritz_values():

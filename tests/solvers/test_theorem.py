@@ -68,19 +68,6 @@ def test_projected_newton_decreases_q_at_the_rate_of_the_theorem(problem, rho_si
     check_rate(problem, found.q, max(0.0, 1.0 - found.rho * smallest))
 
 
-@settings(max_examples=40)
-@given(problems(), st.sampled_from(["gimssn", "projected_newton"]), st.integers(0, 10**6))
-def test_last_iterates_and_stopped_ones_are_feasible(problem, method, seed):
-    """Whatever the iteration at which the observer stops, the answer lies in Lambda."""
-    stop_at = seed % 7
-    found = run(
-        problem, method, start_of(problem, seed), lambda at: at.number == stop_at, max_iterations=30
-    )
-    x = found.multipliers
-    distance = np.linalg.norm(x - brute_projection(problem.feasible_set, x))
-    assert distance <= 32 * EPS * np.linalg.norm(x)
-
-
 @pytest.mark.parametrize("rho_sigma", [1.0, 1.9])
 def test_statement_iii_distance_falls_r_linearly(rho_sigma):
     """|lambda^k - lambda*| <= C eta^(k/2) along a whole GIMSSN run."""

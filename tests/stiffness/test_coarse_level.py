@@ -106,38 +106,6 @@ def test_a_plate(comm):
         assert iterations(system) > ITERATIONS  # far from easy, but no breakdown
 
 
-def test_everything_is_prescribed(comm):
-    """Nothing is left for the levels to do."""
-    model = clamped(comm, "triangle", 3)
-    nodes = np.arange(model.V.dofmap.index_map.size_local, dtype=np.int32)
-    all_of_it = fem.dirichletbc(np.full(2, 1e-3), nodes, model.V)
-    with assembled(model.a, model.L, [all_of_it]) as system:
-        assert iterations(system) <= 1
-
-
-@pytest.mark.parallel
-def test_a_body_on_springs(comm):
-    """One that contact alone holds: K has springs that the form does not."""
-    model = block(comm, [2, 2, 2], degree=2, across=[LEFT], load=(0.0, 0.0, -1.0))
-    solutions = []
-    for stiffness in ("cholesky", "multigrid"):
-        with model.problem(stiffness=stiffness) as problem:
-            assert "held by contact alone" in str(problem)
-            solutions.append(problem.solve(rtol=1e-6))
-    direct, iterative = solutions
-    assert iterative.krylov_iterations <= ITERATIONS * iterative.products
-    assert iterative.counts == direct.counts
-    difference = fem.Function(model.V)
-    difference.x.array[:] = iterative.u.x.array - direct.u.x.array
-    error, norm = (
-        np.sqrt(
-            comm.allreduce(fem.assemble_scalar(fem.form(ufl.action(ufl.action(model.a, u), u))))
-        )
-        for u in (difference, direct.u)
-    )
-    assert 0.0 < error <= (direct.energy_error_bound + iterative.energy_error_bound) * norm
-
-
 def test_options_of_the_user_count(comm):
     """Those of either level, on top of the defaults; a preconditioner of the user gets K itself."""
     model = clamped(comm, "triangle", 16)

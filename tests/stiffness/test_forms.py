@@ -1,7 +1,10 @@
-"""What may stand in for forms of UFL."""
+"""What may stand in for forms of UFL, and forms with Functions on surfaces."""
 
 from __future__ import annotations
 
+from typing import Any
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -11,12 +14,9 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactStatus, InputError, Tresca
-from dolfinx_tresca.dual.products import compliance
-from dolfinx_tresca.solvers.convergence import BELOW_ANY_MESH
-from scenes.patches import patch
-from scenes.rubbing import rubbing
-from scenes.scene import EPS
+from dolfinx_tresca import ContactSolution, InputError, SurfaceFields, Tresca
+from scenes.patches import UPPER, patch
+from scenes.scene import EPS, Scene
 
 pytestmark = pytest.mark.parallel
 
@@ -92,16 +92,6 @@ def test_matrices_that_are_not_ready(scene):
     K.destroy()
 
 
-def test_a_loose_residual(comm, monkeypatch):
-    """Met far above the error of any mesh, which no compiled form tells."""
-    monkeypatch.setattr(compliance, "FEW", 0)  # products, and not A as a matrix
-    scene = rubbing(comm, "quadrilateral", upper=(24, 4), lower=(32, 4), friction=Tresca(0.1))
-    with scene.problem(a=fem.form(scene.a), V=scene.V) as problem:
-        solution = problem.solve(accuracy=0.3)
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.energy_error_bound > BELOW_ANY_MESH
-
-
 def test_what_does_not_fit(scene, comm):
     other = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1))
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(other.a))
@@ -131,3 +121,40 @@ def test_tags_on_another_mesh(scene, comm):
     ):
         with pytest.raises(InputError, match=f"{name} has an integral over tags on another mesh"):
             scene.problem(**given)
+
+
+@pytest.fixture(scope="module")
+def solved() -> tuple[Scene, ContactSolution]:
+    scene = patch(MPI.COMM_WORLD, "quadrilateral", upper=(3, 2), lower=(4, 1))
+    with scene.problem() as problem:
+        return scene, problem.solve(rtol=1e-10)
+
+
+def pushed(scene: Scene, fields: SurfaceFields) -> Any:
+    """Return the load of the pressure on the upper body's contact surface."""
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    (v,) = scene.L.arguments()
+    return fields.pressure * ufl.inner(scene.data.push, v) * ds(UPPER)
+
+
+def test_a_surface_function_in_a_form(comm, solved):
+    """With the map of its surface a form integrates it, as one and as the load of a problem."""
+    scene, solution = solved
+    fields = solution.surface
+    scene.data.push = ufl.as_vector(np.eye(2)[1])
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    form = fem.form(fields.pressure * ds(UPPER), entity_maps=fields.entity_maps)
+    total = comm.allreduce(fem.assemble_scalar(form))
+    assert total == pytest.approx(solution.normal_force, rel=64 * EPS)
+    L = scene.L + pushed(scene, fields)
+    with scene.problem(L=L, entity_maps=fields.entity_maps) as problem:
+        moved = problem.solve(rtol=1e-10)
+    # the ends are held: what lifts the upper body off comes off the contact force
+    assert 0.0 < moved.normal_force < solution.normal_force
+
+
+def test_without_a_map_the_problem_says_so(solved):
+    scene, solution = solved
+    scene.data.push = ufl.as_vector(np.eye(2)[1])
+    with pytest.raises(InputError, match=r"the form L holds the Function 'pressure'.*on_mesh"):
+        scene.problem(L=scene.L + pushed(scene, solution.surface))

@@ -19,32 +19,9 @@ from dolfinx import fem
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca.stiffness.choice import check_choice, choose
-from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, floating, two_bricks
-
-
-def solved(system: LinearSystem, solver) -> np.ndarray:
-    """Return K^-1 f at owned degrees of freedom."""
-    u = system.f.x.petsc_vec.duplicate()
-    solver.solve(system.f.x.petsc_vec, u)
-    result = u.array.copy()
-    u.destroy()
-    solver.destroy()
-    return result
-
-
-@pytest.mark.parallel
-def test_contact_solutions_agree(comm):
-    results = []
-    for stiffness in ("cholesky", "multigrid"):
-        with bricks_problem(comm, 4, options={"stiffness": stiffness}) as problem:
-            results.append(problem.solve(rtol=1e-6))
-    direct, iterative = results
-    assert direct.krylov_iterations == 0 < iterative.krylov_iterations
-    assert iterative.q[-1] == pytest.approx(direct.q[-1], rel=direct.options.rtol)
-    assert iterative.counts == direct.counts
 
 
 @pytest.mark.parallel
@@ -60,22 +37,6 @@ def test_prescribed_values_are_exact(comm):
     facets = scene.facet_tags.find(scene.tags["upper_fixed"])
     nodes = fem.locate_dofs_topological(scene.V, 2, facets)
     assert (solution.u.x.array.reshape(-1, 3)[nodes] == value).all()
-
-
-@pytest.mark.parallel
-def test_a_common_translation_costs_nothing(comm):
-    """Both supports move alike: the bricks follow without strain or contact force."""
-    scene = two_bricks(comm, 3)
-    scene.data.load.value[:] = 0.0
-    value = np.array([1e-3, 2e-3, -1e-3])
-    scene = dataclasses.replace(
-        scene, bcs=[scene.fixed(name, value) for name in ("upper_fixed", "lower_fixed")]
-    )
-    with scene.problem() as problem:
-        solution = problem.solve(rtol=1e-6)
-    u = solution.u.x.array.reshape(-1, 3)
-    assert np.abs(u - value).max(initial=0.0) <= 1e-9 * np.abs(value).max()
-    assert abs(solution.normal_force) <= 1e-6 * YOUNG * np.abs(value).max()
 
 
 def raises_stiffness(scene, message: str, **changes) -> str:
@@ -106,15 +67,6 @@ def test_a_negative_modulus_is_refused(comm, stiffness):
     ):
         problem.solve(rtol=1e-6)
     assert "nothing holds" not in str(caught.value)
-
-
-@pytest.mark.parallel
-def test_a_negative_modulus_of_one_body_is_refused(comm):
-    scene = two_bricks(comm, 3)
-    young = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
-    young.x.array[:] = YOUNG
-    young.x.array[scene.cell_tags.find(scene.tags["lower"])] = -YOUNG
-    raises_stiffness(scene, "not positive definite", a=elasticity(scene.V, young))
 
 
 @pytest.mark.parallel
@@ -203,21 +155,6 @@ def test_petsc_options_of_the_user_take_effect(comm):
 
     usual = krylov()
     assert krylov(pc_type="jacobi") > 2 * usual
-
-
-def test_options_under_a_prefix_of_the_user(comm):
-    """What stands in the database already wins over the defaults, and stays there."""
-    database = PETSc.Options("mine_")
-    database["ksp_max_it"] = 1
-    try:
-        options = {"stiffness": "multigrid", "petsc_options_prefix": "mine_"}
-        with bricks_problem(comm, 3, options=options) as problem:
-            solution = problem.solve(rtol=1e-6, max_iterations=3)
-        # a step, or none, in each product, for the load and for the displacement
-        assert 0 < solution.krylov_iterations <= solution.products + 2
-        assert database.getInt("ksp_max_it") == 1
-    finally:
-        database.delValue("ksp_max_it")
 
 
 def test_cholmod_that_the_user_chose_is_not_replaced(comm):

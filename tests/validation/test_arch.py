@@ -106,10 +106,7 @@ def test_an_arch_next_to_its_limit(comm):
 
 
 def test_springings_that_slide():
-    """Springings that need more friction than there is slide outwards, and the arch stands.
-
-    Few tractions with the bounds of the solution satisfy the equilibrium then.
-    """
+    """Springings that need more friction than there is slide outwards, and the arch stands."""
     scene = arch(MPI.COMM_SELF, 0.125, friction=0.39, divisions=(3, 4))
     with scene.problem() as problem:
         solution = problem.solve(rtol=RTOL)

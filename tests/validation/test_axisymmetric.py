@@ -29,27 +29,24 @@ from dolfinx_tresca import (
     MeanPressure,
     NonlinearContactProblem,
     RigidPlane,
-    RigidSphere,
     Units,
     read_gmsh,
     solve_adaptively,
 )
 from scenes.boxes import Body, boxes, near
-from scenes.elasticity import elasticity, fixed, lame_constants
+from scenes.elasticity import elasticity, fixed
 from scenes.hertz import sphere_on_plane
 from scenes.hertz_theory import HertzSphere, plane_strain_modulus
 from scenes.nodal import nodal, surface_nodes_of
 from scenes.revolution import (
     APPROACH,
     FIRST,
-    PRIMARY,
-    SECONDARY,
     ball_on_plane,
     contact_radius,
     ring_elasticity,
     two_rings,
 )
-from scenes.scene import EPS, Scene
+from scenes.scene import EPS
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa
 
@@ -127,41 +124,6 @@ def test_shrunk_rings_converge_to_lame():
         errors.append(abs(mean / lame_pressure() - 1.0))
     assert errors[0] / errors[1] > 3.5 and errors[1] / errors[2] > 3.5
     assert errors[2] <= 0.003
-
-
-@pytest.mark.parametrize("poisson", [0.3, 0.4999])
-def test_a_thick_walled_seal(poisson):
-    """In a rigid bore, a fluid inside adds to the pressure of the assembly: all of it at nu = 0.5.
-
-    Lamé's solution in plane strain, u = A r + B / r, for the pressure of the fluid at the inner
-    radius and the interference at the outer one.
-    """
-    fluid, interference = 5.0, 1e-3
-    bodies = (Body((16, 2), [(BORE, RADIUS), (0, 1)]),)
-    made = boxes(MPI.COMM_SELF, "quadrilateral", bodies, 2)
-    ends = [(FIRST + k, [0], near(1, end)) for k, end in enumerate((0.0, 1.0))]
-    tags = made.tags((SECONDARY, [0], near(0, RADIUS)), (PRIMARY, [0], near(0, BORE)), *ends)
-    bore = RigidPlane((RADIUS - interference, 0.0), (-1.0, 0.0))
-    r = ufl.SpatialCoordinate(made.mesh)[0]
-    inside = ufl.Measure("ds", made.mesh, subdomain_data=tags)(PRIMARY)
-    problem = ContactProblem(
-        ring_elasticity(made.V, YOUNG, poisson),
-        fluid * ufl.TestFunction(made.V)[0] * 2 * np.pi * r * inside,
-        [ContactPair(tags, SECONDARY, bore, Frictionless())],
-        bcs=[fixed(made.V, tags.find(FIRST + k), 0.0, 1) for k in (0, 1)],
-        axisymmetric=True,
-    )
-    with problem:
-        solution = problem.solve(rtol=1e-9)
-    mu, lame = lame_constants(YOUNG, poisson)
-    stress = np.array([2 * (mu + lame), -2 * mu])  # of A and of B / r^2
-    rows = [stress * [1, BORE**-2], [RADIUS, 1 / RADIUS]]
-    A, B = np.linalg.solve(rows, [-fluid, -interference])
-    wanted = -stress @ [A, B / RADIUS**2]
-    assert solution.normal_force == pytest.approx(2 * math.pi * RADIUS * wanted, rel=1e-4)
-    assert solution.peak_pressure == pytest.approx(wanted, rel=1e-4)
-    if poisson == 0.4999:
-        assert wanted > 0.999 * fluid
 
 
 @pytest.mark.parallel
@@ -277,57 +239,6 @@ PATCH = MeanPressure((0.0, 0.0), 0.5)
 MODULUS = YOUNG / (1 - POISSON**2)
 
 
-def half_space(comm, obstacle, *, radius, h, growth, degree=2, size=20.0):
-    """Return a half-space whose top may touch an obstacle up to a radius. Collective."""
-    body = read_gmsh(
-        MESHES / "half_space.geo", comm, Size=size * radius, Top=radius, h=h, Growth=growth
-    )
-    V = fem.functionspace(body.mesh, ("Lagrange", degree, (2,)))
-    facets, tags = body.facet_tags, body.tags
-    bcs = [fixed(V, facets.find(tags["axis"]), 0.0, 0)]
-    bcs += [fixed(V, facets.find(tags["bottom"]), 0.0, 1)]
-    pair = ContactPair(facets, tags["contact"], obstacle, Frictionless())
-    return Scene(V, ring_elasticity(V, YOUNG, POISSON), None, bcs, [pair], facets, tags=tags)
-
-
-@pytest.mark.parametrize("flat", [True, False])
-def test_a_rigid_body_on_the_axis(flat):
-    """The force is 2 a E* d under a punch (Johnson 1985), 4/3 E* R^(1/2) d^(3/2) under a ball.
-
-    The edge, the size of the body, and some ten pressed nodes take 2 % each.
-    """
-    depth, radius = 1e-3, 1.0 if flat else 10.0
-    edge = radius if flat else math.sqrt(radius * depth)
-    if flat:
-        body = RigidPlane((0.0, -depth), (0.0, -1.0))
-        scene = half_space(MPI.COMM_SELF, body, radius=edge, h=0.1, growth=0.1)
-        wanted, close = 2 * radius * MODULUS * depth, 0.04
-    else:
-        body = RigidSphere((0.0, radius - depth), radius)
-        scene = half_space(MPI.COMM_SELF, body, radius=2 * edge, h=edge / 12, growth=0.1)
-        wanted, close = 4 / 3 * MODULUS * math.sqrt(radius * depth**3), 0.02
-    with scene.problem(axisymmetric=True) as problem:
-        solution = problem.solve()
-    assert not flat or solution.counts.contact == solution.counts.nodes
-    assert solution.normal_force == pytest.approx(wanted, rel=close)
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("sliding", ["small", "finite"])
-def test_pairing_anew_keeps_a_uniform_pressure(comm, sliding):
-    """The displacement is that of the first pairing; the force that of rings, in equilibrium."""
-    scene = discs(comm).but(sliding=sliding)
-    with scene.problem(axisymmetric=True) as problem:
-        solution = problem.solve(rtol=1e-10)
-        if sliding == "small":
-            problem.update_geometry(solution.u)
-            solution = problem.solve(rtol=1e-10)
-    solution.raise_if_failed()
-    force = 0.01 * YOUNG * 9.0 * math.pi
-    assert abs(solution.pair_resultants[0].force[1]) == pytest.approx(force, rel=EXACT)
-    assert solution.normal_force == pytest.approx(force, rel=EXACT)
-
-
 @pytest.mark.parallel
 def test_a_body_that_floats_along_the_axis(comm):
     """The load on the upper disc goes into the lower one, to rounding."""
@@ -341,18 +252,6 @@ def test_a_body_that_floats_along_the_axis(comm):
     wanted = 7.0 * 2 * math.pi * 3.0**3 / 3  # the integral of r over the disc
     assert solution.normal_force == pytest.approx(wanted, rel=1e-6)
     assert abs(solution.body_resultants[0].force[1]) == pytest.approx(wanted, rel=1e-6)
-
-
-@pytest.mark.parallel
-def test_files_have_the_pressure_of_the_point(comm, folder):
-    """The file of the meridian has stresses, not stresses times the ring."""
-    pyvista = pytest.importorskip("pyvista")
-    with discs(comm).problem(axisymmetric=True) as problem:
-        solution = problem.solve(rtol=1e-10)
-        solution.write(folder / "discs.pvd")
-    contact = pyvista.read(next(folder.glob("**/contact*.vtu")))
-    state = contact.point_data["pressure"][contact.point_data["state"] >= 0]
-    assert np.allclose(state, 0.01 * YOUNG, rtol=1e-5) and len(state) > 0
 
 
 def ball(tagged):

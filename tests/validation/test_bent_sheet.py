@@ -17,10 +17,7 @@ STROKE = 0.285
 @pytest.mark.parallel(cells=[(120, 2)])
 @pytest.mark.parametrize("cells", [(60, 2), (120, 2)])
 def test_the_punch_has_the_force_of_a_beam(comm, cells):
-    """The face that lies on the die lifts off but for its end: 71 of 242 nodes overlap at first.
-
-    Newton's method on the multipliers took no step from the states at the start.
-    """
+    """The face that lies on the die lifts off but for its end: 71 of 242 nodes overlap at first."""
     scene = bent_sheet(comm, cells)
     with scene.problem() as problem:
         scene.data.punch.move_to((0.0, -STROKE))

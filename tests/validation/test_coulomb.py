@@ -19,6 +19,7 @@ from dolfinx_tresca import (
     InputError,
     Tresca,
 )
+from dolfinx_tresca._base import compat
 from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT
 from scenes.blocks import block
 from scenes.nodal import node_function
@@ -74,41 +75,53 @@ def test_without_friction(comm):
 @pytest.mark.parallel(law=["Coulomb"])
 @pytest.mark.parametrize("law", ["Coulomb", "Tresca"])
 def test_fields_of_every_kind_changed_in_place(comm, law):
-    """Numbers, Constants, Functions, expressions and functions of points give the same answers."""
+    """Functions of points, Functions, components and expressions give the same answers."""
     model = rubbing(comm, "triangle")
     mesh, stress = model.V.mesh, BOUND * YOUNG
-    state = {"value": 0.2}
-    constant = fem.Constant(mesh, 0.2)
-    function = node_function(mesh, lambda x: np.full(x.shape[1], 0.2))
+    constant, x = fem.Constant(mesh, 0.2), ufl.SpatialCoordinate(mesh)
+    linear = node_function(mesh, lambda x: 0.0 * x[0])
+    quadratic = fem.Function(fem.functionspace(mesh, ("Lagrange", 2)))
+    vector = fem.Function(model.V)
+
+    def of_points(x):
+        return float(constant.value) * (1.0 + 0.5 * x[0])
+
+    in_ufl = constant * (1.0 + 0.5 * x[0])
+    at_nodes = compat.interpolation_points(linear.function_space.element)
     kinds: dict[str, Any] = {
-        "Constant": constant,
-        "Function": function,
-        "UFL": 2.0 * constant * ufl.as_ufl(0.5),
-        "points": lambda x: np.full(x.shape[1], state["value"]),
+        "points": of_points,
+        "a list": lambda x: list(of_points(x)),
+        "Function": linear,
+        "quadratic Function": quadratic,
+        "component": vector.sub(1),
+        "UFL": in_ufl,
+        "conditional": ufl.conditional(ufl.gt(x[0], -1.0), 1.0 * linear, 0.0),
+        "Expression": fem.Expression(in_ufl, at_nodes),
     }
 
     def problem_of(field):
         friction = Coulomb(field, limit=10.0 * stress) if law == "Coulomb" else Tresca(field)
         return model.but(friction=friction).problem()
 
-    def change(value):
-        state["value"] = constant.value = value
-        function.x.array[:] = value
+    def forces_of(field):
+        forces = []
+        constant.value = 0.2
+        with problem_of(field) as problem:
+            for constant.value in (0.2, 0.5):
+                linear.interpolate(of_points)
+                quadratic.interpolate(of_points)
+                vector.interpolate(lambda x: np.stack([x[0], of_points(x)]))
+                forces.append(problem.solve(rtol=RTOL).tangential_force)
+        return forces
 
-    values = (0.2, 0.5)
-    expected = []
-    for value in values:
-        with problem_of(value) as problem:
-            expected.append(problem.solve(rtol=RTOL).tangential_force)
+    expected = forces_of(kinds["points"])
     assert expected[1] > 1.1 * expected[0]
     for name, field in kinds.items():
-        change(values[0])
-        with problem_of(field) as problem:
-            forces = []
-            for value in values:
-                change(value)
-                forces.append(problem.solve(rtol=RTOL).tangential_force)
-        assert forces == pytest.approx(expected, rel=CLOSE), name
+        assert forces_of(field) == pytest.approx(expected, rel=CLOSE), name
+    with problem_of(constant) as changed, problem_of(0.5) as number:
+        constant.value = 0.5
+        wanted = number.solve(rtol=RTOL).tangential_force
+        assert changed.solve(rtol=RTOL).tangential_force == pytest.approx(wanted, rel=CLOSE)
 
 
 def test_onset_of_friction_in_contact(comm):

@@ -59,21 +59,9 @@ def over_a_ball(comm, shift, friction, ball=None, sliding="finite"):
     return scene.but(sliding=sliding).problem(options=OPTIONS), motion
 
 
-def settled(problem, rounds=15):
-    """Return the solution of the loop of solves and updates of the geometry."""
-    for _ in range(rounds):
-        solution = problem.solve()
-        solution.raise_if_failed()
-        problem.update_geometry(solution.u)
-    return solution
-
-
 @pytest.mark.parallel
 def test_a_ball_that_is_elsewhere(comm):
-    """A block pushed over a ball has the forces of a block pressed on a ball that is there.
-
-    Both are paired where their tops are moved to, so the one needs no more configurations.
-    """
+    """A block pushed over a ball has the forces of a block pressed on a ball that is there."""
     forces, configurations = [], []
     for shift in (0.0, PUSH):
         seen = []
@@ -207,31 +195,6 @@ def test_the_path_of_nodes_that_leave(comm, folder):
             solution = moved_to(problem, motion, x)
     assert solution.greatest_slip == pytest.approx(0.3, rel=0.1)
     assert solution.greatest_total_slip == pytest.approx(0.3 + 0.4 + 0.3, rel=0.1)  # with strains
-
-
-def rubber_over_a_ball(comm, divisions):
-    """Return a rubber block that is pressed on a ball and pushed over it."""
-    ball = RigidSphere((0.5, -RADIUS), RADIUS)
-    scene = rubber_block(
-        comm, divisions, size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
-    )
-    scene.push.value[:] = PUSH, -DOWN
-    return scene
-
-
-@pytest.mark.parallel
-def test_newtons_method_and_the_configuration_converge_together(comm):
-    """A rubber block over a ball has the forces of the loop, in a few Newton steps."""
-    scene = rubber_over_a_ball(comm, (6, 3))
-    with scene.but(sliding="finite").problem(options=OPTIONS) as problem:
-        solution = problem.solve()
-        solution.raise_if_failed()
-    scene.u.x.array[:] = 0.0
-    with scene.problem(options=OPTIONS) as problem:
-        loop = settled(problem)
-    found, wanted = (one.pair_resultants[0].force for one in (solution, loop))
-    assert np.allclose(found, wanted, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(wanted))
-    assert len(solution.newton.steps) <= 12
 
 
 class MovingBall:

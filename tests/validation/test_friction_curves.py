@@ -21,7 +21,6 @@ from dolfinx_tresca import (
     Coulomb,
     FrictionCurve,
     InputError,
-    NonlinearContactProblem,
 )
 from scenes.blocks import ABOVE, LEFT, RIGHT, block
 from scenes.elasticity import fixed
@@ -126,19 +125,6 @@ def test_the_slip_is_that_of_the_step():
             problem.accept()
             before += slip
             check(solution, shear, before)
-
-
-def test_newtons_method():
-    """The same body as the residual of a nonlinear problem has the same answer."""
-    law = LAWS["Stribeck"]
-    scene = square(MPI.COMM_SELF, law)
-    slip = slip_of(law, SHIFT)
-    scene.data.shear.value = SHEAR * (SHIFT - slip)
-    u = fem.Function(scene.V)
-    F = ufl.action(scene.a, u) - scene.L
-    with NonlinearContactProblem(F, u, scene.pairs, scene.bcs) as problem:
-        solution = problem.solve()
-    check(solution, SHEAR * (SHIFT - slip), slip, 1e-5)  # Newton's tolerance is 1e-6
 
 
 def test_derivatives_are_refused_where_friction_depends_on_the_slip():

@@ -94,18 +94,6 @@ def test_a_groove_passes_a_constant_pressure_on_each_face(comm, kind, divisions)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("bound", [0.1, 10.0])
-def test_friction_in_a_groove_ends_well(comm, kind, bound):
-    """Friction in a groove converges with the default accuracy."""
-    _, _, a, L, bcs, tags = block_in_groove(comm, kind, 2)
-    with ContactProblem(a, L, [ContactPair(tags, 1, 2, Tresca(bound))], bcs=bcs) as problem:
-        solution = problem.solve()
-        assert solution.status is ContactStatus.CONVERGED
-        assert np.isfinite(solution.energy_error_bound)
-    assert 0.0 < solution.normal_force <= FIRST + SECOND
-
-
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [Frictionless(), Tresca(0.1)])
 def test_a_corner_of_a_rigid_box(comm, kind, law):
     """Both walls of a corner carry their loads, though a node of the edge has one normal."""

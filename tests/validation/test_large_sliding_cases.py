@@ -70,10 +70,7 @@ def test_closed_path_in_space(comm):
 
 @pytest.mark.parallel
 def test_hertz_far_away(comm, caplog):
-    """A cylinder that comes from 50 radii away has the pressure of one that is meshed there.
-
-    The log is silent, though in the first configuration the rigid cylinder is far inside of it.
-    """
+    """A cylinder that comes from 50 radii away has the pressure of one that is meshed there."""
     far, here = (hertz_far_away(comm, 0.24, x) for x in (50.0 * RADIUS, 0.0))
     assert "linear theory" not in caplog.text
     assert far.peak == pytest.approx(here.peak, rel=10.0 * GEOMETRY)

@@ -107,25 +107,6 @@ def test_a_block_that_is_free_to_grow_sideways(comm, dim):
     assert found.normal_force == pytest.approx(height, rel=ACCURACY)
 
 
-@pytest.mark.parallel(poisson=[0.5])
-@pytest.mark.parametrize("poisson", [0.4, 0.5])
-def test_a_confined_block(comm, poisson):
-    """The wall beside a pressed block carries nu / (1 - nu) of the load."""
-    wall = RigidPlane(point=(1, 0, 0), normal=(-1, 0, 0))
-    scene = block(
-        comm, (3, 2), degree=2, load=(0, 0, -2.0), across=(LEFT, BELOW), friction=Frictionless(),
-        obstacles=[(RIGHT, wall)],
-    )  # fmt: skip
-    with with_pressure(scene, YOUNG, poisson).problem() as problem:
-        found = problem.solve(rtol=TIGHT)
-    expected = 2.0 * poisson / (1 - poisson)
-    assert found.normal_force == pytest.approx(expected, rel=ACCURACY)
-    assert found.peak_pressure == pytest.approx(expected, rel=ACCURACY)
-    if poisson == 0.5:
-        assert np.abs(found.u.x.array).max() <= ACCURACY * 2.0 / YOUNG
-        assert np.abs(found.w.split()[1].collapse().x.array + 2.0).max() <= ACCURACY
-
-
 @pytest.mark.parallel
 def test_a_body_that_is_closed_in(comm):
     """A body that cannot change its volume is refused if supports close it in."""

@@ -95,27 +95,6 @@ def test_moved_obstacle_or_moved_body(comm, make, friction, sliding):
     assert (np.sign(results[0][[0, 1, 3], 0]) == [1.0, 1.0, -1.0]).all()  # friction drags the block
 
 
-@pytest.mark.parametrize("sliding", ["small", "finite"])
-def test_path_of_the_slip(comm, sliding):
-    """The path is the sum of the lengths of all slips; the slip is the sum of the vectors."""
-    obstacle = plane()
-    problem, _ = over(comm, obstacle, Coulomb(F), sliding)
-    path = total = 0.0
-    with problem:
-        for x in STEPS:
-            obstacle.move_to((x, 0.0))
-            solution = problem.solve()
-            solution.raise_if_failed()
-            problem.accept()
-            vectors = solution.slip_increment.x.array.reshape(-1, 2)
-            vectors = np.where(solution.surface.sticking[:, None], 0.0, vectors)
-            path, total = path + np.linalg.norm(vectors, axis=1), total + vectors
-    atol = 20 * GEOMETRY * path.max()
-    assert np.allclose(solution.surface.slip_path.x.array, path, rtol=0.0, atol=atol)
-    assert np.allclose(solution.slip.x.array, total.ravel(), rtol=0.0, atol=atol)
-    assert (path > 2.0 * np.linalg.norm(total, axis=1)).any()
-
-
 def test_dissipation_is_of_first_order_in_time(comm):
     """The error of the dissipation in n steps is e / n, for a plane that slides and sinks.
 

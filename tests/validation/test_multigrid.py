@@ -97,18 +97,6 @@ def test_the_dual_energy_is_a_lower_bound(comm):
             assert solution.dual_energy <= exact.primal_energy + hidden
 
 
-def test_nothing_is_pressed(comm):
-    """The displacement is that of the linear problem, as accurate as its own solver makes it."""
-    tolerance = 1e-10
-    model = plate(comm, load=(0.3, 0.0, 1.0))
-    with model.problem(stiffness="multigrid") as problem:
-        solution = problem.solve(rtol=tolerance)
-    assert solution.status is ContactStatus.CONVERGED
-    assert solution.counts.contact == 0
-    # Cholesky's is exact to rounding: no iteration is left
-    assert relative_error(model.a, solution.u, reference(model).u) <= tolerance + 1e3 * EPS
-
-
 @pytest.mark.parallel
 @pytest.mark.parametrize("gap", [1e-6, 1e-9, 1e-12, 1e-15])
 @pytest.mark.parametrize(

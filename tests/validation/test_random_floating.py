@@ -427,8 +427,7 @@ def test_scenes_agree(seed):
 
 
 # Scene 40: bodies on springs of very different stiffness, without a solution unless their
-# multipliers are refined. With the arithmetic of old processors it is lost (`make test-cores`): a
-# search for a projection begins at the multipliers of one that had no solution, and fails.
+# multipliers are refined. With the arithmetic of old processors it is lost (`make test-cores`).
 @pytest.mark.parametrize("seed", [3, 11, 40, 47])
 def test_scenes_agree_with_coulomb(seed):
     assert check(seed, coulomb=True) != "missed"
@@ -442,7 +441,7 @@ def test_friction_that_cannot_hold_a_body_is_told():
 def test_a_small_load_far_from_the_floor():
     """Soft springs hold a body; times the gap, a pressure of rounding is more work than the load's.
 
-    The load is 1e-9 of what would close the gap. It was met by chance; 200 iterations did not end.
+    The load is 1e-9 of what would close the gap.
     """
     scene = floating_scene(376, turned=False)
     scene.scale(1e-9)

@@ -95,10 +95,7 @@ def test_piles_whose_fixed_point_is_hard_to_find(seed):
 
 @pytest.mark.long
 def test_three_hundred_piles():
-    """No pile is refused that stands, and none that falls is accepted; none is left out.
-
-    At most `MISSED` of those that stand end without a fixed point.
-    """
+    """No pile is refused that stands, and none that falls is accepted; none is left out."""
     found, wrong = [], {}
     for seed in range(300):
         try:

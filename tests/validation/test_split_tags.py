@@ -169,23 +169,10 @@ def test_pairs_between_parts_are_one_pair(comm, kind, law, sides):
         _ = solution.pressure
 
 
-@pytest.mark.parallel(degree=[1])
-@pytest.mark.parametrize("degree", [1, 2])
-def test_straight_cuts_and_orthotropic_friction(comm, degree):
-    scene = pushed(comm, "tetrahedron", degree)
-    scene = scene.but(friction=Coulomb((0.3, 0.1), direction=np.array([1.0, 1.0, 0.0])))
-    pairs = facing(scene, split(scene, jagged=False))
-    with scene.problem() as whole, scene.problem(pairs=pairs) as parts:
-        agree(comm, whole.solve(rtol=1e-11), parts.solve(rtol=1e-11))
-
-
 @pytest.mark.parallel
 @pytest.mark.parametrize("sliding", ["small", "finite"])
 def test_load_steps_goals_and_files(comm, folder, sliding):
-    """Load steps, restarts and derivatives are those of uncut surfaces.
-
-    With finite sliding nodes pass from one primary tag to the next.
-    """
+    """Load steps, restarts and derivatives are those of uncut surfaces."""
     found = []
     for name in ("whole", "parts"):
         scene = pushed(comm, "quadrilateral")

@@ -25,7 +25,6 @@ from dolfinx_tresca import (
 from scenes.boxes import Body, boxes, near
 from scenes.scene import Scene
 from scenes.turning import RATIO, bearing, gears, rolled, torques
-from scenes.turning import saint_venant_kirchhoff as nonlinear_problem
 
 MU, LAMBDA = 8e3, 1.2e4
 OUTSIDE, HELD = 1, 2
@@ -279,19 +278,6 @@ def test_gears_whichever_surfaces_are_paired(
         moments = [torques(solution) for solution in turned_through(scene, problem, angles)]
     ratios = [-gear / pinion for pinion, gear in moments]
     assert ratios == pytest.approx([1.5] * len(angles), rel=0.01)
-
-
-@pytest.mark.long
-def test_gears_through_a_tooth_and_a_half() -> None:
-    """The ratio is 1.5 in all positions, and the moments are those of nonlinear bodies."""
-    angles = np.arange(28.0)
-    scene = gears(MPI.COMM_WORLD)
-    with scene.problem() as problem:
-        moments = np.array([torques(one) for one in turned_through(scene, problem, angles)])
-    assert np.allclose(-moments[:, 1] / moments[:, 0], 1.5, rtol=0.01)
-    with nonlinear_problem(scene) as problem:
-        exact = np.array([torques(one) for one in turned_through(scene, problem, angles[::9])])
-    assert np.allclose(moments[::9], exact, rtol=0.01)
 
 
 @pytest.mark.parallel

@@ -141,6 +141,21 @@ def test_nothing_pairs_through_a_plate_that_touches_both(comm, kind, divisions):
         same(comm, *(stack.operators(pair) for pair in pairs), ROUNDING)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_two_layers_the_nearer_one_is_paired(comm, kind):
+    """Two plates lie apart below a block, with the tag of their upper faces in common."""
+    dim = dim_of(kind)
+    heights = {0: (1.0, 2.0), 1: (0.85, 0.9), 2: (0.3, 0.5)}
+    wider = {0: (0.0, 1.0), 1: (-0.13, 1.08), 2: (-0.07, 1.19)}
+    bodies = [Body((3 + k, 1), box(dim, *heights[k], *wider[k])) for k in heights]
+    stack = boxes(comm, kind, bodies, turn=rotation(4, dim))
+    upper = [(PRIMARY, [k], near(dim - 1, heights[k][1])) for k in (1, 2)]
+    tags = stack.tags((SECONDARY, [0], near(dim - 1, 1.0)), *upper)
+    found = stack.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless()))
+    assert comm.allreduce(found.weights.sum()) == pytest.approx(1.0, rel=ROUNDING)
+    assert np.abs(found.gap - 0.1).max(initial=0.0) <= ROUNDING
+
+
 def bent_round(radius: float, dim: int):
     """Map the last axis, from 0 to 1, to the angle, and the first one to the radius."""
 
