@@ -11,9 +11,9 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product
-from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.solvers.linear_algebra import eigenpairs
 from dolfinx_tresca.stiffness.solver import not_positive_definite
 
