@@ -20,9 +20,6 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import exchange, gather_rows, reduce_array
 
-#: Difference of coordinates, relative to the mesh's largest coordinate, that counts as rounding.
-ONE_PLACE = 1e-10
-
 #: Number of bodies that a message names, at most, of those that move together with another body.
 #: With twice the number, messages about walls of bricks are twice as long.
 MOST_COMPANIONS = 6
@@ -60,7 +57,8 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     in_file = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[geometry_dofmap(mesh)]
     np.minimum.at(least_node, body[cells[: len(in_file), 0]], in_file.min(axis=1))
     in_file = reduce_array(comm, least_node, MPI.MIN)
-    places = np.round(bounds / (ONE_PLACE * np.abs(bounds).max(initial=0.0)))
+    # digits beyond the tenth of the largest coordinate are rounding
+    places = np.round(bounds / (1e-10 * np.abs(bounds).max(initial=0.0)))
     order = np.lexsort([in_file, *places.T[::-1]])
     rank_of = np.empty(number, dtype=np.int64)
     rank_of[order] = np.arange(number)

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, SLACK
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -91,14 +91,6 @@ LOAD_ACCURACY = 1e-6
 #: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
 #: less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
-
-#: A displacement counts as rounding if its energy norm is below this fraction of the energy norm of
-#: the displacement without contact. The number is a square root, since the energy is computed as a
-#: difference of energies.
-ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
-
-#: Relative error of one operation in double precision.
-UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
 
 
 class ElasticResponse:
@@ -226,7 +218,7 @@ class ElasticResponse:
         terms = np.abs(self.offset) + np.abs(self.offset - r)
         # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
         square = float(self._inner(terms, self._compliance.nodal_stiffness * terms))
-        return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
+        return r, float(np.hypot(error, 0.5 * np.finfo(float).eps * np.sqrt(square)))
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
         """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
@@ -312,7 +304,8 @@ class ElasticResponse:
         the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
         """
         energy, _ = self._solved_load_terms()
-        return max(ENERGY_ROUNDING * float(np.sqrt(energy)), self.b_error)
+        # 64 eps, and the root of it, since the energy is computed as a difference of energies
+        return max(float(np.sqrt(ROUNDING * energy)), self.b_error)
 
     def _solved_load_terms(self) -> tuple[float, Array]:
         """Return a(u, u) without contact, and the jump (size,) due to forces alone. Collective.

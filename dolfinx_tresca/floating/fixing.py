@@ -24,9 +24,6 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: with half the number, the least eigenvalue of K_p is up to half as large.
 FIXING_NODES = 30
 
-#: Relative accuracy, in the energy norm, of the response to fixing springs by iterative solvers.
-RESPONSE_ACCURACY = 1e-10
-
 
 @dataclass(frozen=True)
 class FixingSprings:
@@ -118,7 +115,7 @@ class FixingSprings:
             chosen = np.where(soft & (place == number), 1.0, 0.0)
             force.array = forces @ (chosen / sizes)
             answer.set(0.0)
-            solver.improve(force, answer, rtol=RESPONSE_ACCURACY, accuracy=0.0)
+            solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
             V = V + diags_array(answer.array) @ moves @ diags_array(chosen * sizes)
         force.destroy()
         answer.destroy()
