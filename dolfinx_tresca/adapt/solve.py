@@ -194,7 +194,8 @@ def solve_adaptively(
                 status = AdaptiveStatus.MAX_LEVELS
             else:
                 cells = bisected(tagged_mesh, level.cell_errors, fraction)
-                growth = reduce_array(comm, len(cells.parent)) / _cell_count(tagged_mesh)
+                cell_map = tagged_mesh.mesh.topology.index_map(tagged_mesh.mesh.topology.dim)
+                growth = reduce_array(comm, len(cells.parent)) / cell_map.size_global
                 if growth * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
@@ -209,12 +210,6 @@ def solve_adaptively(
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
             return AdaptiveSolution(status, float(accuracy), tuple(levels))
-
-
-def _cell_count(tagged_mesh: TaggedMesh) -> int:
-    """Return the number of cells on all ranks. Not collective."""
-    topology = tagged_mesh.mesh.topology
-    return int(topology.index_map(topology.dim).size_global)
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:

@@ -30,6 +30,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.goals import value_of
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -385,9 +386,7 @@ class DataOfSolution:
 
     def pull_of(self, prescribed: Array) -> Array:
         """Return K u (owned,) [force] for a displacement u of prescribed nodes. Collective."""
-        u = fem.Function(self.u.function_space)
-        u.x.array[: len(prescribed)] = prescribed
-        u.x.scatter_forward()
+        u = with_owned_values(self.u.function_space, prescribed)
         return _owned_entries(self._forms.compiled(ufl.action(self._forms.tangent, u)))
 
     def reaction_of(self, z: fem.Function) -> Array:

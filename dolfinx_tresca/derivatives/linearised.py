@@ -226,7 +226,6 @@ class LinearisedContact:
             free = force.copy()
             free.array[prescribed] = 0.0
             missing, size = dual.equilibrium.resultants(free)
-            free.destroy()
         unmet = missing
         jump_at_start = displacement.solve_start()
         store = dual.known_products()

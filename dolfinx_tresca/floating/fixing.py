@@ -72,8 +72,6 @@ class FixingSprings:
         springs, result = Z.matTransposeMult(Z), K.copy()
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        Z.destroy()
-        springs.destroy()
         return result
 
     def energy(self, u: PETSc.Vec) -> float:
@@ -117,8 +115,6 @@ class FixingSprings:
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
             V = V + diags_array(answer.array) @ moves @ diags_array(chosen * sizes)
-        force.destroy()
-        answer.destroy()
         # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
         # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
         springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))

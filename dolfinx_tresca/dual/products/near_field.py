@@ -187,7 +187,6 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
     of_nodes = touched.array.reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
     near = la.vector(nodes, 1, np.float64)
     near.array[: nodes.size_local] = of_nodes.any(axis=1)
-    touched.destroy()
     for _ in range(layers):
         near.scatter_forward()
         around = cells[(near.array[cells] > 0.0).any(axis=1)]
