@@ -107,11 +107,7 @@ def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     The function returns the communicator of the first argument that has a mesh. Arguments without a
     mesh, which may be wrong, are passed over.
     """
-
-    def find(given: Mapping[str, Any]) -> MPI.Comm | None:
-        return _mesh_comm([given.get(name) for name in names])
-
-    return find
+    return lambda given: _mesh_comm([given.get(name) for name in names])
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
