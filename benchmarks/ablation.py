@@ -382,14 +382,12 @@ CONSTANTS = {
     "dual.products.compliance": "FEW",
     "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.response": "KEPT LOAD_ACCURACY",
+    "dual.response": "LOAD_ACCURACY",
 }
 NEAR_ONE = {
     "PROGRESS", "SLACK",
 }  # fmt: skip
 FACTORS = {"doubled": 2.0, "halved": 0.5}
-#: Least values of integers that cannot be 1: with 1 `InitialGuess` would drop all that it is given.
-LEAST = {"KEPT": 2}
 CAPACITY = "products.ProductStore.capacity"
 
 
@@ -398,7 +396,7 @@ def changed(name: str, value: float, factor: float) -> float:
     if name in NEAR_ONE:
         return 1.0 + factor * (value - 1.0)
     if isinstance(value, int):
-        return max(LEAST.get(name, 1), int(factor * value))
+        return max(1, int(factor * value))
     return factor * value
 
 

@@ -7,11 +7,10 @@ begin with the same coarse mesh, and end before a mesh that has more than `--dof
 error is the package's estimate of the mesh's error, relative and in the energy norm. The two bricks
 have singular edges. The solution for the cylinder on a plane (Hertz, in 2D) is smooth except at the
 ends of the contact; new nodes are moved onto the circle. The products of a level are the products
-of a rough solve, which starts from the tractions on the previous mesh and decides where to refine;
-on the last level the products of the final solve are added. Seconds are processor seconds of
-everything on a level, the making of the next mesh included. `linear` is the time of the linear
-problem on the last mesh, from forms to displacement, with the same solver for K as in the contact
-problem.
+of a rough solve, which decides where to refine; on the last level the products of the final solve
+are added. Seconds are processor seconds of everything on a level, the making of the next mesh
+included. `linear` is the time of the linear problem on the last mesh, from forms to displacement,
+with the same solver for K as in the contact problem.
 """
 
 from __future__ import annotations

@@ -20,8 +20,7 @@
 #
 # **Loop.** Solve; estimate the error of each cell from the jumps of the strain to its neighbours;
 # mark the fewest cells that together have 0.7 of the squared error (Doerfler's marking); bisect
-# their longest edges. The solve on each mesh starts from the tractions on the previous mesh, so
-# that it needs few products.
+# their longest edges.
 #
 # It takes ten seconds and 600 MB. A number after the name of this script sets another accuracy, in
 # percent.

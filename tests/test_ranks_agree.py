@@ -329,8 +329,12 @@ CASES: dict[str, Case] = {
         False,
         "u differs",
     ),
-    "start_from": (lambda s, x: s.problem.start_from(x or s.solution), 3, None, "solution differs"),
-    "accepted": (lambda s, x: s.problem.start_from(s.solution, accepted=x), 1, 0, "accepted"),
+    "continue_from": (
+        lambda s, x: s.problem.continue_from(x or s.solution),
+        3,
+        None,
+        "solution differs",
+    ),
     "save_state": (lambda s, x: s.problem.save_state("never", step=x), 2, 1, "step differs"),
     "save_state, wrong": (lambda s, x: s.problem.save_state("never", step=x), "2", 1, "step diff"),
     # NonlinearContactProblem

@@ -7,7 +7,7 @@
 - `agreement`: ranks compare the arguments of a *collective* function before its body runs.
 - `petsc`: owners of PETSc objects, and matrices from rows.
 - `compat`: the only file that knows that DOLFINx has versions; `requirements`: its import.
-- `bodies`: the bodies of a mesh, numbered the same on any number of ranks.
+- `bodies`: the bodies of a mesh, numbered the same on any number of ranks, with names.
 - `functions`: zero Functions, assembled forms, nodes at vertices.
 - `atomic_write`: files that appear when they are complete.
 

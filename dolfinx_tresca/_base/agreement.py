@@ -23,10 +23,6 @@ from dolfinx_tresca.errors import InputError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Largest number of entries of an array whose values are compared between the ranks. Points and
-#: directions are compared; larger arrays, such as fields, are not.
-MAX_COMPARED_VALUES = 16
-
 #: Communicators for the comparisons, one for each group of processes. The last entry is the
 #: communicator that was used last. It serves calls whose arguments are wrong and have no
 #: communicator.
@@ -111,11 +107,7 @@ def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     The function returns the communicator of the first argument that has a mesh. Arguments without a
     mesh, which may be wrong, are passed over.
     """
-
-    def find(given: Mapping[str, Any]) -> MPI.Comm | None:
-        return _mesh_comm([given.get(name) for name in names])
-
-    return find
+    return lambda given: _mesh_comm([given.get(name) for name in names])
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
@@ -270,7 +262,8 @@ def _text(value: Any) -> str:
     if isinstance(value, np.ndarray | list | tuple):
         array = np.asarray(value)
         entries = array.astype(float) if array.dtype.kind in "iuf" else array
-        return str(entries.tolist()) if array.size <= MAX_COMPARED_VALUES else "an array"
+        # points and directions are compared; larger arrays, such as fields, are not
+        return str(entries.tolist()) if array.size <= 16 else "an array"
     if callable(value) and not isinstance(value, type | ufl.core.expr.Expr):
         return "a function"
     return f"an object of type {type(value).__name__}"

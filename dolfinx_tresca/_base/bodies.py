@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -17,8 +20,9 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import exchange, gather_rows, reduce_array
 
-#: Difference of coordinates, relative to the mesh's largest coordinate, that counts as rounding.
-ONE_PLACE = 1e-10
+#: Number of bodies that a message names, at most, of those that move together with another body.
+#: With twice the number, messages about walls of bricks are twice as long.
+MOST_COMPANIONS = 6
 
 
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
@@ -26,11 +30,15 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
 
     Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
     sorted by their least x, then y, then z, then by their largest x, y and z, and finally by their
-    order in the mesh file.
+    order in the mesh file. Coordinates that differ by rounding count as equal.
     """
-    comm = V.mesh.comm
-    nodes = V.dofmap.index_map
-    local = _connected_nodes(V.dofmap.list, nodes.size_local + nodes.num_ghosts)
+    mesh, nodes, cells = V.mesh, V.dofmap.index_map, V.dofmap.list
+    comm, count = mesh.comm, nodes.size_local + nodes.num_ghosts
+    # a graph of nodes and cells, since a graph of nodes alone would have many times the edges
+    cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
+    shape = (count + len(cells),) * 2
+    graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=shape)
+    local = connected_components(graph, directed=False)[1][:count]
 
     # Parts on two ranks belong to one body if a node of one part is a ghost in the other part.
     sizes = comm.allgather(int(local.max(initial=-1)) + 1)
@@ -42,54 +50,20 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     total = sum(sizes)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
     _, merged = connected_components(graph, directed=False)
-    body = merged[local]
+    body, number = merged[local], int(merged.max(initial=-1)) + 1
 
-    order = _reading_order(V, body, int(merged.max(initial=-1)) + 1)
-    rank_of = np.empty(len(order), dtype=np.int64)
-    rank_of[order] = np.arange(len(order))
+    bounds = body_bounds(V, body, number)
+    least_node = np.full(number, np.iinfo(np.int64).max)
+    in_file = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[geometry_dofmap(mesh)]
+    np.minimum.at(least_node, body[cells[: len(in_file), 0]], in_file.min(axis=1))
+    in_file = reduce_array(comm, least_node, MPI.MIN)
+    # digits beyond the tenth of the largest coordinate are rounding
+    places = np.round(bounds / (1e-10 * np.abs(bounds).max(initial=0.0)))
+    order = np.lexsort([in_file, *places.T[::-1]])
+    rank_of = np.empty(number, dtype=np.int64)
+    rank_of[order] = np.arange(number)
     numbered: npt.NDArray[np.int64] = rank_of[body]
     return numbered
-
-
-def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32]:
-    """Return a number for each of `count` nodes, the same for nodes that cells connect.
-
-    Args:
-        cells: (m, k) the nodes of each cell.
-        count: number of nodes; a node without cells has a number of its own.
-    """
-    # a graph of nodes and cells, since a graph of nodes alone would have many times the edges
-    cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
-    size = count + len(cells)
-    graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=(size, size))
-    labels: npt.NDArray[np.int32] = connected_components(graph, directed=False)[1][:count]
-    return labels
-
-
-def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
-    """Return the bodies (number,) sorted by the lowest, then highest corners of their boxes.
-
-    Coordinates that differ by rounding count as equal; bodies with equal bounding boxes are sorted
-    by their order in the mesh file. So the order does not depend on the partition or the processor.
-    Collective.
-    """
-    corners = body_bounds(V, body, number)
-    rounding = ONE_PLACE * np.abs(corners).max(initial=0.0)
-    places = np.empty(corners.shape, dtype=np.int64)
-    for place, values in zip(places.T, corners.T, strict=True):
-        ascending = np.argsort(values)
-        steps = np.diff(values[ascending], prepend=values[ascending[:1]])
-        place[ascending] = np.cumsum(steps > rounding)
-    mesh = V.mesh
-    nodes = geometry_dofmap(mesh)
-    least_node = np.full(number, np.iinfo(np.int64).max)
-    numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
-    np.minimum.at(
-        least_node, body[V.dofmap.list[: len(nodes), 0]], numbers.min(axis=1, initial=least_node[0])
-    )
-    in_file = reduce_array(mesh.comm, least_node, MPI.MIN)
-    order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
-    return order
 
 
 def labels_of(
@@ -117,3 +91,127 @@ def body_bounds(V: Any, body: npt.NDArray[Any], number: int) -> Array:
     bounds = reduce_array(V.mesh.comm, bounds, MPI.MIN)
     bounds[:, 3:] *= -1.0
     return bounds
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The bodies of a mesh.
+
+    Attributes:
+        number: number of bodies.
+        tag_names: for each body the name of the tag that all its cells have; "" if there is none.
+        label: (owned nodes of V,) the body of each node, in 0, ..., number - 1.
+        bounds: (number, 6) bounding box of each body: least x, y, z, then largest [length].
+        nodes: (number,) number of nodes of V in each body.
+        arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
+            body, divided by the length of the box's diagonal.
+    """
+
+    number: int
+    tag_names: tuple[str, ...]
+    label: npt.NDArray[np.int64]
+    bounds: Array
+    nodes: npt.NDArray[np.int64]
+    arm: Array
+
+    @classmethod
+    def from_space(cls, V: Any, cell_tags: Any = None) -> Bodies:
+        """Find the bodies of a space's mesh. Collective.
+
+        Args:
+            V: the space of the displacement.
+            cell_tags: `NamedTags` of cells, with the names of bodies; None: bodies have numbers
+                only.
+        """
+        label = label_bodies(V)
+        number = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+        bounds = body_bounds(V, label, number)
+        tag_names = _tag_names(V, label, number, cell_tags)
+        label = label[: V.dofmap.index_map.size_local]
+        centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
+        size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
+        points = V.tabulate_dof_coordinates()[: len(label)]
+        arm = (points - centre[label]) / size[label, None]
+        nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=number))
+        return cls(int(number), tag_names, label, bounds, nodes, arm)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Unique names: the name of the tag, with the body's number if bodies share the tag.
+
+        A body without a tag name is named by its number.
+        """
+        count = Counter(self.tag_names)
+        return tuple(
+            name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
+            for k, name in enumerate(self.tag_names, start=1)
+        )
+
+    @property
+    def mean_nodes(self) -> float:
+        """The mean number of nodes per body, weighted by this number: large bodies decide."""
+        return float(self.nodes @ self.nodes / self.nodes.sum())
+
+    def rigid_modes(self, dim: int) -> csr_array:
+        """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
+
+        The translations along the axes and then the rotations about the centre of each body have
+        the order of `rigid_modes.MODES`.
+
+        Args:
+            dim: the dimension of space.
+        """
+        translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
+        rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
+        modes = np.concatenate([translations, rotations])  # (mode, node, component)
+        mode, node, component = np.nonzero(modes)
+        entries = (node * dim + component, self.label[node] * len(modes) + mode)
+        shape = (len(self.arm) * dim, self.number * len(modes))
+        return csr_array((modes[mode, node, component], entries), shape=shape)
+
+    def describe(self, index: int, companions: Sequence[int] = ()) -> str:
+        """Return the number, the name and the bounding box of a body, in words.
+
+        Args:
+            index: the body.
+            companions: bodies that move together with it, of which the text has the names.
+        """
+        box = self.bounds[index]
+        size = float(np.linalg.norm(box[3:] - box[:3]))
+        tags = [f" ({name})" if name else "" for name in self.tag_names]
+        text = f"body {index + 1} of {self.number}{tags[index]}, between "
+        text += f"{_point(box[:3], size)} and {_point(box[3:], size)}"
+        if companions:
+            names = ", ".join(f"{k + 1}{tags[k]}" for k in companions[:MOST_COMPANIONS])
+            more = len(companions) - MOST_COMPANIONS
+            text += f", together with {'bodies' if len(companions) > 1 else 'body'} {names}"
+            text += f" and {more} more" * (more > 0)
+        return text
+
+
+def _tag_names(V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: Any) -> tuple[str, ...]:
+    """Return for each body the name of the tag that all its cells have, else "". Collective.
+
+    Args:
+        V: the space of the displacement.
+        body: the body of each node of V on this rank, with ghosts.
+        number: number of bodies.
+        cell_tags: tags of cells with names.
+    """
+    if cell_tags is None:
+        return ("",) * number
+    body_of_cell = body[V.dofmap.list[:, 0]]
+    tag = np.full(len(body_of_cell), np.iinfo(np.int32).max, dtype=np.int64)
+    tag[cell_tags.indices] = cell_tags.values
+    bounds = np.full((number, 2), np.iinfo(np.int64).max)
+    np.minimum.at(bounds, body_of_cell, np.column_stack([tag, -tag]))
+    return tuple(
+        cell_tags.names.get(int(least), "") if least == -negated else ""
+        for least, negated in reduce_array(V.mesh.comm, bounds, MPI.MIN)
+    )
+
+
+def _point(x: Array, size: float) -> str:
+    """Return coordinates as text; rounding errors relative to a body's size become zero."""
+    shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
+    return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

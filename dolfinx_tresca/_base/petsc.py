@@ -128,7 +128,4 @@ def product(matrix: PETSc.Mat, columns: csr_array) -> csr_array:
     comm, k = matrix.comm, columns.shape[1]
     right = sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm)
     result = matrix.matMult(right)
-    values = csr_array(result.getValuesCSR()[::-1], shape=(result.getLocalSize()[0], k))
-    right.destroy()
-    result.destroy()
-    return values
+    return csr_array(result.getValuesCSR()[::-1], shape=(result.getLocalSize()[0], k))

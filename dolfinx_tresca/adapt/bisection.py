@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +12,11 @@ import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import summed_at_nodes
 
-#: Range of the shifts of nodes, relative to the shortest edge, that make equal edge lengths differ.
-MOVED = 1e-5
-
-#: The shift of a node along axis i is the sine of row i times the coordinates over the shortest
-#: edge: numbers without common multiples, so that shifts of neighbours have nothing in common.
-WAVES = 100.0 * np.exp(np.arange(9.0).reshape(3, 3) / np.pi)
+#: A linear map close to the identity, after which no two edges of a cell are equally long unless
+#: they are parallel.
+STRETCH = np.eye(3) + 1e-6 * np.triu(np.exp(np.arange(9.0).reshape(3, 3) / np.pi))
 
 
 @dataclass(frozen=True)
@@ -36,14 +28,15 @@ class BisectedCells:
     Attributes:
         mesh: the mesh of the new cells, which are on the ranks of their parents.
         parent: (n,) the cell of the old mesh that contains each new cell of this rank.
-        opposite: (n, d + 1, d + 1) whether a corner of the cell (second index) lies on the facet of
-            the parent that is opposite to the parent's corner (third index).
-        nodes: (n, d + 1) nodes of `mesh` at the corners of each cell.
+        parent_facet: (n, d + 1) the facet of the parent, by its number there, in which each facet
+            of the cell lies; -1: the facet is inside of the parent.
+        nodes: (n, d + 1) nodes of `mesh` at the corners of each cell. The facets of a cell are in
+            the order of the opposite corners.
     """
 
     mesh: Any
     parent: npt.NDArray[np.int32]
-    opposite: npt.NDArray[np.bool_]
+    parent_facet: npt.NDArray[np.int8]
     nodes: Indices
 
     @classmethod
@@ -51,39 +44,41 @@ class BisectedCells:
         """Bisect edges of marked cells, and further edges as needed. Collective.
 
         DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
-        on the skeleton): angles stay away from zero after any number of bisections.
+        on the skeleton): angles stay away from zero after any number of bisections. Among edges of
+        equal length, DOLFINx cuts the first one in the numbering of a rank, which depends on the
+        partition: the mesh is stretched meanwhile (`STRETCH`), in the same way for any partition.
 
         Args:
             mesh: mesh of simplices.
             marked: (owned cells,) whether each cell is marked.
             every_edge: whether to bisect all edges of a marked cell, or only its longest edge.
         """
-        dim, comm = mesh.topology.dim, mesh.comm
+        dim = mesh.topology.dim
         mesh.topology.create_entities(1)
         mesh.topology.create_connectivity(dim, 1)
         mesh.topology.create_connectivity(1, dim)
         cells = np.flatnonzero(marked).astype(np.int32)
-        option = dolfinx.mesh.RefinementOption.parent_cell
-        with _without_ties(mesh) as moved:
+        option = dolfinx.mesh.RefinementOption.parent_cell_and_facet
+        x, stretch = mesh.geometry.x, STRETCH[:dim, :dim]
+        before = x.copy()
+        try:
+            x[:, :dim] = x[:, :dim] @ stretch
             edges = (
                 dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
                 if every_edge
                 else _longest_edges(mesh, cells)
             )
-            fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
-        # `parent` has the order of the cells before DOLFINx renumbered them
+            fine, parent, parent_facet = dolfinx.mesh.refine(mesh, edges, None, option)
+        finally:
+            x[:] = before
+        fine.geometry.x[:, :dim] = np.linalg.solve(stretch.T, fine.geometry.x[:, :dim].T).T
+        # both have the order of the cells before DOLFINx renumbered them
         count = len(parent)
-        start = sum(comm.allgather(count)[: comm.rank])
-        parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - start]
-
-        corners, nodes = geometry_dofmap(mesh)[parent], geometry_dofmap(fine)[:count]
-        twice = _halves(moved[corners][:, :, :dim], fine.geometry.x[nodes][:, :, :dim])
-        # the parent's first and last corner with a nonzero barycentric coordinate: at a corner both
-        # are this corner, at the middle of an edge they are its ends
-        begin, end = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
-        begin, end = (np.take_along_axis(corners, which, axis=1) for which in (begin, end))
-        fine.geometry.x[nodes] = 0.5 * (mesh.geometry.x[begin] + mesh.geometry.x[end])
-        return cls(fine, parent, twice == 0, nodes.astype(np.intp))
+        order = np.asarray(fine.topology.original_cell_index)[:count]
+        order = order - sum(mesh.comm.allgather(count)[: mesh.comm.rank])
+        parent_facet = np.reshape(parent_facet, (count, dim + 1))[order]
+        nodes = geometry_dofmap(fine)[:count].astype(np.intp)
+        return cls(fine, parent[order], parent_facet, nodes)
 
     @property
     def numbers(self) -> npt.NDArray[np.int64]:
@@ -112,10 +107,11 @@ class BisectedCells:
         mesh.topology.create_connectivity(dim, dim - 1)
         facets_of_cells = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
         value, tagged = _of_entities(facets_of_cells.max(initial=-1) + 1, tags)
-        facets = facets_of_cells[self.parent]
-        # all corners except one lie on the parent's facet
-        cell, side = np.nonzero((self.opposite.sum(axis=1) == dim) & tagged[facets])
-        corners = self.opposite[cell, :, side]
+        inside = self.parent_facet < 0
+        number = np.where(inside, 0, self.parent_facet)
+        facets = np.take_along_axis(facets_of_cells[self.parent], number, axis=1)
+        cell, side = np.nonzero(~inside & tagged[facets])
+        corners = np.arange(dim + 1) != side[:, None]
         return self.nodes[cell][corners].reshape(-1, dim), value[facets[cell, side]]
 
     def inherited_cells(self, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
@@ -123,27 +119,6 @@ class BisectedCells:
         value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
         kept = tagged[self.parent]
         return self.nodes[kept], value[self.parent[kept]]
-
-
-@contextmanager
-def _without_ties(mesh: Any) -> Iterator[Array]:
-    """Move the nodes of a mesh slightly within a `with` block; yield the moved coordinates.
-
-    Among edges of equal length DOLFINx cuts the first one in the numbering of a rank, which depends
-    on the partition. After the motion all lengths differ, in the same way for any partition.
-    Collective.
-    """
-    x, dim = mesh.geometry.x, mesh.geometry.dim
-    start = x.copy()
-    corners = x[geometry_dofmap(mesh)]
-    sides = [corners[:, i] - corners[:, j] for i, j in combinations(range(dim + 1), 2)]
-    shortest = np.linalg.norm(sides, axis=2).min(initial=np.inf)
-    size = float(reduce_array(mesh.comm, shortest, MPI.MIN))
-    try:
-        x[:, :dim] += 0.5 * MOVED * size * np.sin(start[:, :dim] / size @ WAVES[:dim, :dim].T)
-        yield x.copy()
-    finally:
-        x[:] = start
 
 
 def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
@@ -157,19 +132,6 @@ def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.in
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[position.reshape(of_cell.shape)]
     longest = of_cell[np.arange(len(cells)), length.argmax(axis=1)]
     return np.asarray(np.unique(longest), dtype=np.int32)
-
-
-def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
-    """Return the barycentric coordinates (n, k, d + 1) of points, times 2: whole numbers.
-
-    Args:
-        corners: (n, d + 1, d) corners of simplices.
-        points: (n, k, d) corners and middles of edges of each simplex.
-    """
-    sides = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    fractions = np.linalg.solve(sides, np.swapaxes(points - corners[:, :1], 1, 2))
-    inner = np.rint(2.0 * np.swapaxes(fractions, 1, 2)).astype(np.int64)
-    return np.concatenate([2 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 
 def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:

@@ -14,7 +14,7 @@ from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.adapt.levels import Level
-from dolfinx_tresca.adapt.refinement import owned_values
+from dolfinx_tresca.adapt.refinement import checked_cell_errors
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
@@ -116,7 +116,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
         raise InputError(f"problem must be a ContactProblem, found {shown(problem)}.")
     mesh, operators = problem.mesh, problem.operators
     with errors_on_all_ranks(problem.comm):
-        owned_values(mesh, cell_errors)
+        checked_cell_errors(mesh, cell_errors)
         if not isinstance(cell_errors, fem.Function):
             raise InputError(f"cell_errors must be a function, found {shown(cell_errors)}.")
     result = cell_errors.copy()

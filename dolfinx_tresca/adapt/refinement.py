@@ -103,7 +103,7 @@ def bisected(
     """
     mesh = tagged_mesh.mesh
     with errors_on_all_ranks(mesh.comm):
-        errors = owned_values(mesh, cell_errors)
+        errors = checked_cell_errors(mesh, cell_errors)
     largest = float(reduce_array(mesh.comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
@@ -235,7 +235,7 @@ def is_same(mesh: Any, other_mesh: Any) -> bool:
     return other_mesh is mesh or other_mesh.topology is mesh.topology
 
 
-def owned_values(mesh: Any, cell_errors: Any) -> Array:
+def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     """Check the user's `cell_errors`, and return the errors (n,) of the cells that this rank owns.
 
     Not collective.

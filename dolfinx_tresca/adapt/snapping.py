@@ -19,9 +19,6 @@ from dolfinx_tresca.scene.mesh import TaggedMesh
 #: Name or number of a tag -> projection to the surface that its facets approximate.
 Snap: TypeAlias = Mapping[str | int, Projection]
 
-#: Least volume of a cell, relative to its volume before its nodes moved.
-LEAST_VOLUME = 0.1
-
 
 def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[str, Projection]]:
     """Check the user's argument `snap`; return tag -> (name, projection). Not collective.
@@ -88,7 +85,7 @@ def snapped(
     held: Mask = np.zeros(len(start), dtype=np.bool_)
     points, volumes = surface, cells.volumes(start)
     while True:
-        flat = np.sign(volumes) * cells.volumes(points) < LEAST_VOLUME * np.abs(volumes)
+        flat = np.sign(volumes) * cells.volumes(points) < 0.1 * np.abs(volumes)
         more = held.copy()
         more[cells.nodes[flat]] = True
         more = cells.on_any_rank(more)

@@ -11,12 +11,8 @@ from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
-import numpy as np
-
-import dolfinx
-
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
     each_warning_once,
@@ -33,23 +29,18 @@ from dolfinx_tresca.adapt.refinement import (
     check_type,
     distributed,
     is_same,
-    refine,
 )
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.process import ContactProcess
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip, checked_goal
+from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 
 #: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
-
-#: Size of the cells at the point of a goal, divided by the radius of its patch, below which smaller
-#: cells bring no node into the patch.
-SMALL = 0.5
 
 #: Function that every rank calls with each level; if it returns True on any rank, this level is the
 #: last one.
@@ -90,8 +81,8 @@ def solve_adaptively(
     """Solve, and refine where errors are large, until the mesh is fine enough. Collective.
 
     The cells with the largest errors are cut, and the problem is solved on the new mesh, until the
-    estimated error is small enough. On each mesh the iteration starts from the tractions on the
-    previous mesh, and ends with an error below the error of the mesh. On the last mesh the options
+    estimated error is small enough. On each mesh the iteration ends with an error below the error
+    of the mesh. On the last mesh the options
     of the problem decide when the iteration ends, except that `local_accuracy` is at least 0.3
     times the error of the mesh, or 0.1 if 0.1 is less: a smaller value would cost products and
     improve nothing. If the options set `rtol`, this last solve uses the options unchanged.
@@ -107,8 +98,7 @@ def solve_adaptively(
         goal: a number, such as `NormalForce()`. Its relative error (`ContactProblem.goal_error`)
             then replaces the energy error: it is compared with `accuracy`, and cells are refined
             for it. The iteration continues until the iteration's part of this error is small, too.
-            If the patch of a `MeanPressure` or `MeanSlip` has no contact node, cells at the patch
-            are refined before the first solve.
+            The patch of a `MeanPressure` or `MeanSlip` needs a contact node on the first mesh.
         fraction: part of the sum of squared errors that the cells to be cut have together; see
             `refine`. (On two bricks 0.5 and 0.85 took up to 1.2 times as long; with 0.5 there are
             more meshes, and fewer unknowns on the last one.)
@@ -116,7 +106,7 @@ def solve_adaptively(
         max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this
-            solution (`ContactProblem.start_from` with `accepted=True`).
+            solution (`ContactProblem.continue_from`).
         observer: function that is called with each `Level`, such as `print`; if it returns True,
             this level is the last one.
 
@@ -125,8 +115,7 @@ def solve_adaptively(
 
     Raises:
         InputError: an argument is wrong, `build` does not return a problem on the given mesh, the
-            mesh has cells that cannot be bisected, or the patch of the goal has no contact node and
-            smaller cells would bring none.
+            mesh has cells that cannot be bisected, or the patch of the goal has no contact node.
         ConvergenceError: the previous load step did not converge.
 
     Example:
@@ -183,14 +172,8 @@ def solve_adaptively(
             options = problem.options
             if goal is not None:  # checked before a solve
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
-                near = _cells_at_empty_patch(problem, goal)
-                if near is not None and problem.free_dofs <= most_dofs:
-                    tagged_mesh = refine(tagged_mesh, near, 1.0, snap)
-                    continue
             if after is not None:
-                problem.start_from(after, accepted=True)
-            if levels:
-                problem.start_from(levels[-1].solution)
+                problem.continue_from(after)
             # the marked cells shall be the same on any number of ranks
             solution = problem.solve(
                 accuracy="balanced",
@@ -211,7 +194,8 @@ def solve_adaptively(
                 status = AdaptiveStatus.MAX_LEVELS
             else:
                 cells = bisected(tagged_mesh, level.cell_errors, fraction)
-                growth = reduce_array(comm, len(cells.parent)) / _cell_count(tagged_mesh)
+                cell_map = tagged_mesh.mesh.topology.index_map(tagged_mesh.mesh.topology.dim)
+                growth = reduce_array(comm, len(cells.parent)) / cell_map.size_global
                 if growth * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
@@ -226,33 +210,6 @@ def solve_adaptively(
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
             return AdaptiveSolution(status, float(accuracy), tuple(levels))
-
-
-def _cells_at_empty_patch(problem: ContactProblem, goal: Goal) -> Array | None:
-    """Return 1 in the cells (n,) at the middle of the patch of a goal, 0 in others. Collective.
-
-    Without a contact node in its patch the goal has no value; on finer meshes it may have one. None
-    if the patch has a node, or if cells are so small that smaller ones bring none.
-    """
-    if not isinstance(goal, MeanPressure | MeanSlip):
-        return None
-    mesh = problem.mesh
-    dim = mesh.topology.dim
-    middle = np.append(np.asarray(goal.point, dtype=np.float64), np.zeros(3 - dim))
-    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    sizes = mesh.h(dim, cells)
-    distances = np.linalg.norm(dolfinx.mesh.compute_midpoints(mesh, dim, cells) - middle, axis=1)
-    near = distances <= sizes
-    away = np.linalg.norm(problem.operators[goal.pair].points - middle, axis=1)
-    has_node = float((away < goal.radius).any())
-    size, has_node = reduce_array(mesh.comm, [sizes[near].max(initial=0.0), has_node], MPI.MAX)
-    return None if has_node or size <= SMALL * goal.radius else near.astype(np.float64)
-
-
-def _cell_count(tagged_mesh: TaggedMesh) -> int:
-    """Return the number of cells on all ranks. Not collective."""
-    topology = tagged_mesh.mesh.topology
-    return int(topology.index_map(topology.dim).size_global)
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:

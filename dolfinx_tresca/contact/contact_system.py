@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
@@ -30,7 +31,6 @@ from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
-from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions

@@ -176,7 +176,7 @@ class SavedState:
                         f"the state in '{self.path}' is of another mesh, of another degree or of "
                         f"other pairs: its {table} has {len(saved)} nodes or points, the problem "
                         f"{len(nodes)}, and they must be the same ones. For another mesh take "
-                        "start_from(solution)."
+                        "continue_from(solution)."
                     )
         result = {}
         for column, name, width in split:

@@ -30,12 +30,13 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.goals import value_of
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry, moved_jump
-from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.pair import ContactPair
@@ -44,15 +45,6 @@ from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
-
-#: Step of the central differences of B: the change of the distance from an obstacle, relative to
-#: the extent of the mesh. The truncation error is about the square of the step, the rounding error
-#: about the rounding of one value divided by the step.
-DIFFERENCE_STEP = 1e-5
-
-#: A tangent with displaced obstacles and a tangent with the obstacles where they are count as the
-#: same row of T if none of their components differs by more than this number.
-TURNED = 0.05
 
 
 @dataclass(frozen=True)
@@ -184,7 +176,7 @@ def moved_rows(
                     "obstacle is not known for a load step in which move_to() moves it."
                 )
     size = obstacles.step_of_unit_change(constant, direction, jump)
-    step = DIFFERENCE_STEP * obstacles.extent * size
+    step = DIFFERENCE * obstacles.extent * size
     sides = []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
@@ -194,7 +186,7 @@ def moved_rows(
         np.array_equal(displaced.nodes, pair.nodes)
         and np.array_equal(displaced.row_node, pair.row_node)
         and np.allclose(displaced.weights, pair.weights, rtol=1e-9)
-        and (np.abs(displaced.tangents - pair.tangents) <= TURNED).all()
+        and (np.abs(displaced.tangents - pair.tangents) <= 0.05).all()  # the same row of T
         for side in sides
         for displaced, pair in zip(side.pairs, jump.pairs, strict=True)
     )
@@ -394,9 +386,7 @@ class DataOfSolution:
 
     def pull_of(self, prescribed: Array) -> Array:
         """Return K u (owned,) [force] for a displacement u of prescribed nodes. Collective."""
-        u = fem.Function(self.u.function_space)
-        u.x.array[: len(prescribed)] = prescribed
-        u.x.scatter_forward()
+        u = with_owned_values(self.u.function_space, prescribed)
         return _owned_entries(self._forms.compiled(ufl.action(self._forms.tangent, u)))
 
     def reaction_of(self, z: fem.Function) -> Array:

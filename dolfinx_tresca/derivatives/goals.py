@@ -2,8 +2,8 @@
 
 The error of a goal is a(u - u_h, z - z_h) with the adjoint z (Becker and Rannacher, An optimal
 control approach to a posteriori error estimation in finite element methods, 2001), plus a term from
-nodes that change their state. This term is of order h^2 for elements of any degree: at the distance
-r from the edge of a contact zone, y grows like r^(-1/2).
+nodes that change their state, which is not estimated. This term is of order h^2 for elements of any
+degree: at the distance r from the edge of a contact zone, y grows like r^(-1/2).
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ from dolfinx_tresca.scene.goal import (
     PressureNorm,
     checked_goal,
 )
-from dolfinx_tresca.solution.fields import Surface
 
 #: Goals of a solution, each with its factor in a sum; a goal may be a form of rank 0.
 WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
@@ -48,10 +47,6 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 #: 5 times the error on twice as many meshes, and below 0.7 times the error on a third fewer meshes;
 #: see "Measured once" in benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
-
-#: Fraction of `state_changes` that is added to the estimate. It is less than 1, since
-#: `state_changes` is a sum of absolute values of terms that have both signs.
-CHANGING = 0.1
 
 
 def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
@@ -168,18 +163,16 @@ class GoalError:
     Attributes:
         goal: the goal.
         value: value of the goal in the solution [unit of the goal].
-        error: estimate of the discretisation error of the value [same unit], the sum of three
-            terms: the absolute value of `signed_error`; and, as its uncertainty, `DOUBT` times the
-            sum of the squares of `cell_errors`, and `CHANGING` times `state_changes`. The estimate
-            is not a bound. It is zero if the goal does not depend on the displacement to first
-            order, as for the mean pressure on a patch that nothing touches.
+        error: estimate of the discretisation error of the value [same unit]: the absolute value of
+            `signed_error` and, as its uncertainty, `DOUBT` times the sum of the squares of
+            `cell_errors`. The estimate is not a bound. It is zero if the goal does not depend on
+            the displacement to first order, as for the mean pressure on a patch that nothing
+            touches.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
             cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
         iteration_error: estimate, to first order, of the error of the value that the iteration's
             error causes [same unit]; the error of slip bounds that depend on the pressure,
             `ContactSolution.bound_error`, is not included.
-        state_changes: sum of the absolute contributions to the error from the edges of contact and
-            stick zones [same unit]; see `state_changes` in `derivatives/goals.py`.
         cell_errors: for each cell the root of the product of the energy norms of e and e' [root of
             the goal's unit], for `refine`. The sum of their squares has no cancellation of signs.
         adjoint: the adjoint displacement z; see `derivatives/linearised.py`.
@@ -200,7 +193,6 @@ class GoalError:
     error: float
     signed_error: float
     iteration_error: float
-    state_changes: float
     cell_errors: fem.Function
     adjoint: fem.Function
     products: int
@@ -232,7 +224,6 @@ class GoalError:
 def goal_error(
     goal: Goal,
     contact: LinearisedContact,
-    surfaces: Sequence[Surface],
     u: fem.Function,
     energy_error: float,
 ) -> GoalError:
@@ -241,7 +232,6 @@ def goal_error(
     Args:
         goal: the goal.
         contact: the solution.
-        surfaces: surfaces of the pairs.
         u: displacement of the solution, with the rigid motions of bodies that have turned.
         energy_error: error of the iteration in the energy norm [energy^(1/2)].
 
@@ -252,9 +242,7 @@ def goal_error(
     dual, jump, x = contact.dual, contact.dual.jump, contact.multipliers
     products_before = dual.operator.products
     on_jump, on_x = weights_of(goal, jump, x)
-    z, y = contact.adjoint(on_jump, on_x, accuracy=ADJOINT_ACCURACY)
-    w = on_x - jump.of_unknowns(z.x.petsc_vec) + contact.curvature * y
-    changes = state_changes(contact, surfaces, y, w)
+    z, _ = contact.adjoint(on_jump, on_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
     products = estimator.products(contact.u, z)
     cells, of_z = estimator.cell_errors(contact.u), estimator.cell_errors(z)
@@ -265,76 +253,10 @@ def goal_error(
     return GoalError(
         goal=goal,
         value=value_of(goal, jump, x, jump.of_displacement(u)),
-        error=abs(float(signed)) + DOUBT[degree] * float(unsigned) + CHANGING * changes,
+        error=abs(float(signed)) + DOUBT[degree] * float(unsigned),
         signed_error=float(signed),
         iteration_error=energy_error * dual.norm_of(z),
-        state_changes=changes,
         cell_errors=cells,
         adjoint=z,
         products=dual.operator.products - products_before,
     )
-
-
-def state_changes(
-    contact: LinearisedContact, surfaces: Sequence[Surface], y: Array, w: Array
-) -> float:
-    """Return the sum of absolute error terms at the edges of contact and stick zones. Collective.
-
-    The exact adjoint has multipliers y where the exact solution is in contact; the discrete
-    solution is in contact on a slightly different part of the surface. So the error of a goal is
-    a(e, e') + (y, r) + (lambda, w), where e and e' are the errors of the displacement and of the
-    adjoint, (,) is an integral over the surface, r the gap of the discrete solution, and w = q_x -
-    B z the residual of the discrete adjoint (z, y) at open nodes, with the derivative q_x of the
-    goal with respect to the multipliers. The edges of stick zones add similar terms, with the slip
-    in place of the gap, and the distance of the traction from its bound in place of the pressure.
-    At each node one factor of each product is zero, so the integral over a facet whose nodes have
-    the same state vanishes; on a facet with nodes of two states both factors, interpolated
-    linearly, differ from zero. The signs of the terms are not reliable, so their absolute values
-    are added.
-
-    Args:
-        contact: the solution.
-        surfaces: secondary surfaces of the pairs.
-        y: (size,) multipliers of the adjoint.
-        w: (size,) residual of the adjoint.
-
-    Returns:
-        the sum, in the unit of the goal.
-    """
-    jump, face = contact.dual.jump, contact.face
-    x, r = contact.multipliers, contact.gradient
-    bound = face.discs.radius
-    lacking = np.where(np.isfinite(bound), bound - face.discs.norms(x), 0.0)
-    result = 0.0
-    for rows, surface in zip(jump.by_pair, surfaces, strict=True):
-        pair, n, t, discs = rows.operators, rows.normal, rows.tangential, rows.nodes
-        if pair.bonded:
-            continue
-        pressed = np.zeros(len(pair.nodes), dtype=np.bool_)
-        pressed[pair.normal_node] = face.active[n]
-        sticks, slips = face.stick[discs], face.slip[discs]
-
-        def normal(values: Array, pair: PairOperators = pair, rows: Any = n) -> Array:
-            """Return absolute values (nodes,) of normal rows; zero at nodes without a row."""
-            result = np.zeros(len(pair.nodes))
-            result[pair.normal_node] = np.abs(values[rows])
-            return result
-
-        def tangential(values: Array, pair: PairOperators = pair, rows: Any = t) -> Array:
-            """Return lengths (nodes,) of tangential vectors; zero at other nodes."""
-            squares = values[rows] ** 2
-            return np.sqrt(np.bincount(pair.tangent_node, squares, minlength=len(pair.nodes)))
-
-        root = np.sqrt(pair.weights)
-        integrand = sum(
-            surface.function("a", pair.nodes, a / root)
-            * surface.function("b", pair.nodes, b / root)
-            for a, b in (
-                (normal(x) * pressed, normal(w) * ~pressed),
-                (normal(y) * pressed, normal(r) * ~pressed),
-                (lacking[discs] * sticks, tangential(w) * slips),
-                (tangential(y) * sticks, tangential(r) * slips),
-            )
-        )
-        result += fem.assemble_scalar(fem.form(integrand * ufl.dx))
-    return float(reduce_array(jump.comm, result))

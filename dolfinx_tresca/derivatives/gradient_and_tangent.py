@@ -19,6 +19,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.derivatives.change_of_data import (
     Control,
@@ -178,44 +179,26 @@ def gradient(
     on_jump = np.where(moving, on_origin, 0.0)
     derivatives = derivatives_by_data(data, goals, on_jump, on_displacement)
     y = derivatives.offset
-    by_controls = [
-        _by_function(data, derivatives, goals, control)
-        if isinstance(control, fem.Function)
-        else _by_constant(data, derivatives, goals, on_jump, control)
-        for control in controls
-    ]
+    inner, by_controls = data.contact.dual.inner, []
+    for control in controls:
+        if isinstance(control, fem.Function):
+            values = data.pulled_back(control, derivatives)
+            for weight, goal in goals:
+                if isinstance(goal, ufl.Form):
+                    values += weight * data.derivative(goal, control)
+            by_controls.append(values)
+            continue
+        values = np.zeros(control.value.size)
+        for k, unit in enumerate(np.eye(len(values))):
+            direction = unit.reshape(control.ufl_shape)
+            change = data.change([control], [direction])
+            values[k] = derivatives.inner(change, inner)
+            for weight, goal in goals:
+                values[k] += weight * data.explicit_rate(goal, [control], [direction], change)
+            for rows in change.moved:  # jumps of this step, from which the next step's slip counts
+                values[k] += float(inner(on_jump, rows.rate(lambda _, jump_of_u: jump_of_u)))
+        by_controls.append(values.reshape(control.ufl_shape))
     return by_controls, np.where(sticking, y + on_origin, np.where(moving, y, 0.0))
-
-
-def _by_function(
-    data: DataOfSolution, derivatives: DataVector, goals: WeightedGoals, control: fem.Function
-) -> Array:
-    """Return derivatives by the values of a Function that this rank owns. Collective."""
-    result = data.pulled_back(control, derivatives)
-    for weight, goal in goals:
-        if isinstance(goal, ufl.Form):
-            result += weight * data.derivative(goal, control)
-    return result
-
-
-def _by_constant(
-    data: DataOfSolution,
-    derivatives: DataVector,
-    goals: WeightedGoals,
-    on_jump: Array,
-    control: fem.Constant,
-) -> Array:
-    """Return derivatives by the values of a Constant, an array of its shape. Collective."""
-    inner, result = data.contact.dual.inner, np.zeros(control.value.size)
-    for k, unit in enumerate(np.eye(result.size)):
-        direction = unit.reshape(control.ufl_shape)
-        change = data.change([control], [direction])
-        result[k] = derivatives.inner(change, inner)
-        for weight, goal in goals:
-            result[k] += weight * data.explicit_rate(goal, [control], [direction], change)
-        for rows in change.moved:  # the jumps of this step, from which the next step's slip counts
-            result[k] += float(inner(on_jump, rows.rate(lambda _, jump_of_u: jump_of_u)))
-    return result.reshape(control.ufl_shape)
 
 
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
@@ -238,10 +221,9 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
         if isinstance(control, fem.Constant):
             result.append(np.array(np.broadcast_to(derivatives, control.ufl_shape)))
             continue
-        function = fem.Function(control.function_space, name=f"derivative by {control.name}")
-        function.x.array[: owned_size(control)] = derivatives
-        function.x.scatter_forward()
-        result.append(function)
+        values_of_control = np.broadcast_to(derivatives, owned_size(control))
+        name = f"derivative by {control.name}"
+        result.append(with_owned_values(control.function_space, values_of_control, name))
     return result
 
 

@@ -60,18 +60,10 @@ ADJOINT_ACCURACY = ROUGH
 #: counts as rounding up to this multiple of the sum of the terms' absolute values.
 RESIDUAL_ROUNDING = 1e-10
 
-#: No adjoint or tangent exists if the residual of the equations of equilibrium exceeds this
-#: multiple of the size of the data (derivatives of the goal, or changes of the load).
-UNMET = 1e-6
-
 #: Requested error of the displacement after a step of GCR, divided by the size of the step, both in
 #: the energy norm. The first step is the displacement at y = 0. With twice the value derivatives of
 #: a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors of products enter y.
 STEP_ACCURACY = 0.05
-
-#: Error of z that an iterative solver for K may leave at the end, divided by the tolerable error of
-#: y, both in the energy norm.
-SHARE = 0.03
 
 
 @dataclass(frozen=True)
@@ -234,7 +226,6 @@ class LinearisedContact:
             free = force.copy()
             free.array[prescribed] = 0.0
             missing, size = dual.equilibrium.resultants(free)
-            free.destroy()
         unmet = missing
         jump_at_start = displacement.solve_start()
         store = dual.known_products()
@@ -290,9 +281,10 @@ class LinearisedContact:
             raise _none(transpose)
         unmet = unmet - dual.inner(constraints.columns, y) - constraints.softness @ c
         largest = size if transpose else size + norm(dual, y)
-        if size > 0.0 and np.linalg.norm(unmet) > UNMET * largest:
+        # relative to the size of the data: derivatives of the goal, or changes of the load
+        if size > 0.0 and np.linalg.norm(unmet) > 1e-6 * largest:
             raise _none(transpose)
-        displacement.end_at(y, SHARE * accuracy)
+        displacement.end_at(y, 0.03 * accuracy)  # a small part of the tolerable error of y
         if dual.equilibrium is not None:
             dual.equilibrium.move(y, v.x.petsc_vec, c)
         v.x.petsc_vec.array[prescribed] = force.array[prescribed]

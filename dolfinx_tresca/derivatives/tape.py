@@ -143,9 +143,9 @@ class ProcessTape:
         if self._steps and self._surfaces.state.history is not self._history:
             raise ContactError(
                 "the slip history has changed since the last recorded load step, by "
-                "set_slip_origin(), load_state(), start_from(), surfaces that were paired anew, or "
-                "another direction or ratio of the bounds of orthotropic friction. Leave the block "
-                "of record(), and begin another one."
+                "set_slip_origin(), load_state(), continue_from(), surfaces that were paired anew, "
+                "or another direction or ratio of the bounds of orthotropic friction. Leave the "
+                "block of record(), and begin another one."
             )
         began_at_zero = bool(self._steps) or not self._surfaces.state.history.origin.any()
         stayed = np.array_equal(self._surfaces.state.motions, self._motions)

@@ -24,7 +24,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 | r | `gradient` | (d; s) - B u = A x - b: open gap, and minus the slip |
 | Lambda, g | `DualProgram.admissible`, `FeasibleSet.radius` | feasible set, slip bounds |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
-| D | `NearField`, also diag(K)^-1 in `Lift` | local approximations |
+| D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 
 Read first: `jump.JumpOperator.__init__`, `program.DualProgram`,
 `response.ElasticResponse.gradient`.

@@ -14,11 +14,6 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.stiffness.choice import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: The rows of B count as linearly dependent if the ratio |B w - jump| / |jump| (Euclidean norms) of
-#: a lift w exceeds this number. The ratio is of the order of 1 for a jump outside the range of B,
-#: and otherwise of the order of rounding.
-DEPENDENT_ROWS = 1e-6
-
 
 class Lift:
     """The displacement w of least D^-1 norm with B w = jump: w = D B' (B D B')^-1 jump.
@@ -65,7 +60,9 @@ class Lift:
         w = self._lift(self._solver)
         self._B.mult(w, self._multipliers)
         self._multipliers.axpy(-1.0, self._jump)
-        if not self._multipliers.norm() <= DEPENDENT_ROWS * self._jump.norm():  # or NaN
+        # the ratio is of the order of 1 for a jump outside the range of B, which has dependent rows
+        # then, and otherwise of the order of rounding
+        if not self._multipliers.norm() <= 1e-6 * self._jump.norm():  # or NaN
             return np.inf
         self._K.mult(w, self._Kw)
         return float(np.sqrt(max(w.dot(self._Kw), 0.0)))

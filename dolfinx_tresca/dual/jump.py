@@ -276,7 +276,6 @@ class JumpOperator(PetscOwner):
         product = self._components.createVecLeft()
         self._components.mult(u.x.petsc_vec, product)
         vectors = product.array.reshape(-1, self.system.V.dofmap.index_map_bs).copy()
-        product.destroy()
         return np.split(vectors, np.cumsum([len(pair.nodes) for pair in self.pairs])[:-1])
 
     def closings(self, u: fem.Function) -> list[Array]:

@@ -26,8 +26,9 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.user_fields import ScalarField, VectorField
 
-#: Step of central differences, relative to the size of a Constant. The truncation error is about
-#: the square of the step; with twice the step it is four times as large.
+#: Step of central differences, relative to the size of a Constant, or to the extent of the mesh if
+#: an obstacle moves. The truncation error is about the square of the step, the rounding error about
+#: the rounding of one value divided by the step.
 DIFFERENCE = 1e-5
 
 #: Sizes of a control that are tried in turn if its own size gives no useful difference: it may be

@@ -23,10 +23,6 @@ from dolfinx_tresca.scene.friction import (
 from dolfinx_tresca.scene.user_fields import ScalarField, invalid
 from dolfinx_tresca.solvers.friction_cones import Curve
 
-#: A direction counts as normal to the surface if the sine of its angle to the normal is at most
-#: this.
-LEAST_SINE = 1e-6
-
 
 @dataclass(frozen=True)
 class NodalEllipses:
@@ -89,7 +85,8 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
     has_tangents = np.zeros(len(length), dtype=np.bool_)
     has_tangents[pair.tangent_node] = True
     with errors_on_all_ranks(V.mesh.comm):
-        bad = np.flatnonzero(has_tangents & ~circular & ~(length > LEAST_SINE * whole))
+        # a direction counts as normal if the sine of its angle to the normal is at most 1e-6
+        bad = np.flatnonzero(has_tangents & ~circular & ~(length > 1e-6 * whole))
         if len(bad):
             worst, node = direction[bad[0]], pair.nodes[bad[0]]
             fault = "is normal to the surface" if worst.any() else "is zero"

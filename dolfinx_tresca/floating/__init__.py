@@ -4,8 +4,7 @@ K is singular, or nearly so, for a body that no support holds. Springs fix such 
 factored, and their effect is removed again: forces on the bodies must balance, which is an equation
 of the multipliers with multipliers c of its own, the rigid displacements.
 
-- `Bodies`: the bodies of a mesh, with names and rigid body modes.
-- `RigidBodyModes`: the modes that supports and K resist weakly or not at all.
+- `RigidBodyModes`: the modes of `Bodies` that supports and K resist weakly or not at all.
 - `FixingSprings`: springs that are in the factored K_p alone, and the response to them.
 - `FloatingBodies`, `Equilibrium`: the equations G'lambda + S c = e, and the motions they leave.
 

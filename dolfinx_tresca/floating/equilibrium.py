@@ -21,9 +21,6 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.linear_algebra import Reductions, eigenpairs, is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
 
-#: An unbalanced load counts as rounding if it is at most this fraction of the size of the loads.
-UNBALANCED_PART = 1e-8
-
 #: Contact must also balance the given loads increased by this fraction: exactly at the limit of
 #: friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
@@ -32,10 +29,6 @@ LOAD_RESERVE = 1e-6
 #: the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
-#: With hundreds of bodies, an eigenvalue of the Gram matrix of the modes' jumps counts as rounding
-#: if it is at most this number. (The jumps are scaled to length 1.)
-ROUNDING_SQUARE = 1e-13
-
 #: Number of motions that are computed if contact does not resist some joint motions of many bodies.
 #: To compute all motions of hundreds of bodies would take a dense eigenvalue problem. The number
 #: changes nothing but the error message, which names bodies that move in these motions.
@@ -43,10 +36,6 @@ MOTIONS = 6
 
 #: Number of modes at and above which a few motions are computed in place of all motions.
 MANY = 100
-
-#: A mode counts as moving if its largest component in unresisted motions exceeds this fraction of
-#: the largest component of all modes. Twice or half the number changes no message of the tests.
-MOVING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -231,7 +220,7 @@ class FloatingBodies:
         )
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if not balanced.satisfied:
-            most = UNBALANCED_PART * np.maximum(constraints.sizes, np.abs(values))
+            most = 1e-8 * np.maximum(constraints.sizes, np.abs(values))  # more is no rounding
             if balanced.unbounded or (np.abs(balanced.excess) > most).any():
                 motion = factors * balanced.shift
                 raise MechanismError(
@@ -266,7 +255,8 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     within = body[entries.row] == body[entries.col]  # all other bodies at rest
     own = csr_array((entries.data[within], (entries.row[within], entries.col[within])), gram.shape)
     together = UNRESISTED_SQUARE / max(len(np.unique(body)), 1) ** 4
-    for matrix, least in ((own, UNRESISTED_SQUARE), (gram, max(together, ROUNDING_SQUARE))):
+    # eigenvalues of up to 1e-13 are rounding, since the jumps are scaled to length 1
+    for matrix, least in ((own, UNRESISTED_SQUARE), (gram, max(together, 1e-13))):
         if m == 0 or is_positive_definite(matrix - least * eye_array(m)):
             continue
         if matrix is own or m < MANY:
@@ -285,7 +275,8 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
 def _moving(motions: Array, body: Indices) -> Indices:
     """Return the bodies that move in motions with components (m, number); body (m,) of modes."""
     lengths = np.linalg.norm(motions, axis=1)
-    moving: Indices = np.unique(body[lengths > MOVING * lengths.max(initial=0.0)])
+    # twice or half the number changes no message of the tests
+    moving: Indices = np.unique(body[lengths > 1e-3 * lengths.max(initial=0.0)])
     return moving
 
 

@@ -24,9 +24,6 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: with half the number, the least eigenvalue of K_p is up to half as large.
 FIXING_NODES = 30
 
-#: Relative accuracy, in the energy norm, of the response to fixing springs by iterative solvers.
-RESPONSE_ACCURACY = 1e-10
-
 
 @dataclass(frozen=True)
 class FixingSprings:
@@ -75,8 +72,6 @@ class FixingSprings:
         springs, result = Z.matTransposeMult(Z), K.copy()
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        Z.destroy()
-        springs.destroy()
         return result
 
     def energy(self, u: PETSc.Vec) -> float:
@@ -118,10 +113,8 @@ class FixingSprings:
             chosen = np.where(soft & (place == number), 1.0, 0.0)
             force.array = forces @ (chosen / sizes)
             answer.set(0.0)
-            solver.improve(force, answer, rtol=RESPONSE_ACCURACY, accuracy=0.0)
+            solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
             V = V + diags_array(answer.array) @ moves @ diags_array(chosen * sizes)
-        force.destroy()
-        answer.destroy()
         # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
         # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
         springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))

@@ -10,18 +10,16 @@ from mpi4py import MPI
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product
-from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.solvers.linear_algebra import eigenpairs
 from dolfinx_tresca.stiffness.solver import not_positive_definite
 
-#: An error message mentions translations and rotations whose share in a motion exceeds NAMED_PART,
-#: and counts bodies that move more than NAMED_PART of the largest motion. A motion of a body is
-#: left out as rounding if its singular value is at most MOVED_PART times the largest singular
-#: value.
-NAMED_PART, MOVED_PART = 0.1, 1e-3
+#: An error message mentions translations and rotations whose share in a motion exceeds this number,
+#: and counts bodies that move more than this part of the largest motion.
+NAMED_PART = 0.1
 
 #: Names of the rigid body modes, by their number.
 MODES = {
@@ -29,10 +27,6 @@ MODES = {
     6: ("translation along x", "translation along y", "translation along z",
         "rotation about x", "rotation about y", "rotation about z"),
 }  # fmt: skip
-
-#: A message describes the first body that moves by at least this fraction of the largest motion.
-#: With half the fraction, it may describe a body that turns little while another body falls.
-CHOSEN_PART = 0.9
 
 
 @dataclass(frozen=True)
@@ -97,9 +91,10 @@ class RigidBodyModes:
         moved = moved.reshape(self.bodies.number, -1, moved.shape[1])
         lengths = np.linalg.norm(moved, axis=(1, 2))
         moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
-        chosen = int(np.argmax(lengths > CHOSEN_PART * lengths.max()))
+        # with half the fraction, a body may be described that turns little while another one falls
+        chosen = int(np.argmax(lengths > 0.9 * lengths.max()))
         axes, sizes, _ = np.linalg.svd(moved[chosen], full_matrices=False)
-        share = np.square(axes[:, sizes > MOVED_PART * sizes[0]]).sum(axis=1)
+        share = np.square(axes[:, sizes > 1e-3 * sizes[0]]).sum(axis=1)
         free = [
             name for name, size in zip(MODES[len(share)], share, strict=True) if size > NAMED_PART
         ]
@@ -108,22 +103,9 @@ class RigidBodyModes:
         return str(self.comm.bcast(f"{text}: {', '.join(free)}"))
 
 
-#: The stiffness against a rigid body mode counts as rounding if it is at most this multiple of the
-#: body's largest diagonal entry of K: the product of K with the mode adds some hundred entries of
-#: each row, which cancel each other.
-NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
-
 #: A body without prescribed displacements is held softly if the stiffness against one of its rigid
 #: body modes is at most this fraction of the stiffness of the body itself.
 SOFT_STIFFNESS = 0.03
-
-#: A negative stiffness against a rigid body mode counts as rounding if its absolute value is at
-#: most this fraction of the stiffness of the body itself.
-NEGATIVE_STIFFNESS = 1e-8
-
-#: Vectors count as linearly dependent if an eigenvalue of their Gram matrix is at most this
-#: fraction of the largest eigenvalue.
-DEPENDENT_MODES = 1e-10
 
 
 def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
@@ -151,11 +133,13 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.number))
 
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
-    stiffness, nothing = largest / bodies.nodes ** (2.0 / dim), NOTHING_RESISTS * largest
+    stiffness = largest / bodies.nodes ** (2.0 / dim)
+    # rounding: the product with K adds some hundred entries of each row, which cancel each other
+    nothing = 8.0 * ROUNDING * largest
     held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.number)) > 0.0
     # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
     limit = np.where(held, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
-    negative = resistance < -NEGATIVE_STIFFNESS * stiffness[body]
+    negative = resistance < -1e-8 * stiffness[body]  # less is rounding
     if negative.any():
         raise not_positive_definite(
             "its stiffness against a rigid motion is negative, of "
@@ -214,7 +198,7 @@ def _stationary(
     """
     values, vectors = eigenpairs(gram)
     of_bodies = values.reshape(number, -1)
-    independent = of_bodies > DEPENDENT_MODES * of_bodies.max(axis=1, keepdims=True)
+    independent = of_bodies > 1e-10 * of_bodies.max(axis=1, keepdims=True)
     body, column = np.nonzero(independent)
     unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(of_bodies[body, column]))
     if len(body) == 0:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import NAMED_PART
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
 

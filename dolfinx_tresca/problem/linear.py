@@ -317,8 +317,7 @@ class ContactProblem(ContactProcess):
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
         contact = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
-        secondary = self._contact.surfaces.secondary
-        return goal_error(goal, contact, secondary, fields.u, energy_error)
+        return goal_error(goal, contact, fields.u, energy_error)
 
     @collective(comm_of_self)
     def guaranteed_error(self, *, steps: int = STEPS) -> GuaranteedError:

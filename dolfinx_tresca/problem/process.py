@@ -41,7 +41,7 @@ from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.forces import Forms, Resultant, Supports
-from dolfinx_tresca.solution.transfer import slip_from, stress_from
+from dolfinx_tresca.solution.transfer import slip_from
 from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
@@ -199,23 +199,22 @@ class ContactProcess(PetscOwner, Tabulated):
         surfaces.state = surfaces.state.after_step(slip, None if u is None else u.copy())
 
     @collective(comm_of_self)
-    def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
-        """Use the tractions of a solution on another mesh as the next initial guess. Collective.
+    def continue_from(self, solution: ContactSolution) -> None:
+        """Continue from a load step on another mesh, as after `accept()`. Collective.
 
-        The initial guess does not change the accuracy of the result; a better one saves iterations.
-        For nonlinear bodies, this call does not change u: interpolate u, too.
+        Slip counts from the solution's slip, which is interpolated, and the solution's dissipation
+        is added to later dissipation. For nonlinear bodies, this call does not change u:
+        interpolate u, too.
 
         Args:
             solution: a solution with the same number of pairs. Each point of a surface takes the
-                traction of the nearest point of the same pair's surface in the solution, or zero
-                where no point is near.
-            accepted: whether the solution is a load step from which this problem continues: slip
-                counts from the solution's slip, which is interpolated, and the solution's
-                dissipation is added to later dissipation, as after `accept()` on the same mesh.
+                slip of the nearest point of the same pair's surface in the solution, or zero where
+                no point is near.
 
         Raises:
-            InputError: the solution has another number of pairs, or another dimension.
-            ConvergenceError: the solution is to be accepted, but did not converge.
+            InputError: the solution has another number of pairs, or another dimension; or a pair
+                has finite sliding.
+            ConvergenceError: the solution did not converge.
         """
         dim = self.mesh.geometry.dim
         if (
@@ -224,25 +223,21 @@ class ContactProcess(PetscOwner, Tabulated):
             or solution.surfaces[0].mesh.geometry.dim != dim
         ):
             raise InputError(
-                f"start_from needs a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
+                f"continue_from needs a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
             )
+        if any(pair.sliding == "finite" for pair in self.pairs):
+            raise InputError(
+                "a step on another mesh cannot be continued with finite sliding, which counts slip "
+                "from the displacement of that step."
+            )
+        self._contact.check_no_tools("the continuation of a step on another mesh")
+        solution.raise_if_failed()
         surfaces = self._contact.surfaces
-        state = surfaces.state
-        if accepted:
-            if any(pair.sliding == "finite" for pair in self.pairs):
-                raise InputError(
-                    "a step on another mesh cannot be continued with finite sliding, which counts "
-                    "slip from the displacement of that step. Take accepted=False."
-                )
-            self._contact.check_no_tools("the continuation of a step on another mesh")
-            solution.raise_if_failed()
-            surfaces.note_obstacles()
-            slips = slip_from(solution.surfaces, surfaces.jump)
-            history = SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
-            state = surfaces.state.after_step(history, None)
-        tractions = stress_from(solution.surfaces, surfaces.jump)
-        surfaces.state = state.started_at(tractions / surfaces.jump.stress_scale)
+        surfaces.note_obstacles()
+        slips = slip_from(solution.surfaces, surfaces.jump)
+        history = SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
+        surfaces.state = surfaces.state.after_step(history, None)
 
     @collective(comm_of_self, ignored=("path",))
     def save_state(

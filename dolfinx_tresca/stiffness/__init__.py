@@ -7,14 +7,12 @@
 - `Component`: the displacement in a mixed space, whose further unknowns, such as pressures, make K
   indefinite.
 - `BodyFrames`: linear bodies that turn with their frames, so that K stays as it is.
-- `Schwarz`: an approximation of K^-1 by a small local system and a coarse level of multigrid.
 
 | symbol | name in the code | meaning |
 |---|---|---|
 | K, f | `LinearSystem.K`, `.f` | stiffness matrix, load |
 | u, w | `LinearSystem.displacement(w)`, w | displacement; all unknowns of a mixed space |
 | M | `StiffnessSolver.preconditioner` | preconditioner; `uncertainty` bounds what r'M^-1 r misses |
-| S | `Schwarz.solve` | approximation of K^-1 |
 
 Read first: `system.LinearSystem.assemble_stiffness`, `solver.StiffnessSolver.improve`,
 `choice.choose`.

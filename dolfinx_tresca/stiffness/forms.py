@@ -311,15 +311,6 @@ def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
         ) from error
 
 
-#: Largest ratio of |x'K y - y'K x| to |x| |K y| that counts as rounding in the assembly of a
-#: symmetric K.
-SYMMETRY = 1e-10
-
-#: A negative radius counts as zero if its absolute value is at most this fraction of the largest
-#: radius.
-RADIUS_ROUNDING = 1e-9
-
-
 def check_meridian(mesh: Any) -> None:
     """Check that a mesh is the meridian of bodies of revolution about the axis x = 0. Collective.
 
@@ -330,7 +321,7 @@ def check_meridian(mesh: Any) -> None:
     least, largest = reduce_array(
         mesh.comm, [radii.min(initial=np.inf), -np.abs(radii).max(initial=0.0)], MPI.MIN
     )
-    if dim != 2 or least < RADIUS_ROUNDING * largest:
+    if dim != 2 or least < 1e-9 * largest:  # `largest` is negative; less is rounding
         geometry = f"a mesh in {dim}D" if dim != 2 else f"x[0] down to {least:.3g}"
         raise InputError(
             "axisymmetric=True needs a mesh in 2D, whose x[0] is the radius and not negative, and "
@@ -382,7 +373,7 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
     K.mult(y, Ky)
     defect = abs(x.dot(Ky) - y.dot(Kx))
     scale = x.norm() * Ky.norm()
-    if defect > SYMMETRY * scale:
+    if defect > 1e-10 * scale:  # less is rounding of the assembly
         raise StiffnessError(
             f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
             f"the form a(u, v) must equal a(v, u). {cure}"

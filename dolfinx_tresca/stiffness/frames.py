@@ -33,11 +33,6 @@ from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.stiffness.forms import has_stresses
 
-#: Prescribed nodes determine a rotation if they are spread, in one direction in 2D and in two in
-#: 3D, over more than this fraction of the largest spread of the body. Rotations of closer nodes
-#: have the relative rounding errors of their displacements, divided by this number.
-LEAST_SPREAD = 1e-6
-
 
 @dataclass(frozen=True)
 class BodyFrames:
@@ -107,7 +102,9 @@ class BodyFrames:
         held = replace(frames, guides=whole)
         held_centre, held_moment = held._moments(frames._points[:owned])
         spread, held_spread = np.linalg.eigvalsh([moment, held_moment])[:, :, 1 - dim]
-        is_held = held_spread > LEAST_SPREAD**2 * spread
+        # nodes determine a rotation if they are spread, in one direction in 2D and in two in 3D;
+        # rotations of closer nodes have the rounding of their displacements, divided by 1e-6
+        is_held = held_spread > 1e-6**2 * spread
         return replace(
             frames,
             guides=np.where(is_held[label[:owned]], whole, everywhere),

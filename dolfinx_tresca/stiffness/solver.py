@@ -11,22 +11,11 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
-
-#: A residual counts as zero if its norm is at most this number: such numbers are close to denormal
-#: numbers, which lack digits.
-ZERO_NORM = 1e-300
-
-#: Largest relative error in the energy norm at which rounding is taken as the cause of a breakdown
-#: of the iteration.
-NEAR_SOLUTION = 1e-3
-
-#: A solve without iteration counts as exact to rounding if its backward error
-#: |f - K u| / (|K| |u| + |f|), in the maximum norm, is at most this number. A factorisation leaves
-#: about 1e-16, whatever the condition of K.
-BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
 
 #: Advice for breakdowns without a solution, by PETSc's reason.
 _ADVICE = {
@@ -201,7 +190,7 @@ class StiffnessSolver(PetscOwner):
             return self.solve(f, u)
         tolerances = self._ksp.getTolerances()
         self._ksp.setInitialGuessNonzero(self._scale_guess(u, f))
-        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, ZERO_NORM))
+        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, LEAST_DIVISOR))
         try:
             return self.solve(f, u)
         finally:
@@ -257,13 +246,15 @@ class StiffnessSolver(PetscOwner):
                 nothing = f.duplicate()
                 whole = self.error(f, nothing)
                 nothing.destroy()
-                if not error <= NEAR_SOLUTION * whole:
+                if not error <= ROUGH * whole:  # nearer to the solution, rounding is the cause
                     raise self._failure()
             self._warn(error)
         return error
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
         """Check, once, that a solve without iteration is exact to rounding. Collective.
+
+        The measure is the backward error |f - K u| / (|K| |u| + |f|), in the maximum norm.
 
         Raises:
             StiffnessError: the solve is not exact.
@@ -277,7 +268,7 @@ class StiffnessSolver(PetscOwner):
         residual.axpy(-1.0, f)
         terms = K.norm(PETSc.NormType.INFINITY) * u.norm(PETSc.NormType.INFINITY) + size
         error = residual.norm(PETSc.NormType.INFINITY) / terms
-        if error > BACKWARD_ERROR:
+        if error > 1e-8:  # a factorisation leaves about 1e-16, whatever the condition of K
             raise StiffnessError(
                 f"the {self.name} solver for K, {self}, does not iterate, and leaves {error:.1e} "
                 "of K u as residual: that is no exact solve, and errors would not be known. Take "

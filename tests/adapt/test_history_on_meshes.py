@@ -80,7 +80,7 @@ def errors(comm, pairing, law, n):
         wanted = problem.solve(rtol=1e-6)
         problem.set_slip_origin(None)
         forgetful = problem.solve(rtol=1e-6)
-        problem.start_from(step, accepted=True)
+        problem.continue_from(step)
         found = problem.solve(rtol=1e-6)
     found.raise_if_failed()
 
@@ -146,5 +146,4 @@ def test_a_step_to_go_on_from_must_have_converged(comm):
     with problem:
         step = problem.solve(rtol=1e-9, max_iterations=1)
         with pytest.raises(ConvergenceError, match="iteration limit"):
-            problem.start_from(step, accepted=True)
-        problem.start_from(step)
+            problem.continue_from(step)

@@ -144,7 +144,7 @@ def test_refused_where_it_is_not_known(comm):
     with pytest.raises(InputError, match="a slip origin is not known"):
         problem.set_slip_origin(None)
     with pytest.raises(InputError, match="a step on another mesh is not known"):
-        problem.start_from(problem.solve(), accepted=True)
+        problem.continue_from(problem.solve())
     with pytest.raises(InputError, match="two deformable sides"):
         replace(problem.pairs[2], friction=Preload(1.0))
     with pytest.raises(InputError, match="must be a flat cut"):

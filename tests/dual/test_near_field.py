@@ -9,7 +9,6 @@ import pytest
 from test_operator import local_random
 
 from dolfinx_tresca.dual.products import near_field
-from dolfinx_tresca.stiffness import schwarz as coarse_space
 from scenes.assembled import dual_program
 from scenes.two_bricks import two_bricks
 
@@ -54,7 +53,7 @@ def test_it_is_less_than_A_and_close_to_it_for_rough_tractions(comm):
 @pytest.mark.parametrize("degree", [1, 2])
 def test_with_multigrid_it_knows_smooth_tractions_too(comm, degree, monkeypatch):
     """Less than A all the same, and symmetric; of a pressure cells nearby alone tell a tenth."""
-    monkeypatch.setattr(coarse_space, "MOST_UNKNOWNS", 250)  # a level of such a mesh, not K
+    monkeypatch.setattr(near_field, "MOST_UNKNOWNS", 250)  # a level of such a mesh, not K
     with dual_program(two_bricks(comm, 8 // degree, degree=degree), "multigrid") as dual:
         pressure = np.zeros_like(dual.b)
         pressure[dual.admissible.normal] = 1.0

@@ -60,8 +60,7 @@ def column(comm, blocks, top=None):
 def test_a_tall_column(comm, blocks):
     """Contact resists the motions of all bodies together with 1 / n^4 of one body's resistance.
 
-    So many pairs share meshes of their surfaces: each has its own fields on its own facets there,
-    from which another problem starts.
+    So many pairs share meshes of their surfaces: each has its own fields on its own facets there.
     """
     with column(comm, blocks) as problem:
         solution = problem.solve(rtol=1e-6)
@@ -75,9 +74,6 @@ def test_a_tall_column(comm, blocks):
         assert not surface.pressure.x.array[~carries].any()
         force = comm.allreduce(surface.weights @ surface.pressure.x.array)
         assert force == pytest.approx(weights[k], rel=1e-9)
-    with column(comm, blocks) as problem:
-        problem.start_from(solution)
-        assert problem.solve(rtol=1e-6).residuals[0] <= 1e-6
 
 
 @pytest.mark.parametrize("loose", [1, 10])
