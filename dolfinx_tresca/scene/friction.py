@@ -52,8 +52,6 @@ class FrictionCurve:
             by the time step. The function is called with arrays of any length, and with any values
             that occur during the iteration. Values of Constants that it reads may be changed before
             each solve, and they may be controls of derivatives.
-        derivatives: dF/dp [1 / stress] and dF/dv [1 / length], as a function with the same
-            arguments that returns a pair; None: difference quotients of F.
 
     Example:
         >>> import numpy as np
@@ -64,20 +62,18 @@ class FrictionCurve:
     """
 
     function: Callable[[Any, Any], Any]
-    derivatives: Callable[[Any, Any], tuple[Any, Any]] | None = None
 
     def __post_init__(self) -> None:
-        """Check the types.
+        """Check the type.
 
         Raises:
-            InputError: the function or the derivatives cannot be called.
+            InputError: the function cannot be called.
         """
-        for name, value in (("function", self.function), ("derivatives", self.derivatives)):
-            if not (callable(value) or (name == "derivatives" and value is None)):
-                raise InputError(
-                    f"the {name} of a friction curve must be a function of pressures and slips, "
-                    f"found {shown(value)}."
-                )
+        if not callable(self.function):
+            raise InputError(
+                "a friction curve must be a function of pressures and slips, found "
+                f"{shown(self.function)}."
+            )
 
     @property
     def depends_on_slip(self) -> bool:
@@ -97,18 +93,11 @@ class FrictionCurve:
         return _values(self.function(pressure, slip), len(pressure), "a friction curve")
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
-        """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
+        """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
 
         Raises:
             InputError: a function returns neither a number nor a number for each node.
         """
-        if self.derivatives is not None:
-            name = "the derivatives of a friction curve"
-            slopes = self.derivatives(pressure, slip)
-            if not isinstance(slopes, tuple) or len(slopes) != 2:
-                raise InputError(f"{name} must be a pair (dF/dp, dF/dv), found {shown(slopes)}.")
-            by_pressure, by_slip = (_values(slope, len(pressure), name) for slope in slopes)
-            return by_pressure, by_slip
 
         def difference(low: Array, high: Array, function: Callable[[Array], Array]) -> Array:
             change, result = function(high) - function(low), np.zeros_like(low)

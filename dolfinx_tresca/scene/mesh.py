@@ -23,13 +23,15 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.cad import CELLS_PER_TURN, name_groups, set_sizes
 from dolfinx_tresca.scene.geometry import GmshGeometry
 from dolfinx_tresca.scene.gmsh_files import (
     CAD_SUFFIXES,
+    CELLS_PER_TURN,
     gmsh_session,
+    name_groups,
     open_file,
     options,
+    set_sizes,
     shapes_of,
 )
 

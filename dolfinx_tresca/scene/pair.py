@@ -11,13 +11,13 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca._base.arrays import integer, real
+from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field
+from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field, checked_positive
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
@@ -150,12 +150,7 @@ class ContactPair:
                 f"{shown(self.pairing)}."
             )
         if self.search_distance is not None:
-            distance = real(self.search_distance)
-            if distance is None or not distance > 0.0:
-                raise InputError(
-                    "search_distance must be a positive number, found "
-                    f"{shown(self.search_distance)}."
-                )
+            distance = checked_positive("search_distance", self.search_distance, math.inf)
             object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
         if not isinstance(self.sliding, str) or self.sliding not in get_args(Sliding):
@@ -163,7 +158,7 @@ class ContactPair:
                 f"sliding must be one of {', '.join(get_args(Sliding))}, found "
                 f"{shown(self.sliding)}."
             )
-        if isinstance(self.friction, Preload) and isinstance(self.primary, RigidObstacle):
+        if isinstance(self.friction, Preload) and self.obstacle is not None:
             raise InputError(f"a preload needs two deformable sides, found {self.primary}.")
         if self.gap is not None:
             check_scalar_field(self.gap, "the gap")
@@ -213,6 +208,11 @@ class ContactPair:
     def cell_tags(self) -> NamedTags | None:
         """The tags of the cells with the names of bodies, if `facet_tags` are from `read_gmsh`."""
         return self.facet_tags.cell_tags if isinstance(self.facet_tags, NamedTags) else None
+
+    @property
+    def obstacle(self) -> RigidObstacle | None:
+        """The rigid primary side; None if the primary side is deformable."""
+        return self.primary if isinstance(self.primary, RigidObstacle) else None
 
     @property
     def touches_itself(self) -> bool:

@@ -21,6 +21,7 @@ from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_v
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.user_fields import checked_vector
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
@@ -45,15 +46,7 @@ class Resultant:
         Raises:
             InputError: the point does not have d finite coordinates.
         """
-        try:
-            centre = np.array(point, dtype=np.float64)
-        except (TypeError, ValueError):
-            centre = np.zeros(0)
-        if centre.shape != self.point.shape or not np.isfinite(centre).all():
-            raise InputError(
-                f"the point of a moment must have {len(self.point)} coordinates, "
-                f"found {shown(point)}."
-            )
+        centre = checked_vector("the point of a moment", point, len(self.point))
         return Resultant(self.force, self.moment + moments(self.point - centre, self.force), centre)
 
 
@@ -322,9 +315,7 @@ class Supports:
         """
         V = self.contact_force.function_space
         dim = V.mesh.geometry.dim
-        along = np.asarray(direction, dtype=np.float64)
-        if along.shape != (dim,):
-            raise InputError(f"direction must have {dim} numbers, found {shown(direction)}.")
+        along = checked_vector("direction", direction, dim)
         held, springs = self._held_and_springs(where)
         pressed = np.abs(self.contact_force.x.array[: len(held)][held]).max(initial=0.0)
         if reduce_array(V.mesh.comm, pressed, MPI.MAX) > 0.0:

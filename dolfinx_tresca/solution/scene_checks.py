@@ -24,7 +24,7 @@ from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import Pieces, flattened, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
-from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
+from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.fields import SurfaceFields
@@ -184,18 +184,18 @@ def motions_of_pairs(
     for pair, operators, jumps, (normal_rows, _), place in zip(
         pairs, jump.pairs, vectors, jump.slices, places, strict=True
     ):
-        if isinstance(pair.primary, RigidObstacle):
-            start, end = pair.primary.motion, RigidMotion.from_matrix(place)
+        if pair.obstacle is not None:
+            start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
             if angle > ROTATION.noticed:
-                text = f"{pair.primary} turns by {angle:.3g} rad in a load step, of which linear "
+                text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
                 text += f"theory allows {ROTATION.largest}"
                 yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
             points = np.zeros((3, len(jumps)))
             points[: jumps.shape[1]] = operators.places.T
             carried = end.applied_to(start.reversed_from(points)) - points
             jumps -= carried[: jumps.shape[1]].T
-        if pair.sliding == "finite" or operators.bonded or isinstance(pair.primary, RigidPlane):
+        if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
         force = np.zeros(len(operators.nodes))
         rows = operators.normal_node
@@ -234,7 +234,7 @@ def _motions_of_pair(
         of_size += "their normals and partners"
         yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
-    if in_facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
+    if in_facets > 1.0 and pair.obstacle is None:
         undeformed = operators.undeformed
         facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
         beyond = ~_lies_over(comm, facets, operators, jumps)
@@ -296,7 +296,7 @@ def hint_at_scene(
             )
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
-        if not isinstance(pair.primary, RigidObstacle):
+        if pair.obstacle is None:
             primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
@@ -338,10 +338,10 @@ def hint_at_overlap(
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
-        if isinstance(pair.primary, RigidObstacle) and surface.obstacle is not None:
+        if pair.obstacle is not None and surface.obstacle is not None:
             places = np.zeros((3, len(paired.places)))
             places[: paired.places.shape[1]] = paired.places.T
-            before = pair.primary.motion.reversed_from(places)
+            before = pair.obstacle.motion.reversed_from(places)
             moved = (surface.obstacle.motion.applied_to(before) - places).T
             closing -= np.einsum("ni,ni->n", moved[:, : paired.normals.shape[1]], paired.normals)
         depth = np.where(paired.prescribed, closing - paired.gap, 0.0)

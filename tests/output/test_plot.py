@@ -392,7 +392,7 @@ def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) ->
     """Return the curve of some lines."""
     x = np.array([(*point, 0.0) for point in points])
     cells = np.array([(2, *line) for line in lines])
-    return Grid(2, 1, x, cells, np.full(len(cells), 3), {})
+    return Grid(2, x, cells, np.full(len(cells), 3), {})
 
 
 def test_open_curve() -> None:

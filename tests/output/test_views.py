@@ -102,7 +102,7 @@ def strip(state: list[ContactState]) -> Contact:
         "slip": np.zeros((6, 3)),
         "normal": np.tile([0.0, 0.0, 1.0], (6, 1)),
     }
-    return Contact(Grid(3, 1, points, cells, np.full(2, QUADRILATERAL), values))
+    return Contact(Grid(3, points, cells, np.full(2, QUADRILATERAL), values))
 
 
 def drawn_surface(contact: Contact, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, list[Any]]:
@@ -141,7 +141,7 @@ def test_of_a_whole_boundary_what_touches_is_seen(monkeypatch: pytest.MonkeyPatc
     pressed = np.repeat([1.0, 0.0], 4)
     normals = np.outer(pressed, [0.0, 0.0, -1.0])
     values = {"pressed": pressed, "pressure": pressed, "normal": normals, "sticks": 0.0 * pressed}
-    contact = Contact(Grid(3, 1, points, cells, np.full(6, QUADRILATERAL), values))
+    contact = Contact(Grid(3, points, cells, np.full(6, QUADRILATERAL), values))
     normal, drawn = drawn_surface(contact, monkeypatch)
     np.testing.assert_allclose(normal, [0.0, 0.0, 1.0], atol=64 * EPS)
     colours = drawn[0][0]
@@ -172,7 +172,7 @@ def shaft_in_hub(part: float) -> tuple[Grid, Contact]:
     radius = np.concatenate([np.full(len(hub), part), np.full(len(shaft), part - 1.0)])
     u = OVERLAP * radius[:, None] * outwards
     kinds = np.full(len(cells) + len(others), 9)
-    volume = Grid(2, 1, points, np.concatenate([cells, others]), kinds, {"u": u})
+    volume = Grid(2, points, np.concatenate([cells, others]), kinds, {"u": u})
     return volume, contact_at(circle(1.0), np.full(len(AROUND), -OVERLAP))
 
 
@@ -181,7 +181,7 @@ def contact_at(points: np.ndarray, initial_gap: np.ndarray, gap: float = 0.0) ->
     n = len(points)
     cells = np.stack([np.full(n - 1, 2), np.arange(n - 1), np.arange(1, n)], axis=1)
     values = {"initial_gap": initial_gap, "gap": np.full(n, gap), "pressed": np.full(n, gap == 0.0)}
-    return Contact(Grid(1, 1, points, cells, np.full(n - 1, 3), values))
+    return Contact(Grid(1, points, cells, np.full(n - 1, 3), values))
 
 
 @pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
@@ -204,7 +204,7 @@ def block_over_plane(gap: float, closed: float, sink: float) -> tuple[Grid, Cont
     n = len(x)
     u = np.zeros_like(points)
     u[:n, 1], u[n:, 1] = -closed, -sink
-    volume = Grid(2, 1, points, cells, np.full(n - 1, 9), {"u": u})
+    volume = Grid(2, points, cells, np.full(n - 1, 9), {"u": u})
     return volume, contact_at(bottom, np.full(n, gap), gap - closed)
 
 
@@ -234,5 +234,5 @@ def test_displacements_become_visible(largest: float, wanted: float) -> None:
     """Bodies of length 3.7 move by at most a tenth of it, by a round magnification."""
     points = np.array([(0.0, 0.0, 0.0), (3.7, 0.0, 0.0)])
     u = np.array([(0.0, 0.0, 0.0), (largest, 0.0, 0.0)])
-    bar = Grid(2, 1, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u})
+    bar = Grid(2, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u})
     assert magnification(bar, []) == pytest.approx(wanted)
