@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
+import shutil
 import sys
 import xml.etree.ElementTree as ET
 import zlib
@@ -27,19 +27,10 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.grid import ROOT, Field, Grid, blocks_of, gather_grid
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.fields import ContactState
 
-#: State -> its name, and its colour: blue for stick, orange for slip, light colours for open nodes.
-STATE_COLOURS = {
-    ContactState.OUTSIDE: ("outside", "999999"),
-    ContactState.OPEN: ("open", "d9d9d9"),
-    ContactState.OPEN_STICK: ("open, sticks", "a6cfed"),
-    ContactState.OPEN_SLIP: ("open, slips", "ffcc8c"),
-    ContactState.PRESSED: ("pressed", "8c4099"),
-    ContactState.STICK: ("sticks", "1a59b3"),
-    ContactState.SLIP: ("slips", "d95900"),
-    ContactState.BONDED: ("bonded", "338c40"),
-}
+#: Names and colours of the states, which ParaView's colour map editor imports: blue for stick,
+#: orange for slip, light colours for open nodes.
+STATE_COLOURS = Path(__file__).with_name("contact_state.json")
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
 _BYTE_ORDER = {"little": "LittleEndian", "big": "BigEndian"}[sys.byteorder]
@@ -242,7 +233,7 @@ class SolutionWriter:
                 assert grid is not None  # on this rank
                 write_vtu(folder / f"{name}.vtu", grid)
                 series.append(DataSet(time, name, f"{steps.name}/{folder.name}/{name}.vtu"))
-            (steps / "state.json").write_text(paraview_preset())
+            shutil.copyfile(STATE_COLOURS, steps / "state.json")
             with atomic_write(self._path) as index:
                 write_pvd(index, series)
         except Exception:
@@ -254,18 +245,6 @@ class SolutionWriter:
                 if step.name.isdecimal() and step.name not in kept:
                     _remove_grids(step)
         self._series = series
-
-
-def paraview_preset() -> str:
-    """Return the look-up table of states, which ParaView's colour map editor imports."""
-    annotations: list[str] = []
-    for state, (name, _) in STATE_COLOURS.items():
-        annotations += [str(int(state)), name]
-    colours = [
-        byte / 255.0 for _, colour in STATE_COLOURS.values() for byte in bytes.fromhex(colour)
-    ]
-    preset = {"Name": "contact state", "Annotations": annotations, "IndexedColors": colours}
-    return json.dumps([preset], indent=1)
 
 
 def _step_folder(data: DataSet) -> str:

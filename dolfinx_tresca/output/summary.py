@@ -10,13 +10,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
-
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
@@ -75,22 +72,11 @@ class ProblemSummary:
         pair_rows = [
             (
                 "  pair",
-                f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
-                f"{_friction_text(pair.friction, units)}",
+                f"{pair}, {paired}, {with_unit(gap, units, 'length')}, {pair.friction}",
             )
             for pair, paired, gap in self.pairs
         ]
         return [*self.size_rows, *abridged(pair_rows, "pairs")]
-
-
-def _friction_text(friction: Friction, units: Units | None) -> str:
-    """Return a law as text; a Tresca bound that is a number or a Constant has its unit."""
-    has_numbers = False
-    if isinstance(friction, Tresca):
-        bound = friction.slip_bound
-        bounds = bound if isinstance(bound, tuple) else (bound,)
-        has_numbers = all(isinstance(b, fem.Constant) or real(b) is not None for b in bounds)
-    return with_unit(str(friction), units if has_numbers else None, "stress")
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:

@@ -305,12 +305,10 @@ def _tagged(
     elif file is not None or cad_geometry.content is not None:
         cad_geometry, off = cad_geometry.matched(mesh, facet_tags)
         if off and file is not None:
-            tag, distance = max(off.items(), key=lambda item: item[1])
             raise InputError(
-                f"facets of {len(off)} surfaces do not lie on faces of '{file}'; those of "
-                f"{names[0].get(tag, tag)} are up to {distance:.3g} away from them. Give the CAD "
-                "file from which the mesh was made, and its unit of length in the mesh (unit is "
-                f"{unit})."
+                f"facets of {len(off)} surfaces do not lie on faces of '{file}', such as those of "
+                f"{names[0].get(off[0], off[0])}. Give the CAD file from which the mesh was made, "
+                f"and its unit of length in the mesh (unit is {unit})."
             )
     cells = NamedTags(cell_tags, names[1])
     facets = NamedTags(facet_tags, names[0], cells, cad_geometry)

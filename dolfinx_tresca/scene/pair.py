@@ -12,6 +12,8 @@ import numpy as np
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base.arrays import integer
+from dolfinx_tresca._base.compat import same_topology
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
@@ -250,6 +252,33 @@ class ContactPair:
             return str(tag)
         names = self.facet_tags.names if isinstance(self.facet_tags, NamedTags) else {}
         return names.get(tag, f"tag {tag}")
+
+
+def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
+    """Check that all tags of facets and cells are on the mesh of the problem. Collective.
+
+    Raises:
+        InputError: tags are on another mesh, or on entities of another dimension.
+    """
+    dim = mesh.topology.dim
+    with errors_on_all_ranks(mesh.comm):
+        for pair in pairs:
+            for tags, kind, tagged_dim in (
+                (pair.facet_tags, "facets", dim - 1),
+                (pair.cell_tags, "cells", dim),
+            ):
+                if tags is None:
+                    continue
+                names = ", ".join(getattr(tags, "names", {}).values())
+                text = f"the tags of {kind} of contact pair {pair}" + f" ({names})" * bool(names)
+                if not same_topology(tags, mesh):
+                    raise InputError(
+                        f"{text} belong to another mesh than the function space of the forms."
+                    )
+                if tags.dim != tagged_dim:
+                    raise InputError(
+                        f"{text} mark entities of dimension {tags.dim}, {kind} have {tagged_dim}."
+                    )
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:

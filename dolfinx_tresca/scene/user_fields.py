@@ -92,34 +92,43 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
         InputError: the value is not a scalar, is complex, or has no value at nodes; or it is a
             number that is NaN or negative by `rounding` or more.
     """
-    if isinstance(value, fem.Constant | fem.Expression | Expr):
-        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
-        _check_shape(tuple(expression.ufl_shape), name)
-        check_expression(expression, name)
-    elif not callable(value) or isinstance(value, type):
-        _check_shape(np.asarray(value).shape, name)
-        number = real(value)
-        if number is None:
-            raise InputError(
-                f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
-                f"expression, or a function of points, found {shown(value)}."
-            )
-        if not number > -rounding:
-            raise InputError(f"{name} must not be {invalid(number)}, found {number:g}.")
+    if _is_field(value, (), name):
+        return
+    _check_shape(np.asarray(value).shape, (), name)
+    number = real(value)
+    if number is None:
+        raise InputError(
+            f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
+            f"expression, or a function of points, found {shown(value)}."
+        )
+    if not number > -rounding:
+        raise InputError(f"{name} must not be {invalid(number)}, found {number:g}.")
+
+
+def _is_field(value: Any, shape: tuple[int, ...], name: str) -> bool:
+    """Return whether a value is a function, or a checked UFL expression, and not plain numbers.
+
+    Raises:
+        InputError: the expression has another shape, or see `check_expression`.
+    """
+    if not isinstance(value, fem.Constant | fem.Expression | Expr):
+        return callable(value) and not isinstance(value, type)
+    expression = value.ufl_expression if isinstance(value, fem.Expression) else value
+    _check_shape(tuple(expression.ufl_shape), shape, name)
+    check_expression(expression, name)
+    return True
+
+
+def _check_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str) -> None:
+    """Raise InputError unless a shape is that of a scalar, or of a vector of three components."""
+    if shape != wanted:
+        kind = "a vector of three components" if wanted else "a scalar"
+        raise InputError(f"{name} must be {kind}, found shape {shape}.")
 
 
 def invalid(number: float) -> str:
     """Return the word for a number that is no slip bound: NaN passes no comparison with a bound."""
     return "NaN" if math.isnan(number) else "negative"
-
-
-def _check_shape(shape: tuple[int, ...], name: str) -> None:
-    """Raise InputError unless the shape is that of a scalar."""
-    if shape != ():
-        raise InputError(
-            f"{name} must be a scalar, found shape {shape}. For a scalar that varies "
-            "give a scalar fem.Function or a function of points."
-        )
 
 
 def check_expression(expression: Expr, name: str) -> None:
@@ -191,23 +200,14 @@ def check_vector_field(value: VectorField, name: str) -> None:
         InputError: the vector does not have three components, is complex, or has no value at
             nodes; or it consists of numbers that are not finite, or are all zero.
     """
-    if isinstance(value, fem.Constant | fem.Expression | Expr):
-        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
-        _check_vector_shape(tuple(expression.ufl_shape), name)
-        check_expression(expression, name)
-    elif not callable(value) or isinstance(value, type):
-        numbers = np.asarray(value)
-        if numbers.dtype.kind not in "iuf":
-            raise InputError(
-                f"{name} must be three numbers, a fem.Constant, fem.Function or UFL expression "
-                f"with three components, or a function of points, found {shown(value)}."
-            )
-        _check_vector_shape(numbers.shape, name)
-        if not np.isfinite(numbers).all() or not numbers.any():
-            raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")
-
-
-def _check_vector_shape(shape: tuple[int, ...], name: str) -> None:
-    """Raise InputError unless the shape is that of a vector of three components."""
-    if shape != (3,):
-        raise InputError(f"{name} must be a vector of three components, found shape {shape}.")
+    if _is_field(value, (3,), name):
+        return
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iuf":
+        raise InputError(
+            f"{name} must be three numbers, a fem.Constant, fem.Function or UFL expression "
+            f"with three components, or a function of points, found {shown(value)}."
+        )
+    _check_shape(numbers.shape, (3,), name)
+    if not np.isfinite(numbers).all() or not numbers.any():
+        raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")

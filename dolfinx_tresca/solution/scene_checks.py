@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, real
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.floating.bodies import Bodies
@@ -264,17 +264,12 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     return result
 
 
-#: Largest coefficient of friction that a material may have: rubber on rubber has 1 to 4.
-LARGEST_COEFFICIENT = 5.0
-
-
 def hint_at_scene(
     V: Any, pairs: Sequence[ContactPair], operators: Sequence[PairOperators], bodies: Bodies
 ) -> None:
     """Log likely mistakes in the contact pairs. Collective.
 
-    These mistakes are coefficients of friction that no material has, overlaps as deep as a body,
-    and pairs with both sides on one body.
+    These mistakes are overlaps as deep as a body, and pairs with both sides on one body.
 
     Args:
         V: space of the displacement.
@@ -285,15 +280,6 @@ def hint_at_scene(
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
-        coefficient = _coefficient(pair)
-        if coefficient > LARGEST_COEFFICIENT:
-            log(
-                comm,
-                "%s has a coefficient of friction of %g, which no material has: it is neither in "
-                "percent nor an angle",
-                *(pair, coefficient),
-                level=logging.WARNING,
-            )
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
         if pair.obstacle is None:
@@ -405,16 +391,6 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
             -weakening,
             level=logging.WARNING,
         )
-
-
-def _coefficient(pair: ContactPair) -> float:
-    """Return the largest coefficient of friction that is a number; zero if there is none."""
-    if pair.friction.terms.curve is not None:
-        return 0.0
-    coefficient = pair.friction.terms.coefficient
-    both = coefficient if isinstance(coefficient, tuple) else (coefficient,)
-    numbers = [value.value if isinstance(value, fem.Constant) else real(value) for value in both]
-    return max(float(0.0 if number is None else number) for number in numbers)
 
 
 def _nodes_of(V: Any, pair: ContactPair) -> Any:

@@ -194,7 +194,7 @@ def test_numbers_are_judged_once(comm):
     """Those that nobody can change, by what is rounding; constants only where they are used."""
     V, x = space(comm), (1.0, 0.0, 0.0)
     bounds, nodes = SlipBounds(V), owned_nodes(V)
-    for law in (Tresca((-0.5, 1.0), direction=x), Tresca(-0.5, only_in_contact=True)):
+    for law in (Tresca((-0.5, 1.0), direction=x), Coulomb(10.0, limit=-0.5)):
         with pytest.raises(InputError, match=r"bound.* must not be negative, found -0.5 at"):
             bounds.check_numbers(law, nodes, 0.4)
         bounds.check_numbers(law, nodes, 0.6)
@@ -259,7 +259,6 @@ def test_two_bounds_are_the_longer_semi_axis_and_a_shape(comm):
     nodes = owned_nodes(V)
     for law, name in (
         (lambda pair: Tresca(pair, direction=(1, 0, 0)), "constant"),
-        (lambda pair: Tresca(pair, only_in_contact=True, direction=(1, 0, 0)), "limit"),
         (lambda pair: Coulomb(pair, limit=3.0, direction=(1, 0, 0)), "coefficient"),
     ):
         for pair, longer, shape in (

@@ -19,7 +19,6 @@ from dolfinx import fem
 from dolfinx_tresca import (
     ContactForce,
     Coulomb,
-    FrictionCurve,
     InputError,
     NonlinearContactProblem,
 )
@@ -42,7 +41,7 @@ LAWS: dict[str, Coulomb] = {
     "a power of the pressure": Coulomb(lambda p, v: 0.3 * (p / PRESSURE) ** (-1 / 3)),
     "Stribeck": Coulomb(lambda p, v: 0.1 + 0.2 * np.exp(-v / 0.01) + 5 * v),
     "weakening": Coulomb(lambda p, v: 0.2 + 0.2 * np.exp(-v / 0.008)),
-    "viscous": Coulomb(FrictionCurve(lambda p, v: 30 * v)),
+    "viscous": Coulomb(lambda p, v: 30 * v),
     "steep": Coulomb(lambda p, v: 3e4 * v),
     "adhesion": Coulomb(lambda p, v: 0.2 + 5 * v, adhesion=0.1 * PRESSURE),
     "limit": Coulomb(lambda p, v: 0.2 + 0.1 * v / SHIFT, limit=0.22 * PRESSURE),
@@ -190,8 +189,6 @@ def test_wrong_curves(curve, message):
 def test_wrong_arguments():
     with pytest.raises(InputError, match="a direction needs two values"):
         Coulomb(lambda p, v: 0.1, direction=(1, 0, 0))
-    with pytest.raises(InputError, match="must be a function of pressures and slips"):
-        FrictionCurve(0.3)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
