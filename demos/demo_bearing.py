@@ -128,8 +128,8 @@ assert forces[np.cos(angles) < -1e-6].max() < 1e-6 * load
 # the mesh are not exact circles; it vanishes on finer meshes. Loose rollers have no force at all.
 #
 # ## Draw
-# The block `forces_between_bodies` of the files has a point for each contact of two bodies, and the
-# force on the body with the lower number: arrows in ParaView, and here.
+# `solution.between_bodies` has the force on the body with the lower number, and the point where it
+# acts, for each contact of two bodies.
 
 # %%
 solution.write("results/bearing.pvd")
@@ -141,12 +141,12 @@ if comm.rank == 0:
     import matplotlib.pyplot as plt
     from matplotlib.collections import PolyCollection
 
-    volume, contacts = blocks["volume"], blocks["forces_between_bodies"]
+    volume, contacts = blocks["volume"], solution.between_bodies.values()
     points, cells = volume.points[:, :2], volume.cell_connectivity.reshape(-1, 3)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.4), layout="constrained")
     left.add_collection(PolyCollection(points[cells], fc="#d8dde3", ec="#a8b0ba", lw=0.15))
-    outer = np.linalg.norm(contacts.points, axis=1) > 30.0  # of two contacts of each roller
-    where, force = contacts.points[outer, :2], contacts["force"][outer, :2]
+    outer = [on for on in contacts if np.linalg.norm(on.point) > 30.0]  # of two of each roller
+    where, force = (np.array([getattr(on, name) for on in outer]) for name in ("point", "force"))
     arrows = 15.0 / forces.max() * force * np.sign(np.sum(where * force, axis=1))[:, None]
     style = dict(angles="xy", scale_units="xy", scale=1.0, color="tab:red", width=0.008)
     left.quiver(*(where - arrows).T, *arrows.T, **style)

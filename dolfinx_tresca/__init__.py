@@ -32,7 +32,6 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import (
     Bonded,
     Coulomb,
-    FrictionCurve,
     Frictionless,
     Preload,
     Tresca,
@@ -69,7 +68,6 @@ __all__ = [
     "Contacts",
     "ConvergenceError",
     "Coulomb",
-    "FrictionCurve",
     "Frictionless",
     "GoalError",
     "GuaranteedError",

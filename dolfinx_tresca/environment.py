@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-import shutil
 import sys
-import sysconfig
 from importlib import import_module, metadata
 from pathlib import Path
 
@@ -42,7 +40,6 @@ def environment() -> str:
         ("PETSc", _petsc()),
         ("MPI", MPI.Get_library_version().splitlines()[0].strip("\0 ")),
         ("BLAS", _blas()),
-        ("compiler", _compiler()),
         ("VTK", _vtk()),
         *(("", f"{name} {version}") for name, version in versions if version),
         ("not installed", ", ".join(name for name, version in versions if not version) or "none"),
@@ -87,15 +84,3 @@ def _blas() -> str:
     slow = ", the slow reference implementation" if reference_blas(libraries) else ""
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     return f"{', '.join(sorted(names)) or 'inside PETSc'}{slow}; OMP_NUM_THREADS {threads}"
-
-
-def _compiler() -> str:
-    """Return the path of the C compiler for forms, or a text that says what must be installed."""
-    command = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
-    path = shutil.which(command)
-    header = Path(sysconfig.get_path("include")) / "Python.h"
-    if path is None:
-        return f"none: DOLFINx needs a C compiler, and there is no {command} (apt install gcc)"
-    if not header.exists():
-        return f"{path}, but no {header}: install Python's headers (apt install python3-dev)"
-    return path

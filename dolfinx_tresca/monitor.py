@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, TypeAlias
 
 
@@ -71,9 +70,9 @@ class ProgressBar:
     """An observer that shows the progress of a solve.
 
     The progress is the fraction of the requested digits that are reached; for nonlinear bodies, it
-    is the fraction of the change of load. The progress bar rewrites one line in a terminal, is a
-    graphical bar in a notebook, and shows nothing elsewhere, as in log files. The same object
-    serves any number of solves::
+    is the fraction of the change of load. The bar is a line on standard error that is overwritten
+    at each iteration, in a terminal or a notebook; elsewhere, as in log files, nothing is shown.
+    The same object serves any number of solves::
 
         bar = ProgressBar(comm)
         solution = problem.solve(observer=bar)
@@ -85,33 +84,27 @@ class ProgressBar:
         """Choose where the bar appears. Not collective.
 
         Args:
-            comm: communicator whose first rank shows the bar. None: each rank with a bar shows it.
+            comm: communicator whose first rank shows the bar. None: each rank shows it.
             disable: True: show nothing; False: show the bar even if standard error is not a
                 terminal; None: show it in terminals and notebooks.
         """
-        self._part, self._start = 0.0, 0.0
-        self._view: _Line | _NotebookBar | None = None
-        if disable or (comm is not None and comm.rank != 0):
-            return
-        display = _notebook_display()
-        if display is not None:
-            self._view = _NotebookBar(display)
-        elif disable is False or sys.stderr.isatty():
-            self._view = _Line()
+        self._progress, self._start, self._line_is_open = 0.0, 0.0, False
+        is_seen = disable is False or sys.stderr.isatty() or "ipykernel" in sys.modules
+        self._is_shown = not disable and is_seen and (comm is None or comm.rank == 0)
 
     def __call__(self, iteration: Iteration) -> None:
         """Show the progress at an iteration.
 
-        A new solve begins a new bar, which ends when the solve has converged.
+        A new solve begins a new line, which ends when the solve has converged.
         """
-        if self._view is None:
+        if not self._is_shown:
             return
         newton = iteration.newton
         configuration = iteration.configuration
         starts_solve = configuration in (None, 1) and (newton is None or newton.number == 1)
         if iteration.number == 0 and starts_solve:
-            self._view.end()
-            self._part, self._start = 0.0, time.perf_counter()
+            self._end_line()
+            self._progress, self._start = 0.0, time.perf_counter()
         seconds = time.perf_counter() - self._start
         done = iteration.reached <= iteration.wanted
         if newton is None:
@@ -120,7 +113,7 @@ class ProgressBar:
                 progress = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
             done = iteration.ended if configuration is not None else done
             # the stopping criterion may change during a solve
-            self._part = max(self._part, progress)
+            self._progress = max(self._progress, progress)
             where, products = "", f"{iteration.products} products, "
             if configuration is not None:
                 where, products = f"configuration {configuration}, ", ""
@@ -130,68 +123,27 @@ class ProgressBar:
             )
         else:
             done = newton.ended
-            self._part = newton.fraction if done else 0.99 * newton.fraction
+            self._progress = newton.fraction if done else 0.99 * newton.fraction
             text = (
                 f"of load, Newton step {newton.number}, residual {newton.residual:7.1e}, "
                 f"{seconds:.0f} s"
             )
-        self._view.show(self._part, text)
+        bar = f"{'#' * round(12 * self._progress):<12}"
+        line = f"contact {self._progress:4.0%} |{bar}| {text}"
+        sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
+        sys.stderr.flush()
+        self._line_is_open = True
         if done:
-            self._view.end()
+            self._end_line()
+
+    def _end_line(self) -> None:
+        """End the line, so that other output begins below it."""
+        if self._line_is_open:
+            sys.stderr.write("\n")
+        self._line_is_open = False
 
     def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._view is not None:
-            self._view.end()
-
-
-class _Line:
-    """A line on standard error that is overwritten at each iteration."""
-
-    _open = False
-
-    def show(self, progress: float, text: str) -> None:
-        """Write the line, cut to the width of the terminal."""
-        line = f"contact {progress:4.0%} |{'#' * round(12 * progress):<12}| {text}"
-        sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
-        sys.stderr.flush()
-        self._open = True
-
-    def end(self) -> None:
-        """End the line, so that other output begins below it."""
-        if self._open:
-            sys.stderr.write("\n")
-        self._open = False
-
-
-class _NotebookBar:
-    """A bar in the output of a cell, drawn by the browser."""
-
-    def __init__(self, display: Any) -> None:
-        self._display = display
-        self._handle: Any = None
-
-    def show(self, progress: float, text: str) -> None:
-        """Show the bar, or update the bar of the current solve."""
-        data = {
-            "text/html": f'contact <progress value="{progress:.3f}"></progress> {text}',
-            "text/plain": f"contact {progress:4.0%}, {text}",
-        }
-        if self._handle is None:
-            self._handle = self._display(data, raw=True, display_id=True)
-        else:
-            self._handle.update(data, raw=True)
-
-    def end(self) -> None:
-        """Leave the bar as it is; the next solve shows a new bar."""
-        self._handle = None
-
-
-def _notebook_display() -> Any:
-    """Return the function `display` of IPython if this is a notebook, else None."""
-    ipython = sys.modules.get("IPython")  # a notebook has imported it
-    if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
-        return None
-    return import_module("IPython.display").display
+        self._end_line()

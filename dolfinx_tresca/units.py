@@ -9,11 +9,6 @@ from dolfinx_tresca.errors import InputError, shown
 
 Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 
-#: Names of common units of length and of stress. If one is given for the other quantity, the two
-#: arguments were exchanged.
-LENGTHS = ("m", "km", "cm", "mm", "um", "µm", "μm", "nm", "in", "inch", "ft")
-STRESSES = ("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi", "N/m²", "N/m^2", "N/mm²", "N/mm^2")
-
 
 @dataclass(frozen=True)
 class Units:
@@ -42,8 +37,7 @@ class Units:
         """Check the names.
 
         Raises:
-            InputError: a name is not a string, the name of the length or the stress is empty, or
-                these two names are exchanged.
+            InputError: a name is not a string, or the name of the length or the stress is empty.
         """
         for field in fields(self):
             name = getattr(self, field.name)
@@ -51,11 +45,6 @@ class Units:
                 raise InputError(
                     f"{field.name} must be the name of a unit, such as 'mm', found {shown(name)}."
                 )
-        if self.length in STRESSES or self.stress in LENGTHS:
-            raise InputError(
-                f"the unit of length comes first, as in Units('mm', 'MPa'), found {self.length!r} "
-                f"as the unit of length and {self.stress!r} as the unit of stress."
-            )
 
     def of(self, quantity: Quantity, dim: int = 3) -> str:
         """Return the name of the unit of a quantity.

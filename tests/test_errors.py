@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from types import SimpleNamespace
 
@@ -35,6 +36,7 @@ from dolfinx_tresca import (
     read_gmsh,
 )
 from dolfinx_tresca._base import compat
+from dolfinx_tresca.scene.mesh import NamedTags
 from scenes.elasticity import elasticity
 from scenes.nodal import nodal, node_function
 from scenes.patches import KINDS, dim_of, patch
@@ -592,3 +594,15 @@ def test_an_obstacle_with_complex_distances():
 
     with pytest.raises(InputError, match="expected real numbers, found complex128"):
         RigidObstacle(distance).at(np.zeros((2, 3)))
+
+
+@pytest.mark.parallel
+def test_tags_of_bodies_on_another_mesh(comm):
+    """They would name the wrong bodies, and are found before anything is assembled."""
+    scene, finer = (two_bricks(comm, n) for n in (2, 3))
+    facet_tags = NamedTags(scene.pair.facet_tags, {}, finer.pair.facet_tags.cell_tags)
+    pair = dataclasses.replace(scene.pair, facet_tags=facet_tags, name="the pair")
+    names = ", ".join(facet_tags.cell_tags.names.values())
+    message = rf"tags of cells of contact pair the pair \({names}\) belong to another mesh"
+    with pytest.raises(InputError, match=message):
+        ContactProblem(scene.a, scene.L, [pair], bcs=scene.bcs)

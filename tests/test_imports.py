@@ -80,7 +80,7 @@ def test_the_versions_for_a_bug_report():
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     rows = dict(line.split(None, 1) for line in done.stdout.splitlines() if line[:1].strip())
     assert rows["package"].startswith(f"dolfinx_tresca {dolfinx_tresca.__version__}")
-    assert "float64 scalars" in rows["PETSc"] and rows["compiler"].startswith("/")
+    assert "float64 scalars" in rows["PETSc"]
 
 
 def test_every_public_name_exists():

@@ -30,29 +30,6 @@ def terminal(monkeypatch):
     return stream
 
 
-class Notebook:
-    """What IPython is to a bar: the function `display`, and the cells' outputs."""
-
-    def __init__(self, monkeypatch):
-        self.outputs: list[str] = []
-        shell = SimpleNamespace(kernel=None)
-        ipython = SimpleNamespace(get_ipython=lambda: shell)
-        monkeypatch.setitem(sys.modules, "IPython", ipython)
-        monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=self.display))
-
-    def display(self, data, *, raw, display_id):
-        """Add an output that can be changed."""
-        assert raw and display_id
-        number = len(self.outputs)
-        self.outputs.append(data["text/html"])
-
-        def update(data, *, raw):
-            assert raw
-            self.outputs[number] = data["text/html"]
-
-        return SimpleNamespace(update=update)
-
-
 def at(number: int, reached: float, wanted: float = 1e-4) -> Iteration:
     return Iteration(number, 10 + number, reached, reached, wanted, -1.0)
 
@@ -131,21 +108,19 @@ def test_it_is_silent_in_log_files(comm, capfd):
     assert captured.err == captured.out == ""
 
 
-def test_a_notebook_shows_one_bar_for_each_solve(terminal, monkeypatch):
-    notebook = Notebook(monkeypatch)
+def test_a_notebook_shows_one_line_for_each_solve(terminal, monkeypatch):
+    monkeypatch.setattr(terminal, "isatty", lambda: False)
+    monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
     bar = ProgressBar()
-    for number, reached in enumerate((1.0, 1e-2)):
-        bar(at(number, reached))
-    assert len(notebook.outputs) == 1 and 'value="0.500"' in notebook.outputs[0]
-    for number, reached in enumerate((1.0, 1e-5)):
-        bar(at(number, reached))
-    assert len(notebook.outputs) == 2 and 'value="1.000"' in notebook.outputs[1]
-    assert "iteration 1, 11 products" in notebook.outputs[1]
-    assert terminal.getvalue() == ""
+    for reached in (1e-2, 1e-5):
+        for number, value in enumerate((1.0, reached)):
+            bar(at(number, value))
+    lines = terminal.getvalue().split("\r")[1:]
+    assert [line[8:12] for line in lines] == ["  0%", " 50%", "  0%", "100%"]
+    assert "iteration 1, 11 products" in lines[1] and lines[3].endswith("\n")
 
 
 def test_a_disabled_one_shows_nothing(terminal, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
     ProgressBar(disable=True)(at(0, 1.0))
-    notebook = Notebook(monkeypatch)
-    ProgressBar(disable=True)(at(0, 1.0))
-    assert terminal.getvalue() == "" and notebook.outputs == []
+    assert terminal.getvalue() == ""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from dolfinx_tresca._base.bodies import Bodies
-from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
@@ -14,7 +13,7 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.choice import (
     StiffnessMethod,
@@ -67,12 +66,9 @@ class Factorisation:
         check_choice(stiffness, expected_solves, saddle=is_saddle)
         if linear.comm.rank == 0:
             warn_of_slow_blas()
-        cell_tags = [
-            pair.cell_tags
-            for pair in pairs
-            if pair.cell_tags is not None and same_topology(pair.cell_tags, linear.V.mesh)
-        ]
-        self.bodies = Bodies.from_space(linear.V, cell_tags[0] if cell_tags else None)
+        check_tags(pairs, linear.V.mesh)
+        cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
+        self.bodies = Bodies.from_space(linear.V, next(cell_tags, None))
         self.method, self.reason = choose(
             stiffness,
             dim * self.bodies.mean_nodes,

@@ -1,8 +1,8 @@
 """Output of problems and solutions: files for ParaView, pictures, and tables.
 
 A *block* is a list of Functions on one mesh: the volume, or the surface of a pair (`blocks_of`). A
-`Grid` is a block in VTK's layout: the part of a rank (`local_grid`) or the whole of it on the first
-rank (`gather_grid`). Files and `to_pyvista` are made of grids; a `.pvd` lists the grids of each
+`Grid` is a block in VTK's layout, gathered on the first rank (`gather_grid`). Files, pictures and
+`to_pyvista` are made of grids; a `.pvd` lists the grids of each
 step of a series, and a step does not exist until the list names it.
 
 A picture is a figure of matplotlib with a *panel* for the bodies and one for each pair. pyvista

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
@@ -26,7 +26,6 @@ from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import IntegerFunction
 
 ROOT = 0  #: the rank that gets the grids
-VERTEX = 1  #: VTK's number for cells that consist of one point
 
 #: Fields that users may add to the volume.
 Field: TypeAlias = "fem.Function | MeshTags"
@@ -40,28 +39,24 @@ _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 @dataclass(frozen=True)
 class Grid:
-    """A mesh, or a rank's part of it, with each node and cell once.
+    """A mesh with each node and cell once.
 
     Attributes:
         dim: dimension of space, 2 or 3.
-        degree: degree of the Functions; from degree 2 on, the cells are VTK's Lagrange cells.
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers of the cell types.
         values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
             padded with 0.
         cell_values: name -> (m,), (m, 3) or (m, 9) values of a Function that is constant in cells.
-        texts: name -> texts that belong to the whole grid, such as names of bodies.
     """
 
     dim: int
-    degree: int
     points: Array
     cells: npt.NDArray[np.int64]
     cell_types: npt.NDArray[np.int64]
     values: dict[str, npt.NDArray[Any]]
     cell_values: dict[str, npt.NDArray[Any]] = dataclass_field(default_factory=dict)
-    texts: dict[str, Sequence[str]] = dataclass_field(default_factory=dict)
 
     def to_pyvista(self) -> Any:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
@@ -82,87 +77,52 @@ class Grid:
             grid.point_data[name] = values
         for name, values in self.cell_values.items():
             grid.cell_data[name] = values
-        for name, texts in self.texts.items():
-            grid.field_data[name] = list(texts)
         return grid
-
-
-def local_grid(functions: Sequence[fem.Function]) -> Grid:
-    """Return the grid of this rank's own cells and their nodes. Not collective.
-
-    Args:
-        functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
-            degree, and maybe Functions of degree 0.
-    """
-    grid = _grid_with_ghosts(functions)
-    used = np.zeros(len(grid.points), dtype=np.bool_)
-    used[grid.cells[:, 1:]] = True
-    grid.cells[:, 1:] = (np.cumsum(used) - 1)[grid.cells[:, 1:]]
-    values = {name: values[used] for name, values in grid.values.items()}
-    return replace(grid, points=grid.points[used], values=values)
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     """Return the grid of the whole mesh on rank `ROOT`, None on other ranks. Collective.
 
     Args:
-        functions: see `local_grid`.
+        functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
+            degree, and maybe Functions of degree 0.
     """
-    grid = _grid_with_ghosts(functions)
-    space = next(f for f in functions if not is_constant_in_cells(f)).function_space
+    nodal = [function for function in functions if not is_constant_in_cells(function)]
+    constant = [function for function in functions if is_constant_in_cells(function)]
+    space = nodal[0].function_space
     index_map = space.dofmap.index_map
-    own = slice(index_map.size_local)
-    nodes = grid.cells[:, 1:]
+    owned = slice(index_map.size_local)
+    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
+    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + space.dofmap.list.shape[1])
+    nodes = cells[:, 1:]
     nodes[:] = index_map.local_to_global(nodes.astype(np.int32).ravel()).reshape(nodes.shape)
-    columns = [grid.points[own], grid.cells, grid.cell_types]
-    columns += [values[own] for values in grid.values.values()]
-    columns += grid.cell_values.values()
+    columns = [points[owned], cells, np.asarray(cell_types)]
+    for function in nodal:  # in the numbering of `space`, which has the same nodes
+        rows = _rows(function)
+        order = np.arange(len(rows))
+        order[space.dofmap.list] = function.function_space.dofmap.list
+        columns.append(rows[order][owned])
+    columns += [_rows(function)[: len(cells)] for function in constant]
     gathered = space.mesh.comm.gather(columns, root=ROOT)
     if gathered is None:
         return None
     # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
     points, cells, cell_types, *arrays = map(np.concatenate, zip(*gathered, strict=True))
-    count = len(grid.values)
-    return replace(
-        grid,
+    names = [function.name for function in (*nodal, *constant)]
+    values = dict(zip(names, arrays, strict=True))
+    return Grid(
+        dim=space.mesh.geometry.dim,
         points=points,
         cells=cells,
         cell_types=cell_types,
-        values=dict(zip(grid.values, arrays[:count], strict=True)),
-        cell_values=dict(zip(grid.cell_values, arrays[count:], strict=True)),
+        values={function.name: values.pop(function.name) for function in nodal},
+        cell_values=values,
     )
 
 
 def is_constant_in_cells(function: fem.Function) -> bool:
     """Return whether a Function is discontinuous of degree 0. Not collective."""
     return bool(function.function_space.ufl_element().degree == 0)
-
-
-def _grid_with_ghosts(functions: Sequence[fem.Function]) -> Grid:
-    """Return the grid of this rank's own cells, with all nodes of the rank, ghosts included.
-
-    Not collective.
-    """
-    nodal = [function for function in functions if not is_constant_in_cells(function)]
-    constant = [function for function in functions if is_constant_in_cells(function)]
-    space = nodal[0].function_space
-    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
-    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + space.dofmap.list.shape[1])
-    values = {}
-    for function in nodal:  # in the numbering of `space`, which has the same nodes
-        rows = _rows(function)
-        order = np.arange(len(rows))
-        order[space.dofmap.list] = function.function_space.dofmap.list
-        values[function.name] = rows[order]
-    return Grid(
-        dim=space.mesh.geometry.dim,
-        degree=space.ufl_element().degree,
-        points=points,
-        cells=cells,
-        cell_types=np.asarray(cell_types),
-        values=values,
-        cell_values={function.name: _rows(function)[: len(cells)] for function in constant},
-    )
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
@@ -183,8 +143,8 @@ def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[f
     """Return the Functions of the blocks "volume" and "contact" of a file. Collective.
 
     With several pairs there is a block for each, named after the pair. The Functions of a block are
-    on one mesh, and of one degree, high enough for curved cells to be shown as curved, or of
-    degree 0.
+    on one mesh, and of one degree or of degree 0. The degree of the volume is high enough for
+    curved cells to be shown as curved; surfaces are of degree 1.
 
     Args:
         solution: the solution to be written.
@@ -204,11 +164,11 @@ def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[f
         volume.append(solution.cell_errors)
     for field in fields:
         volume.append(_checked(field, u, [function.name for function in volume]))
-    blocks = {"volume": volume}
+    blocks = {"volume": _in_one_degree(volume)}
     for i, surface in enumerate(surfaces):
         name = "contact" if len(surfaces) == 1 else surface.name
         blocks[_unused_name(name, blocks, i + 1)] = list(surface.functions)
-    return {name: _in_one_degree(functions) for name, functions in blocks.items()}
+    return blocks
 
 
 def _unused_name(name: str, taken: Container[str], number: int) -> str:
@@ -279,28 +239,19 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
     """Interpolate Functions to the highest degree of these and of the geometry. Collective.
 
-    Functions of degree 0 stay. Of integers each new node gets the least at the corners that are
-    nearest to it in the reference cell, such as both ends of an edge for its middle.
+    Functions of degree 0 stay.
     """
     mesh = functions[0].function_space.mesh
     degrees = [function.function_space.ufl_element().degree for function in functions]
     degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
     results = []
     for function in functions:
-        V = function.function_space
-        if V.ufl_element().degree == degree or is_constant_in_cells(function):
+        if function.function_space.ufl_element().degree in (0, degree):
             results.append(function)
             continue
         W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
-        result = type(function)(W, name=function.name)
-        if isinstance(function, IntegerFunction):
-            corners, nodes = V.element.basix_element.points, W.element.basix_element.points
-            distances = np.linalg.norm(nodes[:, None] - corners, axis=2)
-            nearest = distances < distances.min(axis=1, keepdims=True) + 1e-9
-            at_corners = function.x.array[V.dofmap.list][:, None]
-            result.x.array[W.dofmap.list] = np.where(nearest, at_corners, np.inf).min(axis=2)
-        else:
-            result.interpolate(function)
+        result = fem.Function(W, name=function.name)
+        result.interpolate(function)
         result.x.scatter_forward()
         results.append(result)
     return results

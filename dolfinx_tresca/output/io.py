@@ -1,19 +1,23 @@
-"""Writing results for ParaView: grids (`.vtu`) and time series of named grids (`.pvd`)."""
+"""Files for ParaView: grids (`.vtu`) and time series of named grids (`.pvd`), in VTK's XML."""
 
 from __future__ import annotations
 
 import itertools
-import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+import shutil
+import sys
+import xml.etree.ElementTree as ET
+import zlib
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem
 
@@ -21,34 +25,29 @@ from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.atomic_write import atomic_write, file_named_in_errors
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.output.grid import (
-    ROOT,
-    VERTEX,
-    Field,
-    Grid,
-    blocks_of,
-    gather_grid,
-    local_grid,
-)
-from dolfinx_tresca.output.vtu import DataSet, read_pvd, write_pvd, write_pvtu, write_vtu
+from dolfinx_tresca.output.grid import ROOT, Field, Grid, blocks_of, gather_grid
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solution.fields import ContactState
-from dolfinx_tresca.solution.forces import Resultant
 
-#: State -> its name, and its colour: blue for stick, orange for slip, light colours for open nodes.
-STATE_COLOURS = {
-    ContactState.OUTSIDE: ("outside", "999999"),
-    ContactState.OPEN: ("open", "d9d9d9"),
-    ContactState.OPEN_STICK: ("open, sticks", "a6cfed"),
-    ContactState.OPEN_SLIP: ("open, slips", "ffcc8c"),
-    ContactState.PRESSED: ("pressed", "8c4099"),
-    ContactState.STICK: ("sticks", "1a59b3"),
-    ContactState.SLIP: ("slips", "d95900"),
-    ContactState.BONDED: ("bonded", "338c40"),
-}
+#: Names and colours of the states, which ParaView's colour map editor imports: blue for stick,
+#: orange for slip, light colours for open nodes.
+STATE_COLOURS = Path(__file__).with_name("contact_state.json")
 
-#: Block of the forces between bodies.
-FORCES = "forces_between_bodies"
+_TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
+_BYTE_ORDER = {"little": "LittleEndian", "big": "BigEndian"}[sys.byteorder]
+
+
+class DataSet(NamedTuple):
+    """A line of a `.pvd`: one block at one time.
+
+    Attributes:
+        time: time in any unit.
+        name: name of the block.
+        file: path of the `.vtu`, from the folder of the `.pvd`.
+    """
+
+    time: float
+    name: str
+    file: str
 
 
 def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -71,17 +70,13 @@ def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = (
     as `.vtu`. The folder also has the names and colours of the states for ParaView (`state.json`).
     For several solutions see `SolutionWriter`.
 
-    Displacements of degree 2 and curved meshes are kept: contact fields then have values at the
-    middles of edges as well, and at the middle of an edge `state` has the value of one end of the
-    edge. Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
-    fields "traction" and "slip". With load steps there are "slip_increment" and "slip_path" as
-    well, from the second step on.
+    Displacements of degree 2 and curved meshes are kept; contact fields are of degree 1. Vectors of
+    2D get a third component 0, as ParaView requires. Without friction there are no fields
+    "traction" and "slip". With load steps there are "slip_increment" and "slip_path" as well, from
+    the second step on.
 
     Beside the displacement the volume has `body`, the number of each cell's body, counted from 1 as
-    in messages; `cell_errors`, if they were estimated; the requested fields; and the names of the
-    bodies (field data `body_names`). With three or more bodies there is a block
-    "forces_between_bodies": a point for each pair of bodies that push each other, with the `force`
-    on the body with the lower number.
+    in messages; `cell_errors`, if they were estimated; and the requested fields.
 
     Collective.
 
@@ -116,11 +111,12 @@ def to_pyvista(solution: Evaluation, *, fields: Sequence[Field] = ()) -> Any:
         InputError: a field is of another kind or has a name that is taken.
         ContactError: pyvista is missing.
     """
-    grids = _grids(solution, blocks_of(solution, fields), gather_grid)
+    blocks = blocks_of(solution, fields)
+    grids = {name: gather_grid(functions) for name, functions in blocks.items()}
     with errors_on_all_ranks(solution.u.function_space.mesh.comm):
-        if not grids:
+        converted = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
+        if not converted:
             return None
-        converted = {name: grid.to_pyvista() for name, grid in grids.items()}
         import pyvista
 
         return pyvista.MultiBlock(converted)
@@ -188,97 +184,67 @@ class SolutionWriter:
     def _add_step(
         self, solution: Evaluation, blocks: Mapping[str, Sequence[fem.Function]], time: float
     ) -> None:
-        """Write this rank's part of each grid to a new folder, and then an index with this step.
+        """Write a step to a new folder, and then an index with this step. Collective.
 
         Until the index replaces the old one, all files of the older steps are as they were.
-        Collective.
 
         Raises:
             InputError: a file cannot be written, or the existing series cannot be continued.
         """
         comm: MPI.Comm = solution.u.function_space.mesh.comm
-        grids = _grids(solution, blocks, local_grid)
-        series: list[DataSet] = []
-        folder = Path()
+        grids = {name: gather_grid(functions) for name, functions in blocks.items()}
         with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:
-                series, folder = self._begin_step(time)
-        folder = comm.bcast(folder, root=ROOT)
-        cells = comm.gather({name: len(grid.cells) for name, grid in grids.items()}, root=ROOT)
-        try:
-            with errors_on_all_ranks(comm), file_named_in_errors(self._path):
-                for name, grid in grids.items():
-                    if comm.size == 1:
-                        write_vtu(folder / f"{name}.vtu", grid)
-                    elif len(grid.cells):
-                        write_vtu(folder / f"{name}_{comm.rank}.vtu", grid)
-            with errors_on_all_ranks(comm), file_named_in_errors(self._path):
-                for name, grid in grids.items() if cells is not None else ():
-                    file = f"{folder.parent.name}/{folder.name}/{name}.vtu"
-                    if comm.size > 1:
-                        ranks = [rank for rank, count in enumerate(cells) if count[name]]
-                        pieces = [f"{name}_{rank}.vtu" for rank in ranks]
-                        write_pvtu(folder / f"{name}.pvtu", grid, pieces)
-                        file = file.replace(".vtu", ".pvtu")
-                    series.append(DataSet(time, name, file))
-                if cells is not None:
-                    self._finish_step(series)
-        except Exception:  # raised on all ranks
-            if comm.rank == ROOT:
-                _remove_grids(folder)
-            comm.barrier()
-            raise
+                older = self._older_steps(time) if self._series is None else self._series
+                self._write_step(older, time, grids)
 
-    def _begin_step(self, time: float) -> tuple[list[DataSet], Path]:
-        """Return the entries of earlier steps, and a new folder for the step. Not collective.
-
-        Before the first step of a continued series, the index of older steps is read, and steps
-        that are not before `time` are dropped.
+    def _older_steps(self, time: float) -> list[DataSet]:
+        """Return the steps of a continued series that are before a time. Not collective.
 
         Raises:
             InputError: the older series cannot be read.
         """
-        series = self._series or []
-        if self._series is None and self._append and self._path.exists():
-            try:
-                series = [data for data in read_pvd(self._path) if data.time < time]
-                for data in series:
-                    int(_step_folder(data))
-            except ValueError as error:  # also if the name of a folder is not a number
-                raise InputError(f"cannot add to '{self._path}': {error}.") from error
-        count = len({_step_folder(data) for data in series})
-        folders = (self._path.with_suffix("") / f"{i:04}" for i in itertools.count(count))
+        if not self._append or not self._path.exists():
+            return []
+        try:
+            series = [data for data in read_pvd(self._path) if data.time < time]
+            for data in series:
+                int(_step_folder(data))
+        except ValueError as error:  # also if the name of a folder is not a number
+            raise InputError(f"cannot add to '{self._path}': {error}.") from error
+        return series
+
+    def _write_step(
+        self, older: Sequence[DataSet], time: float, grids: Mapping[str, Grid | None]
+    ) -> None:
+        """Write the grids of a step and the index of all steps. Not collective.
+
+        After the first step, remove other steps: those of an older series, and what a killed run
+        has left.
+        """
+        steps = self._path.with_suffix("")
+        count = len({_step_folder(data) for data in older})
+        folders = (steps / f"{i:04}" for i in itertools.count(count))
         folder = next(folder for folder in folders if not folder.exists())
         folder.mkdir(parents=True)
-        return [*series], folder
-
-    def _finish_step(self, series: list[DataSet]) -> None:
-        """Write the index of all steps; after the first step, remove other steps. Not collective.
-
-        Other steps are those of an older series, and what a killed run has left.
-        """
-        folder = self._path.with_suffix("")
-        (folder / "state.json").write_text(paraview_preset())
-        with atomic_write(self._path) as index:
-            write_pvd(index, series)
+        series = [*older]
+        try:
+            for name, grid in grids.items():
+                assert grid is not None  # on this rank
+                write_vtu(folder / f"{name}.vtu", grid)
+                series.append(DataSet(time, name, f"{steps.name}/{folder.name}/{name}.vtu"))
+            shutil.copyfile(STATE_COLOURS, steps / "state.json")
+            with atomic_write(self._path) as index:
+                write_pvd(index, series)
+        except Exception:
+            _remove_grids(folder)
+            raise
         if self._series is None:
             kept = {_step_folder(data) for data in series}
-            for step in folder.glob("[0-9]*"):
+            for step in steps.glob("[0-9]*"):
                 if step.name.isdecimal() and step.name not in kept:
                     _remove_grids(step)
         self._series = series
-
-
-def paraview_preset() -> str:
-    """Return the look-up table of states, which ParaView's colour map editor imports."""
-    annotations: list[str] = []
-    for state, (name, _) in STATE_COLOURS.items():
-        annotations += [str(int(state)), name]
-    colours = [
-        byte / 255.0 for _, colour in STATE_COLOURS.values() for byte in bytes.fromhex(colour)
-    ]
-    preset = {"Name": "contact state", "Annotations": annotations, "IndexedColors": colours}
-    return json.dumps([preset], indent=1)
 
 
 def _step_folder(data: DataSet) -> str:
@@ -288,62 +254,90 @@ def _step_folder(data: DataSet) -> str:
 
 def _remove_grids(folder: Path) -> None:
     """Remove the files of a step, and its folder if it is empty then. Not collective."""
-    for pattern in ("*.vtu", "*.pvtu"):
+    for pattern in ("*.vtu", "*.pvtu"):  # earlier versions wrote .pvtu
         for file in folder.glob(pattern):
             file.unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
 
 
-def _grids(
-    solution: Evaluation,
-    blocks: Mapping[str, Sequence[fem.Function]],
-    grid_of: Callable[[Sequence[fem.Function]], Grid | None],
-) -> dict[str, Grid]:
-    """Return grids of blocks, with names of bodies, and the forces between three or more bodies.
+def write_vtu(path: Path, grid: Grid) -> None:
+    """Write a grid. Not collective.
 
-    For two bodies the force between them is already known as the force of their pair. Collective.
-
-    Args:
-        solution: the solution, with names of bodies and forces between them.
-        blocks: name -> Functions.
-        grid_of: function that returns a rank's part of a grid, or the whole grid on the first rank.
-
-    Returns:
-        name -> grid; empty on ranks without grids.
+    Raises:
+        OSError: the file cannot be written.
     """
-    made = {name: grid_of(functions) for name, functions in blocks.items()}
-    grids = {name: grid for name, grid in made.items() if grid is not None}
-    if grids:
-        grids["volume"] = replace(grids["volume"], texts={"body_names": solution.body_names})
-        if len(solution.body_names) > 2 and solution.between_bodies:
-            comm: MPI.Comm = solution.u.function_space.mesh.comm
-            grids[FORCES] = _grid_of_forces(solution.between_bodies if comm.rank == ROOT else {})
-    return grids
+    root = _root("UnstructuredGrid")
+    root.set("compressor", "vtkZLibDataCompressor")
+    whole = ET.SubElement(root, "UnstructuredGrid")
+    sizes = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
+    piece = ET.SubElement(whole, "Piece", sizes)
+    nodes = grid.cells[:, 1:]
+    cells: dict[str, npt.NDArray[Any]] = {
+        "connectivity": nodes.ravel(),
+        "offsets": nodes.shape[1] * np.arange(1, len(nodes) + 1, dtype=np.int64),
+        "types": grid.cell_types.astype(np.uint8),
+    }
+    sections: dict[str, dict[str, npt.NDArray[Any]]] = {
+        "PointData": grid.values,
+        "CellData": grid.cell_values,
+        "Points": {"Points": grid.points},
+        "Cells": cells,
+    }
+    for section, arrays in sections.items():
+        element = ET.SubElement(piece, section)
+        for name, values in arrays.items():
+            array = ET.SubElement(element, "DataArray", Name=name, format="binary")
+            array.set("type", _TYPES[values.dtype.str[1:]])
+            array.set("NumberOfComponents", str(values.shape[1] if values.ndim == 2 else 1))
+            array.text = _compressed(values)
+    # the active array: ParaView initially colours by it, warps by it, and draws it as arrows
+    active = next(iter(grid.values))
+    piece[0].attrib.update(Scalars=active, Vectors=active)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _grid_of_forces(between_bodies: Mapping[tuple[int, int], Resultant]) -> Grid:
-    """Return a grid of points, one for each pair of bodies, where their contact force acts.
+def write_pvd(path: Path, series: Sequence[DataSet]) -> None:
+    """Write the index of a time series. Not collective.
 
-    Not collective.
-
-    The values are "force", the force on the body with the lower number, and the numbers of both
-    bodies, counted from 1: "on_body" (the lower number) and "by_body".
-
-    Args:
-        between_bodies: (i, j) -> resultant on body i by body j, for i < j.
+    Raises:
+        OSError: the file cannot be written.
     """
-    count = len(between_bodies)
-    points, forces = np.zeros((2, count, 3))
-    for row, resultant in enumerate(between_bodies.values()):
-        points[row, : len(resultant.point)] = resultant.point
-        forces[row, : len(resultant.force)] = resultant.force
-    bodies = 1 + np.array([*between_bodies], dtype=np.int32).reshape(-1, 2)
-    return Grid(
-        dim=3,
-        degree=1,
-        points=points,
-        cells=np.column_stack([np.ones(count, dtype=np.int64), np.arange(count)]),
-        cell_types=np.full(count, VERTEX, dtype=np.uint8),
-        values={"force": forces, "on_body": bodies[:, 0].copy(), "by_body": bodies[:, 1].copy()},
-    )
+    root = _root("Collection")
+    collection = ET.SubElement(root, "Collection")
+    names = list(dict.fromkeys(data.name for data in series))
+    for time, name, file in series:
+        number = str(names.index(name))
+        ET.SubElement(collection, "DataSet", timestep=repr(time), part=number, name=name, file=file)
+    ET.indent(root)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def read_pvd(path: Path) -> list[DataSet]:
+    """Return the entries of a file that `write_pvd` has written. Not collective.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: the file is no such series.
+    """
+    try:
+        return [
+            DataSet(float(item.attrib["timestep"]), item.attrib["name"], item.attrib["file"])
+            for item in ET.parse(path).iter("DataSet")
+        ]
+    except (ET.ParseError, KeyError) as error:
+        raise ValueError(f"not a series of ours ({error!r})") from error
+
+
+def _root(kind: str) -> ET.Element:
+    # in files of a version below 2.2, readers reorder the nodes of hexahedra of degree 2
+    header = {"version": "2.2", "byte_order": _BYTE_ORDER, "header_type": "UInt64"}
+    return ET.Element("VTKFile", {"type": kind, **header})
+
+
+def _compressed(values: npt.NDArray[Any]) -> str:
+    """Return one compressed block as text; ParaView 5.11 fails at raw bytes behind the XML."""
+    data = values.tobytes()
+    packed = zlib.compress(data, level=1)
+    sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
+    return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()

@@ -27,7 +27,7 @@ LEFT = 0.15  #: inches between the left end of a panel and its title
 HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
 CURVE_COLOUR = "#c8102e"  #: colour of a contact curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
-OPEN_COLOUR = "#e2e2e2"  #: colour of open surfaces, and of the background of open parts of a curve
+OPEN_COLOUR = "#e2e2e2"  #: colour of open surfaces
 
 #: A range of colours ends below its largest value if this value is more than `PEAK` times the value
 #: at the percentile `PEAK_PERCENTILE`: otherwise most values would have one colour. With twice
@@ -228,8 +228,6 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
         legend.append(handle("pressure", CURVE_COLOUR))
         legend.append(handle(f"traction, {contact.slip_name}", TANGENT_COLOUR))
         title += "" if contact.label else ": traction and slip positive along it"
-    if not values["pressed"].all():
-        legend.append(handle("open", OPEN_COLOUR, "s", markersize=8.0))
     if values["sticks"].any():
         legend.append(handle("sticks", "black", "o"))
     curves = unrolled(contact.grid)
@@ -243,7 +241,7 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
         largest = max(float(np.abs(values[name]).max()) for name in names)
         factor, text = scaled(label, unit, largest)
         for nodes, arc, directions in curves:
-            s, opened = arc / divisor, values["pressed"][nodes] == 0.0
+            s = arc / divisor
             sticks = values["sticks"][nodes] > 0.0
             for name in names:
                 y = values[name][nodes] / factor
@@ -254,9 +252,6 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
                     axes.fill_between(s, y, color=colour, alpha=0.15, lw=0)
                 elif name == "traction":
                     axes.plot(s[sticks], y[sticks], "o", color="black", markersize=5, zorder=3)
-            borders = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
-            for begin, end in zip(borders[:-1][opened], borders[1:][opened], strict=True):
-                axes.axvspan(begin, end, color=OPEN_COLOUR, lw=0, zorder=0, aa=False)
         axes.set_ylabel(text)
         axes.locator_params(nbins=5)
         axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)

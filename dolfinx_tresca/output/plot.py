@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import io
 import math
 import os
@@ -11,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,8 @@ from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
 WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height for one pair; for each of several
-STYLE = {"font.size": 9.0, "svg.hashsalt": "dolfinx_tresca"}  #: for matplotlib
+STYLE = {"font.size": 9.0}  #: for matplotlib
 SPLIT = 0.42  #: fraction of the width for the bodies
-
-#: Metadata that would differ from run to run.
-_NO_DATES: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 #: The environment variable by which VTK 9.5 and later choose the kind of window.
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
@@ -122,7 +119,7 @@ def plot(
         kind = suffix[1:]
         with matplotlib.style.context(["default", STYLE]), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
-            figure.savefig(picture, format=kind, dpi=views.DPI, metadata=_NO_DATES.get(kind))
+            figure.savefig(picture, format=kind, dpi=views.DPI)
         if name is None:
             import PIL.Image
 
@@ -182,11 +179,7 @@ def renders_off_screen() -> bool:
     """Return whether VTK can render through EGL, without an X server."""
     import pyvista
 
-    try:
-        ctypes.CDLL("libEGL.so.1")
-    except OSError:
-        return False
-    return tuple(pyvista.vtk_version_info) >= (9, 5)
+    return find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5)
 
 
 @contextmanager

@@ -10,14 +10,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
-
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import Friction, Tresca
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
@@ -31,20 +27,18 @@ class ProblemSummary:
     """Sizes of a problem, over all ranks.
 
     Attributes:
-        mesh: the number and type of cells and the number of ranks, as text.
         dofs: degrees of freedom of the displacement.
         free_dofs: n, degrees of freedom of the displacement that are not prescribed.
-        other_dofs: free degrees of freedom of other components of a mixed space.
         contact_nodes: m, nodes that carry multipliers.
+        size_rows: the rows that do not belong to pairs.
         pairs: for each pair: the pair; its kind of pairing and number of nodes, as text; and the
             range of its gap, as text.
     """
 
-    mesh: str
     dofs: int
     free_dofs: int
-    other_dofs: int
     contact_nodes: int
+    size_rows: tuple[Row, ...]
     pairs: tuple[tuple[ContactPair, str, str], ...]
 
     @classmethod
@@ -59,46 +53,30 @@ class ProblemSummary:
         counts = reduce_array(comm, [*own, *(len(pair.nodes) for pair in operators)])
         texts = []
         for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
-            kind = "obstacle" if isinstance(pair.primary, RigidObstacle) else "mortar"
+            kind = "mortar" if pair.obstacle is None else "obstacle"
             texts.append((pair, f"{kind}: {nodes} nodes", _gap_range(comm, pair_operators)))
-        return cls(
-            mesh=f"{cells} cells ({mesh.topology.cell_name()}"
-            + ", axisymmetric" * system.axisymmetric
-            + f"), MPI ranks: {comm.size}",
-            dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,
-            free_dofs=int(counts[0]),
-            other_dofs=system.saddle_size,
-            contact_nodes=int(counts[1]),
-            pairs=tuple(texts),
+        dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
+        free_dofs, contact_nodes = int(counts[0]), int(counts[1])
+        kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
+        count = system.saddle_size
+        beside = f", beside {count} unknowns of other kinds" if count else ""
+        size_rows = (
+            ("mesh", f"{cells} cells ({kind}), MPI ranks: {comm.size}"),
+            ("displacements", f"{dofs}, {free_dofs} of them free{beside}"),
+            ("contact nodes", f"{contact_nodes}"),
         )
+        return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return names and values. Not collective."""
-        beside = f", beside {self.other_dofs} unknowns of other kinds" if self.other_dofs else ""
         pair_rows = [
             (
                 "  pair",
-                f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
-                f"{_friction_text(pair.friction, units)}",
+                f"{pair}, {paired}, {with_unit(gap, units, 'length')}, {pair.friction}",
             )
             for pair, paired, gap in self.pairs
         ]
-        return [
-            ("mesh", self.mesh),
-            ("displacements", f"{self.dofs}, {self.free_dofs} of them free" + beside),
-            ("contact nodes", f"{self.contact_nodes}"),
-            *abridged(pair_rows, "pairs"),
-        ]
-
-
-def _friction_text(friction: Friction, units: Units | None) -> str:
-    """Return a law as text; a Tresca bound that is a number or a Constant has its unit."""
-    has_numbers = False
-    if isinstance(friction, Tresca):
-        bound = friction.slip_bound
-        bounds = bound if isinstance(bound, tuple) else (bound,)
-        has_numbers = all(isinstance(b, fem.Constant) or real(b) is not None for b in bounds)
-    return with_unit(str(friction), units if has_numbers else None, "stress")
+        return [*self.size_rows, *abridged(pair_rows, "pairs")]
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:

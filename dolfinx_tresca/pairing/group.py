@@ -21,7 +21,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, real
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.compat import geometry_degree, same_topology
+from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import entities_per_cell
 from dolfinx_tresca._base.parallel import exchange, log, reduce_array
 from dolfinx_tresca.errors import InputError
@@ -161,12 +161,7 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     Raises:
         InputError: pairs that must be paired together differ in an argument that must be the same.
     """
-    single = [
-        not pair.touches_itself
-        and same_topology(pair.facet_tags, V.mesh)
-        and pair.facet_tags.dim == V.mesh.topology.dim - 1
-        for pair in pairs
-    ]
+    single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([not isinstance(pair.primary, RigidObstacle) for pair in pairs])
     obstacles = np.where(deformable, 0, [id(pair.primary) for pair in pairs])
     linked = np.outer(single, single) & np.equal.outer(obstacles, obstacles)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias, cast
@@ -33,51 +32,11 @@ DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 class FrictionCurve:
     """A coefficient of friction F(p, v) that depends on the pressure and on the slip of the step.
 
-    The tangential traction is at most F(p, v) p, with the pressure and the slip of the same
-    solution. In `Coulomb(...)` a function of two arguments is a curve without derivatives.
-
-    Bodies that only contact or soft springs hold cannot have a coefficient that depends on the
-    slip: hold them by Dirichlet conditions.
-
-    The theory of Coulomb's law remains valid if the bound F(p, v) p increases with p and with v. If
-    the bound decreases with v (slip weakening), there is one solution if the bound decreases more
-    slowly than the stiffness of the bodies increases the traction; the solve warns of bounds that
-    decrease faster, and of bounds that decrease with p.
-
     Attributes:
-        function: function that returns F >= 0 [1], a number or an array (n,), for the pressures
-            p >= 0 (n,) [stress] and the slips v >= 0 (n,) [length], in the units of the problem. A
-            slip is the length of the tangential displacement since the last accepted step or, in
-            the first step, since the undeformed state; a law for the rate of slip divides the slip
-            by the time step. The function is called with arrays of any length, and with any values
-            that occur during the iteration. Values of Constants that it reads may be changed before
-            each solve, and they may be controls of derivatives.
-        derivatives: dF/dp [1 / stress] and dF/dv [1 / length], as a function with the same
-            arguments that returns a pair; None: difference quotients of F.
-
-    Example:
-        >>> import numpy as np
-        >>> from dolfinx_tresca import Coulomb, FrictionCurve
-        >>> weakening = FrictionCurve(lambda p, v: 0.2 + 0.3 * np.exp(-v / 0.01))
-        >>> Coulomb(weakening, limit=40.0)
-        Coulomb(a function of pressure and slip, limit=40)
+        function: see `Coulomb`.
     """
 
     function: Callable[[Any, Any], Any]
-    derivatives: Callable[[Any, Any], tuple[Any, Any]] | None = None
-
-    def __post_init__(self) -> None:
-        """Check the types.
-
-        Raises:
-            InputError: the function or the derivatives cannot be called.
-        """
-        for name, value in (("function", self.function), ("derivatives", self.derivatives)):
-            if not (callable(value) or (name == "derivatives" and value is None)):
-                raise InputError(
-                    f"the {name} of a friction curve must be a function of pressures and slips, "
-                    f"found {shown(value)}."
-                )
 
     @property
     def depends_on_slip(self) -> bool:
@@ -94,21 +53,21 @@ class FrictionCurve:
         Raises:
             InputError: the function returns neither a number nor a number for each node.
         """
-        return _values(self.function(pressure, slip), len(pressure), "a friction curve")
+        result, number = self.function(pressure, slip), len(pressure)
+        values = np.asarray(result)
+        if values.shape not in ((), (number,)) or values.dtype.kind not in "biuf":
+            raise InputError(
+                "a coefficient that depends on pressure and slip must be real, a number or an "
+                f"array of shape ({number},), found {shown(result)} of type {values.dtype}."
+            )
+        return np.broadcast_to(values.astype(np.float64), (number,))
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
-        """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
+        """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
 
         Raises:
             InputError: a function returns neither a number nor a number for each node.
         """
-        if self.derivatives is not None:
-            name = "the derivatives of a friction curve"
-            slopes = self.derivatives(pressure, slip)
-            if not isinstance(slopes, tuple) or len(slopes) != 2:
-                raise InputError(f"{name} must be a pair (dF/dp, dF/dv), found {shown(slopes)}.")
-            by_pressure, by_slip = (_values(slope, len(pressure), name) for slope in slopes)
-            return by_pressure, by_slip
 
         def difference(low: Array, high: Array, function: Callable[[Array], Array]) -> Array:
             change, result = function(high) - function(low), np.zeros_like(low)
@@ -123,13 +82,11 @@ class FrictionCurve:
 
 
 def curve_of(coefficient: object) -> FrictionCurve | None:
-    """Return a coefficient of friction as a curve, or None if it is not a curve.
+    """Return a coefficient of friction as a curve, or None if it is not such a function.
 
     A function that requires two arguments is a curve; a function that requires one argument is a
     function of points.
     """
-    if isinstance(coefficient, FrictionCurve):
-        return coefficient
     if isinstance(coefficient, type | fem.Constant | fem.Expression | Expr):
         return None
     if not callable(coefficient):
@@ -147,27 +104,6 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
     return FrictionCurve(coefficient) if len(required) == 2 else None
 
 
-def _values(result: Any, number: int, name: str) -> Array:
-    """Return the result of a user's function as an array (n,) of floats.
-
-    Args:
-        result: the result.
-        number: the number n of nodes.
-        name: the name of the function, for error messages.
-
-    Raises:
-        InputError: the result is neither a real number nor an array with a number for each node.
-    """
-    values = np.asarray(result)
-    if values.shape not in ((), (number,)) or not np.issubdtype(values.dtype, np.number):
-        raise InputError(
-            f"{name} must return a number or an array of shape ({number},), found {shown(result)}."
-        )
-    if np.iscomplexobj(values):
-        raise InputError(f"{name} must be real, found {values.dtype}.")
-    return np.broadcast_to(values.astype(np.float64), (number,))
-
-
 #: One scalar for all directions, or two semi-axes of an ellipse, along a direction and across it.
 Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
 
@@ -176,10 +112,6 @@ DIRECTION_NAMES = ("along the direction", "across the direction")
 
 #: A coefficient of friction that is negative by less than this counts as zero.
 COEFFICIENT_ROUNDING = 1e-12
-
-#: Coefficient F of the bound min(F p, g) of Tresca friction that acts in contact only. With twice
-#: the value the bound reaches g at half the pressure.
-ONSET_COEFFICIENT = 10.0
 
 #: Coefficient with which the iteration begins if the coefficient is a function of pressure and slip
 #: that are not yet known. It should exceed all values of the function: then no initial traction is
@@ -220,32 +152,33 @@ class Friction:
 
     constant_name: ClassVar[str] = "the slip bound"
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self}>"
+
+    def __str__(self) -> str:
+        return type(self).__name__
+
     @property
     def terms(self) -> BoundTerms:
         """The slip bound as a function of the pressure: zero."""
         return BoundTerms()
 
 
-class DryFriction(Friction, ABC):
+class DryFriction(Friction):
     """Base class of friction laws: the tangential traction stays within a circle or an ellipse.
 
     A node slips only if its traction is on the boundary. To add a law, derive a class that defines
     `terms`.
     """
 
-    @property
-    @abstractmethod
-    def terms(self) -> BoundTerms:
-        """The slip bound as a function of the pressure."""
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tresca(DryFriction):
     """Tresca friction: the norm of the tangential traction is at most `slip_bound`.
 
     The bound does not depend on the contact pressure. By (38.3) it holds at every node, so friction
     also acts at nodes that are not in contact: if it should not, set the bound to zero there or use
-    `only_in_contact`.
+    `Coulomb(10.0, limit=g)`, whose bound min(10 p, g) reaches g at the pressure p = g / 10.
 
     Attributes:
         slip_bound: g >= 0 [stress] at the contact nodes: a number; a continuous scalar
@@ -259,10 +192,6 @@ class Tresca(DryFriction):
             traction stays within the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and the slip is normal
             to the ellipse. If one bound is zero, sliding in its direction is free, and the other
             bound decides between stick and slip.
-        only_in_contact: whether the tangential traction is zero where the surfaces are open, as in
-            many other codes. The bound is then min(10 p, g), a continuous function of the pressure
-            p: it reaches g at p = g / 10. For an ellipse this is the longer semi-axis; the ratio of
-            the semi-axes does not change.
         direction: direction of the first of two bounds, a vector of any length that is projected
             into the tangent plane: three numbers, a `fem.Constant`, `fem.Function` or UFL
             expression, or a function from points x (3, n) to (3,) or (3, n). A solve discards the
@@ -271,17 +200,14 @@ class Tresca(DryFriction):
     Example:
         >>> from dolfinx_tresca import Tresca
         >>> Tresca(0.09)
-        Tresca(0.09)
+        <Tresca: slip bound 0.09>
         >>> Tresca(lambda x: 0.09 * (x[0] < 1.0))  # no friction beyond x = 1
-        Tresca(a function of points)
-        >>> Tresca(0.09, only_in_contact=True)
-        Tresca(0.09, only_in_contact=True)
+        <Tresca: slip bound a function of points>
         >>> Tresca((0.09, 0.03), direction=(1, 0, 0))  # grooves across x
-        Tresca((0.09, 0.03), direction=(1, 0, 0))
+        <Tresca: slip bound along (1, 0, 0) and across: 0.09 and 0.03>
     """
 
     slip_bound: Bound
-    only_in_contact: bool = False
     direction: VectorField | None = None
 
     def __post_init__(self) -> None:
@@ -289,39 +215,40 @@ class Tresca(DryFriction):
 
         Raises:
             InputError: a bound is not a real scalar, has no single value at a node, or is NaN;
-                `direction` is missing for two bounds, or given for one bound; it is not a vector;
-                or `only_in_contact` is not a bool.
+                `direction` is missing for two bounds, or given for one bound; or it is not a
+                vector.
         """
         _check_bound(self.slip_bound, self.direction, "the slip bound")
-        if not isinstance(self.only_in_contact, bool):
-            raise InputError(
-                f"only_in_contact must be True or False, found {shown(self.only_in_contact)}."
-            )
 
     @property
     def terms(self) -> BoundTerms:
         """The slip bound as a function of the pressure."""
-        if self.only_in_contact:
-            return BoundTerms(
-                coefficient=ONSET_COEFFICIENT, limit=self.slip_bound, direction=self.direction
-            )
         return BoundTerms(constant=self.slip_bound, direction=self.direction)
 
-    def __repr__(self) -> str:
-        more = ", only_in_contact=True" if self.only_in_contact else ""
-        return f"Tresca({_arguments_text(self.slip_bound, more, self.direction)})"
-
     def __str__(self) -> str:
-        more = " in contact" if self.only_in_contact else ""
-        return f"slip bound {_bound_text(self.slip_bound, self.direction)}{more}"
+        return f"slip bound {_bound_text(self.slip_bound, self.direction)}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Coulomb(DryFriction):
     """Coulomb friction: the norm of the tangential traction is at most F p, with the pressure p.
 
     With an adhesion c the norm is at most c + F p (Mohr-Coulomb), and with an adhesion and a limit
     l at most c + min(F p, l).
+
+    The coefficient may depend on the pressure and on the slip of the same solution: it is then a
+    function that returns F >= 0 [1], a number or an array (n,), for the pressures p >= 0 (n,)
+    [stress] and the slips v >= 0 (n,) [length], in the units of the problem. A slip is the length
+    of the tangential displacement since the last accepted step or, in the first step, since the
+    undeformed state; a law for the rate of slip divides the slip by the time step. The function is
+    called with arrays of any length, and with any values that occur during the iteration. Values of
+    Constants that it reads may be changed before each solve, and they may be controls of
+    derivatives. Bodies that only contact or soft springs hold cannot have a coefficient that
+    depends on the slip: hold them by Dirichlet conditions. The theory of Coulomb's law remains
+    valid if the bound F(p, v) p increases with p and with v. If the bound decreases with v (slip
+    weakening), there is one solution if it decreases more slowly than the stiffness of the bodies
+    increases the traction; the solve warns of bounds that decrease faster, and of bounds that
+    decrease with p.
 
     A solve finds a fixed point: multipliers that solve the Tresca problem whose bounds follow from
     their own pressures. The discrete problem has a solution for any coefficient, and a unique one
@@ -333,9 +260,8 @@ class Coulomb(DryFriction):
     Attributes:
         coefficient: F >= 0 [1], of any type that `Tresca.slip_bound` may have; in 3D also two
             coefficients (F1, F2), along `direction` and across it: the traction stays within an
-            ellipse with the semi-axes F1 p and F2 p. A function of two arguments, such as
-            `lambda p, v: 0.3 / (1 + v)`, or a `FrictionCurve`, is the coefficient as a function of
-            the pressure and of the slip of the step.
+            ellipse with the semi-axes F1 p and F2 p; or a function of two arguments, such as
+            `lambda p, v: 0.3 / (1 + v)`, see below.
         limit: largest value of the part of the bound that grows with the pressure [stress], a
             scalar of any type that `Tresca.slip_bound` may have: the bound is min(F p, limit), as
             with the shear limit in metal forming. For an ellipse the longer semi-axis is limited,
@@ -349,7 +275,7 @@ class Coulomb(DryFriction):
     Example:
         >>> from dolfinx_tresca import Coulomb
         >>> Coulomb(0.3)
-        Coulomb(0.3)
+        <Coulomb: coefficient of friction 0.3>
         >>> print(Coulomb(0.3, limit=40.0))
         coefficient of friction 0.3, slip bound at most 40
         >>> print(Coulomb((0.3, 0.1), direction=(1, 0, 0)))
@@ -362,7 +288,7 @@ class Coulomb(DryFriction):
 
     constant_name: ClassVar[str] = "the adhesion"
 
-    coefficient: Bound | FrictionCurve
+    coefficient: Bound | Callable[[Any, Any], Any]
     limit: ScalarField | None = None
     direction: VectorField | None = None
     adhesion: ScalarField = 0.0
@@ -406,12 +332,6 @@ class Coulomb(DryFriction):
         fixed = cast(Bound, self.coefficient) if curve is None else UNKNOWN_COEFFICIENT
         return BoundTerms(self.adhesion, fixed, limit, self.direction, curve)
 
-    def __repr__(self) -> str:
-        more = "" if self.limit is None else f", limit={field_text(self.limit)}"
-        if real(self.adhesion) != 0.0:
-            more += f", adhesion={field_text(self.adhesion)}"
-        return f"Coulomb({_arguments_text(self.coefficient, more, self.direction)})"
-
     def __str__(self) -> str:
         more = "" if self.limit is None else f", slip bound at most {field_text(self.limit)}"
         if real(self.adhesion) != 0.0:
@@ -451,17 +371,7 @@ def _check_bound(
     check_vector_field(direction, f"the direction of {name}")
 
 
-def _arguments_text(
-    bound: Bound | FrictionCurve, between: str, direction: VectorField | None
-) -> str:
-    """Return the text of a law's arguments: the bound, the text `between`, and the direction."""
-    if isinstance(bound, tuple) and direction is not None:
-        pair = ", ".join(field_text(value) for value in bound)
-        return f"({pair}){between}, direction={field_text(direction)}"
-    return f"{_bound_text(bound, direction)}{between}"
-
-
-def _bound_text(bound: Bound | FrictionCurve, direction: VectorField | None) -> str:
+def _bound_text(bound: Bound | Callable[[Any, Any], Any], direction: VectorField | None) -> str:
     """Return a short description of a bound, for tables and messages."""
     if curve_of(bound) is not None:
         return "a function of pressure and slip"
@@ -471,7 +381,7 @@ def _bound_text(bound: Bound | FrictionCurve, direction: VectorField | None) -> 
     return field_text(cast(ScalarField, bound))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Frictionless(Friction):
     """Contact without friction: the only multiplier is the contact pressure."""
 
@@ -479,7 +389,7 @@ class Frictionless(Friction):
         return "no friction"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Bonded(Friction):
     """Tied surfaces: the jump of the displacement is zero in all directions.
 
@@ -490,7 +400,7 @@ class Bonded(Friction):
         return "bonded"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Preload(Bonded):
     """The two faces at which a bolt was cut, pulled together by the force in the bolt.
 

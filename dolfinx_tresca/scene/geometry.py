@@ -95,7 +95,7 @@ class GmshGeometry:
         }
         return cls(path.resolve(), dict(parameters), curved, unit)
 
-    def matched(self, mesh: Any, facet_tags: Any) -> tuple[GmshGeometry, dict[int, float]]:
+    def matched(self, mesh: Any, facet_tags: Any) -> tuple[GmshGeometry, list[int]]:
         """Find the surfaces on which tagged facets of a mesh lie, for models without groups.
 
         Collective.
@@ -105,8 +105,8 @@ class GmshGeometry:
             facet_tags: tags of its facets.
 
         Returns:
-            the geometry of the tags that lie on surfaces, one of them curved; and for each tag with
-            facets that lie on no surface the distance of the worst one [length].
+            the geometry of the tags that lie on surfaces, one of them curved; and the tags with
+            facets that lie on no surface.
 
         Raises:
             InputError: the unit is unknown, or the file has a wrong suffix.
@@ -115,7 +115,7 @@ class GmshGeometry:
         comm, dim = mesh.comm, facet_tags.dim
         mesh.topology.create_connectivity(dim, dim + 1)
         on: dict[int, set[int]] = {}
-        off: dict[int, float] = {}
+        off: set[int] = set()
         flat: dict[int, bool] = {}
         with errors_on_all_ranks(comm), self._model() as model:
             entities = [entity for _, entity in model.getEntities(dim)]
@@ -138,22 +138,19 @@ class GmshGeometry:
                         on.setdefault(tag, set()).add(entity)
                         flat[entity] = _is_flat(model, dim, entity)
                 if (nearest > ON_SURFACE * size).any():
-                    worst = points[nearest.argmax(), :1].T
-                    to_all = [_nearest(model, (dim, entity), worst) - worst for entity in entities]
-                    off[tag] = float(np.linalg.norm(to_all, axis=1).min(initial=np.inf))
+                    off.add(tag)
         of_ranks = comm.allgather((on, off, flat))
         for rank_entities, far, kinds in of_ranks:
             flat |= kinds
             for tag, faces in rank_entities.items():
                 on[tag] = on.get(tag, set()) | faces
-            for tag, distance in far.items():
-                off[tag] = max(off.get(tag, 0.0), distance)
+            off |= far
         curved = {
             tag: tuple(sorted(faces))
             for tag, faces in sorted(on.items())
             if tag not in off and not all(flat[entity] for entity in faces)
         }
-        return replace(self, curved=curved), dict(sorted(off.items()))
+        return replace(self, curved=curved), sorted(off)
 
     @contextmanager
     def projections(self) -> Iterator[dict[int, Projection]]:

@@ -8,12 +8,33 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._base.arrays import integer, real
+from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.user_fields import checked_positive, checked_vector
+
+
+class _OnPair:
+    """Base class of goals, which checks their attributes."""
+
+    pair: int
+
+    def __post_init__(self) -> None:
+        pair = integer(self.pair)
+        if pair is None or pair < 0:
+            raise InputError(
+                f"pair must be its number, 0 for the first one, found {shown(self.pair)}."
+            )
+        for name, value in vars(self).items():
+            if name in ("point", "direction"):
+                checked_vector(name, value, 2, 3, nonzero=name == "direction")
+            elif name in ("radius", "exponent"):
+                object.__setattr__(self, name, checked_positive(name, value))
+                if name == "exponent" and value < 1.0:
+                    raise InputError(f"exponent must be at least 1, found {value}.")
 
 
 @dataclass(frozen=True)
-class NormalForce:
+class NormalForce(_OnPair):
     """Integral of the contact pressure of a pair [force; in 2D force per length].
 
     Attributes:
@@ -25,12 +46,9 @@ class NormalForce:
 
     pair: int = 0
 
-    def __post_init__(self) -> None:
-        _check_pair(self.pair)
-
 
 @dataclass(frozen=True)
-class ContactForce:
+class ContactForce(_OnPair):
     """Component of the contact force on the secondary body [force; in 2D force per length].
 
     The force includes pressure and friction; see `ContactSolution.resultants`.
@@ -51,13 +69,9 @@ class ContactForce:
     direction: npt.ArrayLike
     pair: int = 0
 
-    def __post_init__(self) -> None:
-        _check_pair(self.pair)
-        _check_vector("direction", self.direction)
-
 
 @dataclass(frozen=True)
-class MeanPressure:
+class MeanPressure(_OnPair):
     """Mean contact pressure around a point [stress], with the weight (1 - r^2/R^2)^2.
 
     The weight is smooth because the pressure at a point, or its mean over a patch with a sharp
@@ -84,13 +98,9 @@ class MeanPressure:
     radius: float
     pair: int = 0
 
-    def __post_init__(self) -> None:
-        _check_pair(self.pair)
-        object.__setattr__(self, "radius", _checked_patch(self.point, self.radius))
-
 
 @dataclass(frozen=True)
-class MeanSlip:
+class MeanSlip(_OnPair):
     """Mean component of the slip along a direction, around a point [length].
 
     The mean has the weight of `MeanPressure`. The slip is the displacement of the secondary side
@@ -112,14 +122,9 @@ class MeanSlip:
     direction: npt.ArrayLike
     pair: int = 0
 
-    def __post_init__(self) -> None:
-        _check_pair(self.pair)
-        object.__setattr__(self, "radius", _checked_patch(self.point, self.radius))
-        _check_vector("direction", self.direction)
-
 
 @dataclass(frozen=True)
-class PressureNorm:
+class PressureNorm(_OnPair):
     """Norm of the contact pressure in L^m, (integral of p^m)^(1/m) [stress area^(1/m)].
 
     The norm is a smooth measure of the peak: the larger m is, the more the largest pressures count.
@@ -135,13 +140,6 @@ class PressureNorm:
 
     exponent: float
     pair: int = 0
-
-    def __post_init__(self) -> None:
-        _check_pair(self.pair)
-        number = real(self.exponent)
-        if number is None or not 1.0 <= number < np.inf:
-            raise InputError(f"exponent must be at least 1, found {shown(self.exponent)}.")
-        object.__setattr__(self, "exponent", number)
 
 
 #: All goals.
@@ -174,42 +172,3 @@ def checked_goal(goal: Any, pairs: int, dim: int) -> Goal:
         if vector.shape != (dim,):
             raise InputError(f"{name} of the goal must have {dim} numbers, found {shown(vector)}.")
     return goal
-
-
-def _check_pair(pair: Any) -> None:
-    """Check the number of a pair.
-
-    Raises:
-        InputError: the value is not a non-negative integer.
-    """
-    number = integer(pair)
-    if number is None or number < 0:
-        raise InputError(f"pair must be its number, 0 for the first one, found {shown(pair)}.")
-
-
-def _check_vector(name: str, vector: Any, may_be_zero: bool = False) -> None:
-    """Check that a value is a vector of finite numbers, and not zero unless `may_be_zero`.
-
-    Raises:
-        InputError: the value is not such a vector.
-    """
-    try:
-        numbers = np.asarray(vector, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.full(1, np.nan)
-    if numbers.ndim != 1 or not np.isfinite(numbers).all() or not (may_be_zero or numbers.any()):
-        kind = "finite numbers" if may_be_zero else "finite numbers, not all zero"
-        raise InputError(f"{name} must be a vector of {kind}, found {shown(vector)}.")
-
-
-def _checked_patch(point: Any, radius: Any) -> float:
-    """Check a patch and return its radius [length].
-
-    Raises:
-        InputError: the centre is not a point, or the radius is not positive.
-    """
-    _check_vector("point", point, may_be_zero=True)
-    number = real(radius)
-    if number is None or not 0.0 < number < np.inf:
-        raise InputError(f"radius must be a positive number [length], found {shown(radius)}.")
-    return number

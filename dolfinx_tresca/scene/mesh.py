@@ -23,13 +23,15 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.cad import CELLS_PER_TURN, name_groups, set_sizes
 from dolfinx_tresca.scene.geometry import GmshGeometry
 from dolfinx_tresca.scene.gmsh_files import (
     CAD_SUFFIXES,
+    CELLS_PER_TURN,
     gmsh_session,
+    name_groups,
     open_file,
     options,
+    set_sizes,
     shapes_of,
 )
 
@@ -303,12 +305,10 @@ def _tagged(
     elif file is not None or cad_geometry.content is not None:
         cad_geometry, off = cad_geometry.matched(mesh, facet_tags)
         if off and file is not None:
-            tag, distance = max(off.items(), key=lambda item: item[1])
             raise InputError(
-                f"facets of {len(off)} surfaces do not lie on faces of '{file}'; those of "
-                f"{names[0].get(tag, tag)} are up to {distance:.3g} away from them. Give the CAD "
-                "file from which the mesh was made, and its unit of length in the mesh (unit is "
-                f"{unit})."
+                f"facets of {len(off)} surfaces do not lie on faces of '{file}', such as those of "
+                f"{names[0].get(off[0], off[0])}. Give the CAD file from which the mesh was made, "
+                f"and its unit of length in the mesh (unit is {unit})."
             )
     cells = NamedTags(cell_tags, names[1])
     facets = NamedTags(facet_tags, names[0], cells, cad_geometry)

@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
+from dolfinx_tresca.scene.user_fields import checked_positive, checked_vector, real_array
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
@@ -318,7 +319,7 @@ class RigidObstacle:
             return np.zeros(0), np.zeros((0, 3))
         returned = self._moved_distance(np.ascontiguousarray(points.T))
         try:
-            distance, normal = (_real_array(array) for array in returned)
+            distance, normal = (real_array(array) for array in returned)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"the signed distance of {self} must return two arrays, distances of shape (n,) "
@@ -408,7 +409,10 @@ class RigidSphere(RigidObstacle):
         Raises:
             InputError: the centre is not a point, or the radius is not positive.
         """
-        c, r = _present(_coordinates, "center", center), _present(_radius, "radius", radius)
+        c, r = (
+            _present(_coordinates, "center", center),
+            _present(checked_positive, "radius", radius),
+        )
         kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
             lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
@@ -457,7 +461,7 @@ class RigidCylinder(RigidObstacle):
                 "cylinder is a disc, RigidSphere(center, radius)."
             )
         p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)
-        r = _present(_radius, "radius", radius)
+        r = _present(checked_positive, "radius", radius)
 
         def distance(x: Array) -> tuple[Array, Array]:
             offset, along = x - p()[:, None], a()
@@ -511,30 +515,13 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
     return sign * (length - radius), normal
 
 
-def _real_array(value: npt.ArrayLike) -> Array:
-    """Return a value as an array of floats.
-
-    Raises:
-        TypeError: the value holds objects other than real numbers.
-    """
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
-        raise TypeError(f"expected real numbers, found {array.dtype}")
-    return array.astype(np.float64)
-
-
 def _coordinates(name: str, value: npt.ArrayLike) -> Array:
     """Return three coordinates from two or three; the third is 0 by default.
 
     Raises:
         InputError: the value is not a vector of 2 or 3 finite numbers.
     """
-    try:
-        vector = _real_array(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be 2 or 3 numbers, found {shown(value)}.") from error
-    if vector.shape not in ((2,), (3,)) or not np.isfinite(vector).all():
-        raise InputError(f"{name} must be 2 or 3 finite numbers, found {shown(value)}.")
+    vector = checked_vector(name, value, 2, 3)
     return np.append(vector, np.zeros(3 - len(vector)))
 
 
@@ -558,23 +545,10 @@ def _direction(name: str, value: npt.ArrayLike) -> Array:
     Raises:
         InputError: the value is not a vector of 2 or 3 finite numbers, or is zero.
     """
+    checked_vector(name, value, 2, 3, nonzero=True)
     vector = _coordinates(name, value)
-    size = np.abs(vector).max()
-    if size == 0.0:
-        raise InputError(f"{name} must have a direction, found {shown(value)}.")
-    return np.asarray(vector / size / np.linalg.norm(vector / size))
-
-
-def _radius(name: str, value: float) -> float:
-    """Return a radius as a float.
-
-    Raises:
-        InputError: the value is not a positive finite number.
-    """
-    number = real(value)
-    if number is None or not 0.0 < number < math.inf:
-        raise InputError(f"{name} must be a positive number, found {shown(value)}.")
-    return number
+    vector /= np.abs(vector).max()
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _vector_text(vector: Array) -> str:

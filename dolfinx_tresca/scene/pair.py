@@ -11,13 +11,15 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca._base.arrays import integer, real
+from dolfinx_tresca._base.arrays import integer
+from dolfinx_tresca._base.compat import same_topology
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field
+from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field, checked_positive
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
@@ -150,12 +152,7 @@ class ContactPair:
                 f"{shown(self.pairing)}."
             )
         if self.search_distance is not None:
-            distance = real(self.search_distance)
-            if distance is None or not distance > 0.0:
-                raise InputError(
-                    "search_distance must be a positive number, found "
-                    f"{shown(self.search_distance)}."
-                )
+            distance = checked_positive("search_distance", self.search_distance, math.inf)
             object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
         if not isinstance(self.sliding, str) or self.sliding not in get_args(Sliding):
@@ -163,7 +160,7 @@ class ContactPair:
                 f"sliding must be one of {', '.join(get_args(Sliding))}, found "
                 f"{shown(self.sliding)}."
             )
-        if isinstance(self.friction, Preload) and isinstance(self.primary, RigidObstacle):
+        if isinstance(self.friction, Preload) and self.obstacle is not None:
             raise InputError(f"a preload needs two deformable sides, found {self.primary}.")
         if self.gap is not None:
             check_scalar_field(self.gap, "the gap")
@@ -215,6 +212,11 @@ class ContactPair:
         return self.facet_tags.cell_tags if isinstance(self.facet_tags, NamedTags) else None
 
     @property
+    def obstacle(self) -> RigidObstacle | None:
+        """The rigid primary side; None if the primary side is deformable."""
+        return self.primary if isinstance(self.primary, RigidObstacle) else None
+
+    @property
     def touches_itself(self) -> bool:
         """Whether the two sides are the same surface, of one body or of several."""
         return bool(self.secondary == self.primary)
@@ -250,6 +252,33 @@ class ContactPair:
             return str(tag)
         names = self.facet_tags.names if isinstance(self.facet_tags, NamedTags) else {}
         return names.get(tag, f"tag {tag}")
+
+
+def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
+    """Check that all tags of facets and cells are on the mesh of the problem. Collective.
+
+    Raises:
+        InputError: tags are on another mesh, or on entities of another dimension.
+    """
+    dim = mesh.topology.dim
+    with errors_on_all_ranks(mesh.comm):
+        for pair in pairs:
+            for tags, kind, tagged_dim in (
+                (pair.facet_tags, "facets", dim - 1),
+                (pair.cell_tags, "cells", dim),
+            ):
+                if tags is None:
+                    continue
+                names = ", ".join(getattr(tags, "names", {}).values())
+                text = f"the tags of {kind} of contact pair {pair}" + f" ({names})" * bool(names)
+                if not same_topology(tags, mesh):
+                    raise InputError(
+                        f"{text} belong to another mesh than the function space of the forms."
+                    )
+                if tags.dim != tagged_dim:
+                    raise InputError(
+                        f"{text} mark entities of dimension {tags.dim}, {kind} have {tagged_dim}."
+                    )
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:

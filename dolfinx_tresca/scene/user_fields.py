@@ -1,4 +1,4 @@
-"""Scalar and vector fields given by the user: types, checks and descriptions."""
+"""Numbers, vectors and fields given by the user: types, checks and descriptions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuantity
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 
 #: A scalar on the contact surface; the Constants and Functions in it may be changed in place.
@@ -27,6 +28,52 @@ ScalarField: TypeAlias = (
 VectorField: TypeAlias = (
     "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
+
+LARGEST = float(np.finfo(np.float64).max)  #: the largest finite number
+
+
+def real_array(value: npt.ArrayLike) -> Array:
+    """Return a value as an array of floats.
+
+    Raises:
+        TypeError: the value holds objects other than real numbers.
+        ValueError: its rows have different lengths.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"expected real numbers, found {array.dtype}")
+    return array.astype(np.float64)
+
+
+def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) -> Array:
+    """Return a vector of finite numbers, of one of some sizes.
+
+    Raises:
+        InputError: the value is no such vector, or it is zero and `nonzero`.
+    """
+    try:
+        vector = real_array(value)
+    except (TypeError, ValueError):
+        vector = np.full(1, np.nan)
+    if vector.ndim != 1 or len(vector) not in sizes or not np.isfinite(vector).all():
+        numbers = " or ".join(map(str, sizes))
+        raise InputError(f"{name} must be {numbers} finite numbers, found {shown(value)}.")
+    if nonzero and not vector.any():
+        raise InputError(f"{name} must have a direction, found {shown(value)}.")
+    return vector
+
+
+def checked_positive(name: str, value: Any, largest: float = LARGEST) -> float:
+    """Return a positive number that is not larger than another one; by default all are finite.
+
+    Raises:
+        InputError: the value is no such number.
+    """
+    number = real(value)
+    if number is None or not 0.0 < number <= largest:
+        raise InputError(f"{name} must be a positive number, found {shown(value)}.")
+    return number
+
 
 _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
@@ -45,34 +92,43 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
         InputError: the value is not a scalar, is complex, or has no value at nodes; or it is a
             number that is NaN or negative by `rounding` or more.
     """
-    if isinstance(value, fem.Constant | fem.Expression | Expr):
-        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
-        _check_shape(tuple(expression.ufl_shape), name)
-        check_expression(expression, name)
-    elif not callable(value) or isinstance(value, type):
-        _check_shape(np.asarray(value).shape, name)
-        number = real(value)
-        if number is None:
-            raise InputError(
-                f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
-                f"expression, or a function of points, found {shown(value)}."
-            )
-        if not number > -rounding:
-            raise InputError(f"{name} must not be {invalid(number)}, found {number:g}.")
+    if _is_field(value, (), name):
+        return
+    _check_shape(np.asarray(value).shape, (), name)
+    number = real(value)
+    if number is None:
+        raise InputError(
+            f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
+            f"expression, or a function of points, found {shown(value)}."
+        )
+    if not number > -rounding:
+        raise InputError(f"{name} must not be {invalid(number)}, found {number:g}.")
+
+
+def _is_field(value: Any, shape: tuple[int, ...], name: str) -> bool:
+    """Return whether a value is a function, or a checked UFL expression, and not plain numbers.
+
+    Raises:
+        InputError: the expression has another shape, or see `check_expression`.
+    """
+    if not isinstance(value, fem.Constant | fem.Expression | Expr):
+        return callable(value) and not isinstance(value, type)
+    expression = value.ufl_expression if isinstance(value, fem.Expression) else value
+    _check_shape(tuple(expression.ufl_shape), shape, name)
+    check_expression(expression, name)
+    return True
+
+
+def _check_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str) -> None:
+    """Raise InputError unless a shape is that of a scalar, or of a vector of three components."""
+    if shape != wanted:
+        kind = "a vector of three components" if wanted else "a scalar"
+        raise InputError(f"{name} must be {kind}, found shape {shape}.")
 
 
 def invalid(number: float) -> str:
     """Return the word for a number that is no slip bound: NaN passes no comparison with a bound."""
     return "NaN" if math.isnan(number) else "negative"
-
-
-def _check_shape(shape: tuple[int, ...], name: str) -> None:
-    """Raise InputError unless the shape is that of a scalar."""
-    if shape != ():
-        raise InputError(
-            f"{name} must be a scalar, found shape {shape}. For a scalar that varies "
-            "give a scalar fem.Function or a function of points."
-        )
 
 
 def check_expression(expression: Expr, name: str) -> None:
@@ -144,23 +200,14 @@ def check_vector_field(value: VectorField, name: str) -> None:
         InputError: the vector does not have three components, is complex, or has no value at
             nodes; or it consists of numbers that are not finite, or are all zero.
     """
-    if isinstance(value, fem.Constant | fem.Expression | Expr):
-        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
-        _check_vector_shape(tuple(expression.ufl_shape), name)
-        check_expression(expression, name)
-    elif not callable(value) or isinstance(value, type):
-        numbers = np.asarray(value)
-        if numbers.dtype.kind not in "iuf":
-            raise InputError(
-                f"{name} must be three numbers, a fem.Constant, fem.Function or UFL expression "
-                f"with three components, or a function of points, found {shown(value)}."
-            )
-        _check_vector_shape(numbers.shape, name)
-        if not np.isfinite(numbers).all() or not numbers.any():
-            raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")
-
-
-def _check_vector_shape(shape: tuple[int, ...], name: str) -> None:
-    """Raise InputError unless the shape is that of a vector of three components."""
-    if shape != (3,):
-        raise InputError(f"{name} must be a vector of three components, found shape {shape}.")
+    if _is_field(value, (3,), name):
+        return
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iuf":
+        raise InputError(
+            f"{name} must be three numbers, a fem.Constant, fem.Function or UFL expression "
+            f"with three components, or a function of points, found {shown(value)}."
+        )
+    _check_shape(numbers.shape, (3,), name)
+    if not np.isfinite(numbers).all() or not numbers.any():
+        raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")

@@ -302,13 +302,12 @@ class Surface:
             name: self.function(name, operators.nodes, array) for name, array in values.items()
         }
         functions.setdefault("slip_increment", functions["slip"])
-        primary = self.pair.primary
         return SurfaceFields(
             name=str(self.pair),
             mesh=self.mesh,
             displacement=self.displacement(u),
             weights=self.weights(operators.nodes, operators.weights),
-            obstacle=copy(primary) if isinstance(primary, RigidObstacle) else None,
+            obstacle=copy(self.pair.obstacle),
             slides_far=self.pair.sliding == "finite",
             entity_maps=self.entity_maps,
             _on_both_sides=lambda function: self.on_both_sides(operators, function),

@@ -21,6 +21,7 @@ from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_v
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.user_fields import checked_vector
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
@@ -45,15 +46,7 @@ class Resultant:
         Raises:
             InputError: the point does not have d finite coordinates.
         """
-        try:
-            centre = np.array(point, dtype=np.float64)
-        except (TypeError, ValueError):
-            centre = np.zeros(0)
-        if centre.shape != self.point.shape or not np.isfinite(centre).all():
-            raise InputError(
-                f"the point of a moment must have {len(self.point)} coordinates, "
-                f"found {shown(point)}."
-            )
+        centre = checked_vector("the point of a moment", point, len(self.point))
         return Resultant(self.force, self.moment + moments(self.point - centre, self.force), centre)
 
 
@@ -174,27 +167,23 @@ def resultants_between(
     """
     places, forces, bodies = (np.concatenate(column) for column in zip(*shares, strict=True))
     acts = forces.any(axis=1)
-    places, forces, bodies = places[acts], forces[acts], bodies[acts]
-    sign = np.where(bodies[:, 0] < bodies[:, 1], 1.0, -1.0)[:, None]
+    places, bodies = places[acts], bodies[acts]
+    forces = np.where(bodies[:, :1] < bodies[:, 1:], 1.0, -1.0) * forces[acts]
+    lower, higher = np.sort(bodies, axis=1).T
+    number = int(reduce_array(comm, higher.max(initial=0), MPI.MAX)) + 1
+    keys = number * lower + higher
+    all_keys = np.unique(gather_rows(comm, np.unique(keys)[:, None]))
+    index = np.searchsorted(all_keys, keys)
     sizes = np.linalg.norm(forces, axis=1)[:, None]
-    columns = [np.sort(bodies, axis=1), sizes, sizes * places, sign * forces]
-    rows = np.hstack([*columns, sign * moments(places, forces)])
-    rows = _summed_by_bodies(gather_rows(comm, _summed_by_bodies(rows)))
-    dim = forces.shape[1]
-    ends = [2, 3, 3 + dim, 3 + 2 * dim]
-    split_rows = (np.split(row, ends) for row in rows)
+    weights = np.zeros((len(all_keys), 1 + forces.shape[1]))
+    np.add.at(weights, index, np.hstack([sizes, sizes * places]))
+    weights = reduce_array(comm, weights)
+    origin = np.zeros(forces.shape[1])
+    on_bodies = resultants_on(comm, [(places, forces, index)], len(all_keys), origin)
     return {
-        (int(both[0]), int(both[1])): Resultant(force, moment, np.zeros(dim)).about(place / size)
-        for both, size, place, force, moment in split_rows
+        divmod(int(key), number): resultant.about(weight[1:] / weight[0])
+        for key, resultant, weight in zip(all_keys, on_bodies, weights, strict=True)
     }
-
-
-def _summed_by_bodies(rows: Array) -> Array:
-    """Add up rows (m, 2 + k) with the same two bodies in their first columns."""
-    unique, position = np.unique(rows[:, :2], axis=0, return_inverse=True)
-    sums = np.zeros((len(unique), rows.shape[1] - 2))
-    np.add.at(sums, position.ravel(), rows[:, 2:])
-    return np.hstack([unique, sums])
 
 
 @dataclass(frozen=True)
@@ -322,9 +311,7 @@ class Supports:
         """
         V = self.contact_force.function_space
         dim = V.mesh.geometry.dim
-        along = np.asarray(direction, dtype=np.float64)
-        if along.shape != (dim,):
-            raise InputError(f"direction must have {dim} numbers, found {shown(direction)}.")
+        along = checked_vector("direction", direction, dim)
         held, springs = self._held_and_springs(where)
         pressed = np.abs(self.contact_force.x.array[: len(held)][held]).max(initial=0.0)
         if reduce_array(V.mesh.comm, pressed, MPI.MAX) > 0.0:

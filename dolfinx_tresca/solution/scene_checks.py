@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, real
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -24,7 +24,7 @@ from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import Pieces, flattened, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
-from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
+from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.fields import SurfaceFields
@@ -186,18 +186,18 @@ def motions_of_pairs(
     for pair, operators, jumps, (normal_rows, _), place in zip(
         pairs, jump.pairs, vectors, jump.slices, places, strict=True
     ):
-        if isinstance(pair.primary, RigidObstacle):
-            start, end = pair.primary.motion, RigidMotion.from_matrix(place)
+        if pair.obstacle is not None:
+            start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
             if angle > ROTATION.noticed:
-                text = f"{pair.primary} turns by {angle:.3g} rad in a load step, of which linear "
+                text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
                 text += f"theory allows {ROTATION.largest}"
                 yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
             points = np.zeros((3, len(jumps)))
             points[: jumps.shape[1]] = operators.places.T
             carried = end.applied_to(start.reversed_from(points)) - points
             jumps -= carried[: jumps.shape[1]].T
-        if pair.sliding == "finite" or operators.bonded or isinstance(pair.primary, RigidPlane):
+        if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
         force = np.zeros(len(operators.nodes))
         rows = operators.normal_node
@@ -236,7 +236,7 @@ def _motions_of_pair(
         of_size += "their normals and partners"
         yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
-    if in_facets > 1.0 and not isinstance(pair.primary, RigidObstacle):
+    if in_facets > 1.0 and pair.obstacle is None:
         undeformed = operators.undeformed
         facets = undeformed.displaced(V, shape)[undeformed.group.surfaces.primary]
         beyond = ~_lies_over(comm, facets, operators, jumps)
@@ -266,17 +266,12 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     return result
 
 
-#: Largest coefficient of friction that a material may have: rubber on rubber has 1 to 4.
-LARGEST_COEFFICIENT = 5.0
-
-
 def hint_at_scene(
     V: Any, pairs: Sequence[ContactPair], operators: Sequence[PairOperators], bodies: Bodies
 ) -> None:
     """Log likely mistakes in the contact pairs. Collective.
 
-    These mistakes are coefficients of friction that no material has, overlaps as deep as a body,
-    and pairs with both sides on one body.
+    These mistakes are overlaps as deep as a body, and pairs with both sides on one body.
 
     Args:
         V: space of the displacement.
@@ -287,18 +282,9 @@ def hint_at_scene(
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
-        coefficient = _coefficient(pair)
-        if coefficient > LARGEST_COEFFICIENT:
-            log(
-                comm,
-                "%s has a coefficient of friction of %g, which no material has: it is neither in "
-                "percent nor an angle",
-                *(pair, coefficient),
-                level=logging.WARNING,
-            )
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
-        if not isinstance(pair.primary, RigidObstacle):
+        if pair.obstacle is None:
             primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
@@ -340,10 +326,10 @@ def hint_at_overlap(
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
-        if isinstance(pair.primary, RigidObstacle) and surface.obstacle is not None:
+        if pair.obstacle is not None and surface.obstacle is not None:
             places = np.zeros((3, len(paired.places)))
             places[: paired.places.shape[1]] = paired.places.T
-            before = pair.primary.motion.reversed_from(places)
+            before = pair.obstacle.motion.reversed_from(places)
             moved = (surface.obstacle.motion.applied_to(before) - places).T
             closing -= np.einsum("ni,ni->n", moved[:, : paired.normals.shape[1]], paired.normals)
         depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
@@ -407,16 +393,6 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
             -weakening,
             level=logging.WARNING,
         )
-
-
-def _coefficient(pair: ContactPair) -> float:
-    """Return the largest coefficient of friction that is a number; zero if there is none."""
-    if pair.friction.terms.curve is not None:
-        return 0.0
-    coefficient = pair.friction.terms.coefficient
-    both = coefficient if isinstance(coefficient, tuple) else (coefficient,)
-    numbers = [value.value if isinstance(value, fem.Constant) else real(value) for value in both]
-    return max(float(0.0 if number is None else number) for number in numbers)
 
 
 def _nodes_of(V: Any, pair: ContactPair) -> Any:

@@ -208,7 +208,7 @@ def law_of(drawn: Drawn, bound: Any, stress: float) -> Friction:
     laws: dict[str, Friction] = {
         "none": Frictionless(),
         "Tresca": Tresca(axes(bound), direction=direction),
-        "Tresca in contact": Tresca(axes(bound), only_in_contact=True, direction=direction),
+        "Tresca in contact": Coulomb(axes(10.0), limit=bound, direction=direction),
         "Coulomb": Coulomb(axes(varying), direction=direction),
         "Coulomb and adhesion": Coulomb(axes(varying), adhesion=bound, direction=direction),
         "limited Coulomb": Coulomb(axes(most), limit=bound, direction=direction),

@@ -33,7 +33,6 @@ from dolfinx_tresca.output import panels, plot, views
 from dolfinx_tresca.output.grid import blocks_of, gather_grid
 from dolfinx_tresca.output.panels import (
     CURVE_COLOUR,
-    OPEN_COLOUR,
     TANGENT_COLOUR,
     gather_contact,
 )
@@ -149,12 +148,10 @@ def test_picture_without_a_path(comm: MPI.Comm, folder: Path, flat: ContactSolut
 
 @needs_xvfb
 def test_vectors(folder: Path, flat: ContactSolution) -> None:
-    """Text and charts are lines, the view is an image, and nothing differs from run to run."""
-    for name in ("first.svg", "second.svg", "first.pdf"):
+    """Text and charts are lines, and the view is an image."""
+    for name in ("first.svg", "first.pdf"):
         flat.plot(folder / name)
     svg, pdf = ((folder / f"first.{suffix}").read_bytes() for suffix in ("svg", "pdf"))
-    assert svg == (folder / "second.svg").read_bytes()
-    assert b"CreationDate" not in pdf
     assert svg.count(b"<image") == 2  # bodies, and the colours of the bar
     assert svg.count(b"<path") > 50
     assert pdf.startswith(b"%PDF")
@@ -257,7 +254,7 @@ def near(part: np.ndarray, colour: str) -> float:
 @pytest.mark.parallel
 @needs_xvfb
 def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
-    """Bodies with the red curve, and a chart of pressure, traction, slip, marks and open parts."""
+    """Bodies with the red curve, and a chart of pressure, traction, slip and marks."""
     counts = flat.counts
     assert 0 < counts.contact_stick < counts.contact < counts.nodes
     flat.plot(folder / "flat.png")
@@ -272,7 +269,6 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     upper, lower = np.split(right, [HEIGHT * 6 // 10])
     for part in (upper, lower):
         assert near(part, TANGENT_COLOUR) > 0.0005
-        assert near(part, OPEN_COLOUR) > 0.02
     for edge in (picture[:, :4], picture[:, -4:], picture[:4], picture[-4:]):
         assert fraction(edge, "white") == 1.0
 

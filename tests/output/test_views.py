@@ -85,7 +85,7 @@ def shaft_in_hub(part: float) -> tuple[Grid, Contact]:
     radius = np.concatenate([np.full(len(hub), part), np.full(len(shaft), part - 1.0)])
     u = OVERLAP * radius[:, None] * outwards
     kinds = np.full(len(cells) + len(others), 9)
-    volume = Grid(2, 1, points, np.concatenate([cells, others]), kinds, {"u": u})
+    volume = Grid(2, points, np.concatenate([cells, others]), kinds, {"u": u})
     return volume, contact_at(circle(1.0), np.full(len(AROUND), -OVERLAP))
 
 
@@ -94,7 +94,7 @@ def contact_at(points: np.ndarray, initial_gap: np.ndarray, gap: float = 0.0) ->
     n = len(points)
     cells = np.stack([np.full(n - 1, 2), np.arange(n - 1), np.arange(1, n)], axis=1)
     values = {"initial_gap": initial_gap, "gap": np.full(n, gap), "pressed": np.full(n, gap == 0.0)}
-    return Contact(Grid(1, 1, points, cells, np.full(n - 1, 3), values))
+    return Contact(Grid(1, points, cells, np.full(n - 1, 3), values))
 
 
 @pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
@@ -117,7 +117,7 @@ def block_over_plane(gap: float, closed: float, sink: float) -> tuple[Grid, Cont
     n = len(x)
     u = np.zeros_like(points)
     u[:n, 1], u[n:, 1] = -closed, -sink
-    volume = Grid(2, 1, points, cells, np.full(n - 1, 9), {"u": u})
+    volume = Grid(2, points, cells, np.full(n - 1, 9), {"u": u})
     return volume, contact_at(bottom, np.full(n, gap), gap - closed)
 
 
@@ -147,5 +147,5 @@ def test_displacements_become_visible(largest: float, wanted: float) -> None:
     """Bodies of length 3.7 move by at most a tenth of it, by a round magnification."""
     points = np.array([(0.0, 0.0, 0.0), (3.7, 0.0, 0.0)])
     u = np.array([(0.0, 0.0, 0.0), (largest, 0.0, 0.0)])
-    bar = Grid(2, 1, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u})
+    bar = Grid(2, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u})
     assert magnification(bar, []) == pytest.approx(wanted)

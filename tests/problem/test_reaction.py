@@ -112,7 +112,7 @@ def test_what_is_wrong_is_named():
     ):
         with pytest.raises(InputError, match=message):
             problem.reaction(where)
-    with pytest.raises(InputError, match="direction must have 3 numbers"):
+    with pytest.raises(InputError, match="direction must be 3 finite numbers"):
         problem.reaction_form(WALL, (1, 0))
     load.value[2] = -2.0
     with pytest.raises(ContactError, match="have changed since the solution"):

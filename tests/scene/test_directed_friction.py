@@ -91,9 +91,7 @@ def test_str_and_repr_of_laws_with_a_direction():
     ):
         law = Tresca((0.2, 0.1), direction=direction)
         assert str(law) == f"slip bound along {text} and across: 0.2 and 0.1"
-        assert repr(law) == f"Tresca((0.2, 0.1), direction={text})"
-    limited = Coulomb((0.2, 0.1), limit=3.0, direction=X)
-    assert repr(limited) == "Coulomb((0.2, 0.1), limit=3, direction=(1, 0, 0))"
+        assert repr(law) == f"<Tresca: {law}>"
 
 
 @pytest.mark.parallel

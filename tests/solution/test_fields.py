@@ -18,7 +18,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.output.io import paraview_preset
+from dolfinx_tresca.output.io import STATE_COLOURS
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.solution.forces import Resultant
 from scenes.blocks import BELOW, RIGHT, block, floor
@@ -104,7 +104,7 @@ def test_arrays_have_the_order_of_functions(comm: MPI.Comm) -> None:
 
 
 def test_each_state_has_a_name_and_a_colour() -> None:
-    (preset,) = json.loads(paraview_preset())
+    (preset,) = json.loads(STATE_COLOURS.read_text())
     assert [int(value) for value in preset["Annotations"][::2]] == sorted(ContactState)
     names = preset["Annotations"][1::2]
     colours = np.reshape(preset["IndexedColors"], (-1, 3))

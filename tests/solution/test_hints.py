@@ -32,17 +32,6 @@ def two_blocks(comm, **changes) -> Scene:
 
 
 @pytest.mark.parallel
-def test_coefficients_of_friction(comm, caplog):
-    scene = two_blocks(comm)
-    for coefficient in (4.9, 5.1, 30, fem.Constant(scene.mesh, 30.0)):
-        pair = dataclasses.replace(scene.pair, friction=Coulomb(coefficient), name="the pair")
-        value = float(getattr(coefficient, "value", coefficient))
-        text = f"the pair has a coefficient of friction of {value:g}, which no material has"
-        expected = comm.rank == 0 and value > 5.0
-        assert (text in hints(caplog, scene, pairs=[pair])) == expected
-
-
-@pytest.mark.parallel
 @pytest.mark.parametrize(("depth", "deep"), [(0.2, False), (1.2, True)])
 def test_overlaps(comm, caplog, depth, deep):
     """The block is 1 high: units of length that are mixed up, or a body in the wrong place."""

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from dense import clarabel_minimum
 
-from dolfinx_tresca import ContactStatus, FrictionCurve
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.scene.friction import FrictionCurve
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import NodalCurves
 from scenes.dense import DenseProblem, random_cone_problem, run

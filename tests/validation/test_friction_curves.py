@@ -19,7 +19,6 @@ from dolfinx import fem
 from dolfinx_tresca import (
     ContactForce,
     Coulomb,
-    FrictionCurve,
     InputError,
 )
 from scenes.blocks import ABOVE, LEFT, RIGHT, block
@@ -41,9 +40,7 @@ LAWS: dict[str, Coulomb] = {
     "a power of the pressure": Coulomb(lambda p, v: 0.3 * (p / PRESSURE) ** (-1 / 3)),
     "Stribeck": Coulomb(lambda p, v: 0.1 + 0.2 * np.exp(-v / 0.01) + 5 * v),
     "weakening": Coulomb(lambda p, v: 0.2 + 0.2 * np.exp(-v / 0.008)),
-    "viscous": Coulomb(
-        FrictionCurve(lambda p, v: 30 * v, lambda p, v: (np.zeros_like(p), 30 + 0 * v))
-    ),
+    "viscous": Coulomb(lambda p, v: 30 * v),
     "steep": Coulomb(lambda p, v: 3e4 * v),
     "adhesion": Coulomb(lambda p, v: 0.2 + 5 * v, adhesion=0.1 * PRESSURE),
     "limit": Coulomb(lambda p, v: 0.2 + 0.1 * v / SHIFT, limit=0.22 * PRESSURE),
@@ -165,7 +162,6 @@ def test_floating_blocks(comm):
         (lambda p, v: np.where(v > 0.0, np.nan, 0.1), "not negative, found nan"),
         (lambda p, v: np.zeros(7), r"a number or an array of shape \(5,\)"),
         (lambda p, v: 1j + p, "must be real"),
-        (FrictionCurve(lambda p, v: 0.1 + p, lambda p, v: p), "must be a pair"),
     ],
 )
 def test_wrong_curves(curve, message):
@@ -179,10 +175,6 @@ def test_wrong_curves(curve, message):
 def test_wrong_arguments():
     with pytest.raises(InputError, match="a direction needs two values"):
         Coulomb(lambda p, v: 0.1, direction=(1, 0, 0))
-    with pytest.raises(InputError, match="must be a function of pressures and slips"):
-        FrictionCurve(0.3)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="derivatives of a friction curve"):
-        FrictionCurve(lambda p, v: 0.3, 1.0)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -214,7 +214,7 @@ def rubber_over(comm, obstacle, sliding):
         ({"translation": (np.nan, 0.0)}, "translation must be 2 or 3 finite"),
         ({"rotation": (0.0, 1.0)}, "rotation must be a number or 3 numbers"),
         ({"rotation": np.inf}, "rotation must be a number or 3 numbers"),
-        ({"about": "centre"}, "about must be 2 or 3 numbers"),
+        ({"about": "centre"}, "about must be 2 or 3 finite numbers"),
     ],
 )
 def test_motions_that_are_wrong(given, message):

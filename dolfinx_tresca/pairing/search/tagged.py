@@ -14,7 +14,6 @@ import numpy as np
 import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, row_of_least
 from dolfinx_tresca.errors import InputError, MeshError, PairingError
@@ -56,21 +55,11 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
         side: "secondary" or "primary", for error messages.
 
     Raises:
-        InputError: the tags belong to another mesh or to entities other than facets, or no facet
-            has the tag.
+        InputError: no facet has the tag.
         PairingError: facets are inside a body, or have no area.
     """
     mesh = V.mesh
     comm, dim = mesh.comm, mesh.topology.dim - 1
-    with errors_on_all_ranks(comm):
-        if not same_topology(facet_tags, mesh):
-            raise InputError(
-                "facet_tags belong to another mesh than the function space of the forms."
-            )
-        if facet_tags.dim != dim:
-            raise InputError(
-                f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
-            )
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
         mesh.topology.create_connectivity(entity, neighbour)
     facets = facet_tags.find(tag)
