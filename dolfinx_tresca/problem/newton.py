@@ -286,7 +286,8 @@ class Newton:
         if self._unstable:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
         if any("proximal" in step.added for step in self.steps):
-            text += self._unstable_elements()
+            hint = self._unstable_elements()
+            text += hint * (hint not in self.failure)
         return text
 
     def _unstable_elements(self) -> str:
@@ -384,7 +385,7 @@ class Newton:
                 return f"{where}: {reason}"
             excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
-                self._sliding.observe(problem.displacement, solution.residuals[0])
+                self._sliding.observe(problem.displacement)
                 excess = max(excess, self._sliding.error / self.contact.geometry_accuracy)
             if reached and excess <= 1.0:
                 return ""
@@ -457,8 +458,6 @@ class Newton:
                 # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0
                 options = self.contact.at_least(self.options.accuracy * forcing)
-                if self._sliding is not None and level == 0:
-                    options = self._sliding.loosened(options)
                 return self.problem.solve(options, self.units, self._observed, self.contact)
             except StiffnessError as error:
                 failure = error

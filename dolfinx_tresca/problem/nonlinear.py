@@ -283,6 +283,7 @@ class NonlinearContactProblem(ContactProcess):
             )
         state = problem.surfaces.state
         former = state.acceptable(unconverged=True)
+        problem.tangent.forget_material()  # loads may have changed since
         try:
             try:
                 problem.factor()

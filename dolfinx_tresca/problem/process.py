@@ -294,12 +294,10 @@ class ContactProcess(PetscOwner, Tabulated):
                 laws of another kind (with friction, without friction, bonded), or to another
                 number of Functions of the material; then nothing has changed.
         """
-        surfaces, system = self._contact.surfaces, self._contact.linear
+        surfaces = self._contact.surfaces
         self._contact.check_not_destroyed()
-        path = Path(self.comm.bcast(str(path)))
         self._check_material(material)
-        saved = SavedState(path, system, len(self.pairs))
-        remembered = saved.functions("material", material)
+        saved = SavedState(Path(self.comm.bcast(str(path))), surfaces.state, material)
         former, motions = surfaces.state, surfaces.obstacles.motions
         try:
             surfaces.obstacles.motions = saved.motions
@@ -309,7 +307,7 @@ class ContactProcess(PetscOwner, Tabulated):
             surfaces.obstacles.motions = motions
             surfaces.return_to(former)
             raise
-        for function, values in zip(material, remembered, strict=True):
+        for function, values in zip(material, saved.material, strict=True):
             function.x.array[:] = values
         return saved.step
 

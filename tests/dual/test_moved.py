@@ -139,7 +139,7 @@ def test_values_are_carried_over_column_by_column(comm):
         values = np.random.default_rng(1).standard_normal((len(before.gap), 3))
         same = Carry(before, before).physical(values)
         assert np.allclose(same, values, rtol=0.0, atol=1e-14)
-        after = moved_jump(before, problem.pairs, u)
+        after = moved_jump(before, problem.pairs, u, [True] * len(problem.pairs))
         carry = Carry(before, after)
         columns = [carry.physical(column) for column in values.T]
         assert np.array_equal(carry.physical(values), np.column_stack(columns))
