@@ -335,9 +335,7 @@ def solve_with_finite_sliding(
                 failure = f"{solution.sliding}. " * bool(solution.sliding)
                 failure += f"This happened in {number}. {ADVICE}"
             break
-        frames = contact.surfaces.jump.frames or contact.surfaces.frames_at_rest
-        u = solution.u if frames is None else frames.exactly_turned(solution.u)
-        sliding.observe(u)
+        sliding.observe(solution.u)
         if sliding.error <= options.geometry_accuracy:
             if last_iteration is not None:
                 observe(replace(last_iteration, ended=True))
