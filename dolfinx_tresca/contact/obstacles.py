@@ -60,9 +60,18 @@ class Obstacles:
 
     @motions.setter
     def motions(self, motions: Array) -> None:
+        self.place(motions, only_held_by_forces=False)
+
+    def place(self, motions: Array, *, only_held_by_forces: bool) -> None:
+        """Place bolts and obstacles, all or only those that forces hold. Not collective.
+
+        Args:
+            motions: (pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt.
+            only_held_by_forces: whether other obstacles stay where the user has moved them.
+        """
         self._of_bodies = motions.copy()
         for obstacle, matrix in zip(self._obstacles, motions, strict=True):
-            if obstacle is not None:
+            if obstacle is not None and (obstacle.given_forces or not only_held_by_forces):
                 obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
@@ -155,17 +164,6 @@ class Obstacles:
             force = float(load @ direction)
             result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
         return result
-
-    def advance(self, motions: Array) -> None:
-        """Leave obstacles that forces hold, and bolts, where they are in a step. Not collective.
-
-        Args:
-            motions: (pairs, 3, 4) motions in the solution of the step.
-        """
-        self._of_bodies = motions.copy()
-        for obstacle, matrix in zip(self._obstacles, motions, strict=True):
-            if obstacle is not None and obstacle.given_forces is not None:
-                obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def note_pairing(self, jump: JumpOperator) -> None:
         """Record distances and normals at the nodes of a newly computed B. Collective.

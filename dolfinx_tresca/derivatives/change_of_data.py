@@ -174,8 +174,7 @@ def moved_rows(
         return None
     origin: Array = np.zeros(len(jump.gap))
     if not in_all_steps:
-        solved = system.solved
-        assert solved is not None
+        solved = system.solution_for("a derivative")
         origin, moves_in_step = solved.dual.history.origin, moves & solved.moved
         for pair, moved, (_, t) in zip(system.pairs, moves_in_step, jump.slices, strict=True):
             if moved and system.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
