@@ -362,14 +362,10 @@ class TangentProblem(ContactSystem):
         a body of revolution a radial translation is a strain, and the radius is not changed.
         """
         V = self.tangent.V
-        dim, nodes = V.mesh.geometry.dim, V.dofmap.index_map
-        position = fem.Function(V)
-        position.interpolate(lambda x: x[:dim])
-        x = position.x.array.reshape(-1, dim)
+        nodes, x = V.dofmap.index_map, V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric
-        x -= middle
-        return position
+        return with_owned_values(V, (x - middle)[: nodes.size_local])
 
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""

@@ -24,7 +24,6 @@ from dolfinx_tresca import (
     StiffnessError,
 )
 from scenes.blocks import RIGHT
-from scenes.blocks import YOUNG as block_young
 from scenes.plastic_block import YIELD, YOUNG, plastic_block, uniaxial_path
 from scenes.rubber_block import rubber_block
 
@@ -359,24 +358,3 @@ def test_a_history_that_is_changed_between_solves(comm, numeric):
     assert virgin == pytest.approx(uniaxial_path(PATH[:2])[1], rel=100 * RTOL)
     assert hardened == pytest.approx(PATH[1] * YOUNG, rel=100 * RTOL)  # elastic
     assert again == pytest.approx(virgin, rel=100 * RTOL)
-
-
-def test_added_stiffness_is_the_last_converged_tangent():
-    """It is the elastic one after unloading; the undeformed body would yield the other way."""
-    metal = plastic_block(MPI.COMM_SELF, (1, 1, 1))
-    x = fem.Function(metal.scene.V)
-    with metal.problem(**OPTIONS) as problem:
-        forces(problem, metal.push, PATH[:4])
-        problem.solve()
-        metal.u.x.array[:] *= 1.7  # of the next Newton step, where the material flows
-        linearised = problem._contact
-        x.x.array[: len(problem.prescribed)] = np.where(problem.prescribed, 0.0, 1.0)
-        x.x.array[:] *= np.sin(np.arange(len(x.x.array)))
-        added = linearised._reference_stiffness(3.0)
-        product = added.createVecLeft()
-        added.mult(x.x.petsc_vec, product)
-        elastic = fem.assemble_scalar(fem.form(ufl.action(ufl.action(metal.scene.a, x), x)))
-        wanted = 3.0 * YOUNG / block_young * elastic
-        assert x.x.petsc_vec.dot(product) == pytest.approx(wanted, rel=1e-9)
-        added.destroy()
-        product.destroy()
