@@ -105,8 +105,7 @@ class ContactProblem(_ContactProblem):
             for output in (u, self.solved):
                 block.add_output(output.block_variable)
             pyadjoint.get_working_tape().add_block(block)
-        surfaces, solved = self._contact.surfaces, self._contact.solved
-        assert solved is not None
+        surfaces, solved = self._contact.surfaces, self._contact.solution_for("the tape")
         fields = dataclasses.replace(solved.fields, u=u)
         solved = dataclasses.replace(solved, fields=fields)
         surfaces.state = dataclasses.replace(surfaces.state, solution=solved)

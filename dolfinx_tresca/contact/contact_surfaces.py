@@ -245,10 +245,8 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         self.note_obstacles()
-        jump = moved_jump(self.jump, self.pairs, u, frames=self.frames_at(u))
-        state = self._state.paired_at(jump, u, continues=continues)
-        self._replace_jump(jump)
-        self._state = replace(state, configuration=u.copy(), geometry=u.copy())
+        self._pair_anew(u, np.ones(len(self.pairs), np.bool_), continues=continues)
+        self._state = replace(self._state, configuration=u.copy(), geometry=u.copy())
 
     @property
     def state(self) -> StepState:
@@ -342,7 +340,7 @@ class ContactSurfaces(PetscOwner):
         self.obstacles.warn_of_unknown_motions(changed, same_place)
         return changed
 
-    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
+    def _pair_anew(self, u: fem.Function, anew: Mask, *, continues: bool = False) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
         With finite sliding, the slip counts from the last accepted step. The slip of a node is its
@@ -352,6 +350,7 @@ class ContactSurfaces(PetscOwner):
         Args:
             u: displacement [length] in the problem's space.
             anew: (pairs,) True for the pairs to be paired again.
+            continues: whether the load step goes on; see `StepState.paired_at`.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
@@ -366,7 +365,7 @@ class ContactSurfaces(PetscOwner):
             since_accepted = self._finite_sliding & anew
             frames = self.frames_at(u) if since_accepted.any() else self.jump.frames
             jump = moved_jump(self.jump, self.pairs, u, anew, frames)
-            self._state = self._state.paired_at(jump, u, since_accepted=since_accepted)
+            self._state = self._state.paired_at(jump, u, since_accepted, continues=continues)
             self._replace_jump(jump)
 
     def _replace_jump(self, jump: JumpOperator) -> None:
@@ -384,16 +383,35 @@ class ContactSurfaces(PetscOwner):
 
         The slip on an obstacle then counts relative to the obstacle.
         """
+        state = self._state
+        jumps, _ = self.obstacle_jumps(state.accepted.motions, state.motions)
+        for normal, _ in self.jump.slices:
+            jumps[normal] = 0.0
+        return replace(state.history, origin=state.history.origin + jumps)
+
+    def obstacle_jumps(self, before: Array, after: Array) -> tuple[Array, float]:
+        """Return the jumps (size,) that motions of obstacles cause, and the largest displacement.
+
+        The jumps are divided by `JumpOperator.length_scale`, and are zero where no obstacle moves.
+        Collective.
+
+        Args:
+            before: (pairs, 3, 4) former motions of the obstacles (`RigidMotion.matrix`).
+            after: (pairs, 3, 4) motions of the obstacles after these.
+        """
         state, jump = self._state, self.jump
-        displacement = np.zeros(len(jump.gap))
-        for before, present, slides_far, (_, t) in zip(
-            state.accepted.motions, state.motions, self._finite_sliding, jump.slices, strict=True
+        jumps, largest = np.zeros(len(jump.gap)), 0.0
+        for start, end, slides_far, rows in zip(
+            before, after, self._finite_sliding, jump.slices, strict=True
         ):
-            if not np.array_equal(before, present):
+            if not np.array_equal(start, end):
                 u = state.configuration if slides_far else state.geometry
-                moved = self.obstacles.displacement(before, present, u)
-                displacement[t] = jump.of_displacement(moved)[t]
-        return replace(state.history, origin=state.history.origin + displacement)
+                moved = self.obstacles.displacement(start, end, u)
+                largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
+                of_pair = jump.of_displacement(moved)
+                for indices in rows:
+                    jumps[indices] = of_pair[indices]
+        return jumps, largest
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.

@@ -113,6 +113,20 @@ class ContactSystem(PetscOwner):
         valid = solution is not None and solution.dual.compliance is self.surfaces.compliance
         return solution if valid else None
 
+    def solution_for(self, purpose: str) -> StepSolution:
+        """Return the last solution. Not collective.
+
+        Args:
+            purpose: name of the result that needs the solution, for the error.
+
+        Raises:
+            ContactError: the problem was destroyed, or nothing was solved since it changed.
+        """
+        self.check_not_destroyed()
+        if self.solved is None:
+            raise ContactError(f"there is no solution for {purpose}: call solve() first.")
+        return self.solved
+
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
@@ -189,8 +203,8 @@ class ContactSystem(PetscOwner):
             InputError: a gap, a slip bound or a coefficient of friction has a value that is not
                 allowed.
         """
-        surfaces, solved, solution = self.surfaces, self.solved, self.surfaces.state.solution
-        assert solved is not None
+        surfaces, solution = self.surfaces, self.surfaces.state.solution
+        solved = self.solution_for(purpose)
         status = ContactStatus.CONVERGED if solution is None else solution.status
         if status is not ContactStatus.CONVERGED:
             raise ContactError(

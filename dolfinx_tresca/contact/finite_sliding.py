@@ -30,10 +30,9 @@ ANDERSON_DEPTH = 3
 
 #: Anderson's acceleration uses the Gram matrix of differences of residuals u - w, each divided by
 #: its length. Eigenvectors are ignored if their eigenvalue is below this fraction of the largest
-#: one: they belong to combinations of nearly dependent differences. Such combinations are noise,
-#: since early contact problems are solved inaccurately. The half ring of
-#: benchmarks/finite_sliding.py takes 187 Newton steps with 1e-12, 160 with 1e-3 (32 cells, 11 load
-#: steps, `geometry_accuracy=1e-6`).
+#: one: they belong to combinations of nearly dependent differences, which are noise. (The half ring
+#: of benchmarks/finite_sliding.py took 187 Newton steps with 1e-12, 160 with 1e-3; 32 cells, 11
+#: load steps, `geometry_accuracy=1e-6`.)
 DEPENDENT = 1e-3
 
 #: Two configurations are alike, and their difference tells how u changes with w, if at most this
@@ -48,28 +47,6 @@ LEAST_PART, LARGEST_PART = 0.1, 0.9
 #: of a bellows whose contact passes from node to node do not converge; with 3, an edge that slides
 #: off a corner does not.
 GROWING = 2
-
-#: Residual to which a contact problem is solved, relative to the residual that the contact problem
-#: of the previous configuration started with (forcing terms, Eisenstat and Walker 1996): the next
-#: configuration changes the forces again, so early contact problems need no more accuracy. A
-#: residual proportional to the last change of the forces is not better: where forces are sensitive
-#: to residuals, as in slender bodies, this change is as large as the errors of contact problems.
-#: The half ring of benchmarks/finite_sliding.py (32 cells, both choices of sides) takes 182 Newton
-#: steps if the residual is 0.03 times the change of the forces, 165 with the value below, and 159
-#: with 0.003. The hemisphere of the same file (size 10, which slides by 2 cells in each load step)
-#: takes, in this order, 63, 59 and 57 Newton steps with 381, 438 and 473 products.
-FORCING = 0.01
-
-#: The residual that the contact problem starts with counts as falling by at least this factor from
-#: one configuration to the next. The residual of bodies that contact alone holds does not fall,
-#: since each contact problem finds their rigid displacements anew; without this factor, forces of
-#: faces that lie flat change by 1e-3 for ever. (Six steps of the half ring take 108 Newton steps
-#: with 314 products without the factor, 69 with 255 with it.)
-TIGHTER = 0.3
-
-#: The requested residual falls below the user's `rtol` until it reaches this number, below which
-#: rounding may prevent it. (A tenth of it changes no number of Newton steps above.)
-LEAST_RESIDUAL = 1e-8
 
 #: Ratio of a change of forces or gaps to the previous change: the assumed value while it is
 #: unknown; its lower bound, since a step of Anderson's acceleration may succeed by chance; and its
@@ -146,20 +123,10 @@ class FiniteSliding:
         self._path: list[Configuration] = []
         self._followed: Array | None = None  # u of the last step that followed a snap
         self._grows = 0  # number of last configurations in which |u - w| has grown
-        self._start = 1.0  # relative residual that the last contact problem started with
         self.change = self.error = math.inf
         self.configurations, self.snaps = 1, False
 
-    def loosened(self, options: SolverOptions) -> SolverOptions:
-        """Return the options with an `rtol` for the present configuration; see `FORCING`."""
-        residual = FORCING * self._start
-        if options.rtol is not None:
-            residual = max(residual, min(LEAST_RESIDUAL, options.rtol))
-        elif residual <= FORCING * options.geometry_accuracy:
-            return options
-        return options.with_changes(rtol=residual)
-
-    def observe(self, u: fem.Function, start: float) -> None:
+    def observe(self, u: fem.Function) -> None:
         """Compare forces and gaps with the previous configuration, and estimate the error.
 
         Collective.
@@ -170,9 +137,7 @@ class FiniteSliding:
 
         Args:
             u: solution of the contact problem in the present configuration [length].
-            start: relative residual that this problem started with, at the previous tractions.
         """
-        self._start = self._surfaces.comm.bcast(min(start, TIGHTER * self._start))
         forces, jump = self._surfaces.contact_forces(), self._surfaces.jump
         pressures = np.asarray(self._surfaces.compliance.stress_rounding / jump.stress_scale)
         rounding = self._surfaces.contact_forces(pressures)
@@ -362,8 +327,7 @@ def solve_with_finite_sliding(
         return observe(last_iteration)
 
     while True:
-        loosened = sliding.loosened(options)
-        solution = contact.solve(loosened, units, in_configuration, options)
+        solution = contact.solve(options, units, in_configuration)
         add_cost(cost, solution)
         number = f"configuration {sliding.configurations} of the surfaces"
         if solution.status is not ContactStatus.CONVERGED:
@@ -371,13 +335,8 @@ def solve_with_finite_sliding(
                 failure = f"{solution.sliding}. " * bool(solution.sliding)
                 failure += f"This happened in {number}. {ADVICE}"
             break
-        frames = contact.surfaces.jump.frames or contact.surfaces.frames_at_rest
-        u = solution.u if frames is None else frames.exactly_turned(solution.u)
-        sliding.observe(u, solution.residuals[0])
+        sliding.observe(solution.u)
         if sliding.error <= options.geometry_accuracy:
-            if loosened != options:
-                solution = contact.solve(options, units, in_configuration)
-                add_cost(cost, solution)
             if last_iteration is not None:
                 observe(replace(last_iteration, ended=True))
             break

@@ -60,9 +60,18 @@ class Obstacles:
 
     @motions.setter
     def motions(self, motions: Array) -> None:
+        self.place(motions, only_held_by_forces=False)
+
+    def place(self, motions: Array, *, only_held_by_forces: bool) -> None:
+        """Place bolts and obstacles, all or only those that forces hold. Not collective.
+
+        Args:
+            motions: (pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt.
+            only_held_by_forces: whether other obstacles stay where the user has moved them.
+        """
         self._of_bodies = motions.copy()
         for obstacle, matrix in zip(self._obstacles, motions, strict=True):
-            if obstacle is not None:
+            if obstacle is not None and (obstacle.given_forces or not only_held_by_forces):
                 obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
@@ -156,17 +165,6 @@ class Obstacles:
             result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
         return result
 
-    def advance(self, motions: Array) -> None:
-        """Leave obstacles that forces hold, and bolts, where they are in a step. Not collective.
-
-        Args:
-            motions: (pairs, 3, 4) motions in the solution of the step.
-        """
-        self._of_bodies = motions.copy()
-        for obstacle, matrix in zip(self._obstacles, motions, strict=True):
-            if obstacle is not None and obstacle.given_forces is not None:
-                obstacle.motion = RigidMotion.from_matrix(matrix)
-
     def note_pairing(self, jump: JumpOperator) -> None:
         """Record distances and normals at the nodes of a newly computed B. Collective.
 
@@ -224,39 +222,22 @@ class Obstacles:
                     level=logging.WARNING,
                 )
 
-    def depending_on(self, control: Any, jump: JumpOperator) -> Mask:
-        """Return whether the obstacle of each pair depends on a control. Collective.
+    def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
+        """Return the largest rate of change (pairs,) of each pair's distances. Collective.
+
+        A change of a normal, times the extent of the mesh, counts as a change of a distance.
+
+        Args:
+            control: a Constant on which obstacles may depend.
+            direction: change of the control, an array of the shape of its value; None: one along
+                which any obstacle that depends on the control changes.
+            jump: the operator B, at whose nodes distances are compared.
 
         Raises:
             InputError: an obstacle depends on a control that is a Function.
         """
-        # no vector of small whole numbers, along which a plane might not move
-        return self._rates(control, np.sqrt(1.0 + np.arange(values_of(control).size)), jump) > 0.0
-
-    def step_of_unit_change(
-        self, constant: fem.Constant, direction: Array, jump: JumpOperator
-    ) -> float:
-        """Return the step of a Constant that changes distances by one unit of length. Collective.
-
-        If the step of a difference quotient is a multiple of this step, the quotient does not
-        depend on the units.
-
-        Args:
-            constant: a Constant on which obstacles depend.
-            direction: change of the Constant, an array of the shape of its value.
-            jump: the operator B, at whose nodes distances are compared.
-
-        Returns:
-            the step, as a factor of the direction; 0 if no distance changes along it.
-        """
-        largest = float(self._rates(constant, direction, jump).max(initial=0.0))
-        return 1.0 / largest if largest > 0.0 else 0.0
-
-    def _rates(self, control: Any, direction: Array, jump: JumpOperator) -> Array:
-        """Return the largest rate of change (pairs,) of each pair's distances. Collective.
-
-        A change of a normal, times the extent of the mesh, counts as a change of a distance.
-        """
+        if direction is None:  # no small whole numbers, along which a plane might not move
+            direction = np.sqrt(1.0 + np.arange(values_of(control).size))
         comm, scale = self._V.mesh.comm, np.append(1.0, np.full(3, self.extent))
         rates = central_differences(
             comm,

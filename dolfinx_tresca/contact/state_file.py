@@ -28,10 +28,9 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Name and version of the format of the file.
-FORMAT = "dolfinx_tresca state 7"
+FORMAT = "dolfinx_tresca state 8"
 
 #: Name of the column of a table with the `surroundings` of its nodes.
 PLACES = "places"
@@ -64,7 +63,7 @@ def write_state(
         InputError: the file cannot be written.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
-    system, places = jump.system, surroundings(jump.system.V)
+    places = surroundings(jump.system.V)
     displacements = {
         "configuration": state.configuration,
         "geometry": state.geometry,
@@ -72,13 +71,6 @@ def write_state(
         "displacement before": accepted.before,
         "accepted configuration": accepted.configuration,
     }
-    functions = {f"material {k}": function for k, function in enumerate(material)}
-    if state.unknowns is not None:
-        w = fem.Function(system.space)
-        w.x.array[:] = state.unknowns
-        displacements["u"] = system.displacement(w, "u")
-        further_unknowns = () if system.component is None else system.component.other_parts(w)
-        functions |= {f"unknown {k}": function for k, function in enumerate(further_unknowns)}
     columns = {f"nodes/{PLACES}": places}
     columns |= {
         f"nodes/{name}": owned_values(u) for name, u in displacements.items() if u is not None
@@ -93,9 +85,9 @@ def write_state(
         vectors = [pair.tangential_vectors(values[t]) for values in (tractions, origin)]
         columns[f"pair {k}/{PLACES}"] = _contact_places(pair, places)
         columns[f"pair {k}/values"] = np.hstack([pressure, *vectors])
-    for name, function in functions.items():
-        columns[f"{name}/{PLACES}"] = surroundings(function.function_space)
-        columns[f"{name}/values"] = owned_values(function)
+    for k, function in enumerate([*_functions_of_unknowns(state), *material]):
+        columns[f"function {k}/{PLACES}"] = surroundings(function.function_space)
+        columns[f"function {k}/values"] = owned_values(function)
     ranks, laws = jump.comm.gather(columns, root=ROOT), _laws(jump)
     with errors_on_all_ranks(jump.comm):
         if ranks is not None:
@@ -116,20 +108,23 @@ class SavedState:
         motions: (pairs, 3, 4) places of the obstacles at the accepted step.
         configuration: displacement [length] at which pairs with finite sliding were paired.
         geometry: displacement [length] at which the other pairs were paired.
+        material: for each Function of the material's history its values, ghosts included.
     """
 
-    def __init__(self, path: Path, system: LinearSystem, pairs: int) -> None:
+    def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
         """Read a file. Collective.
 
         Args:
             path: path of the file, the same on all ranks.
-            system: the system K u = f of the problem that goes on from the state.
-            pairs: number of its contact pairs.
+            present: a state of the problem that goes on from the file.
+            material: Functions on the same spaces as the saved Functions of the material's history;
+                they are not changed.
 
         Raises:
-            InputError: the file cannot be read, or belongs to another mesh or degree, or to a
-                problem with another number of pairs.
+            InputError: the file cannot be read, or belongs to another mesh or degree, to another
+                kind of problem, or to a problem with another number of pairs or Functions.
         """
+        system, pairs = present.jump.system, len(present.jump.pairs)
         self.path, self.comm, self._system = path, system.comm, system
         self._content: dict[str, npt.NDArray[Any]] = {}
         with errors_on_all_ranks(self.comm):
@@ -146,6 +141,27 @@ class SavedState:
         self._nodes = self._rows("nodes", self._places)
         self.configuration = with_owned_values(system.V, self._nodes["configuration"])
         self.geometry = with_owned_values(system.V, self._nodes["geometry"])
+        self._unknowns = _functions_of_unknowns(present)
+        functions = [*self._unknowns, *material]
+        saved = [
+            width
+            for name, width in self._widths.items()
+            if name.startswith("function") and name.endswith("values")
+        ]
+        wanted = [function.function_space.dofmap.index_map_bs for function in functions]
+        if saved != wanted:
+            raise self._refusal(
+                f"with {len(saved)} Function(s), of {saved} component(s), those of u and those "
+                f"given as material, and here there are {len(wanted)}, of {wanted}"
+            )
+        values = []
+        for number, function in enumerate(functions):
+            V = function.function_space
+            rows = self._rows(f"function {number}", surroundings(V))
+            values.append(with_owned_values(V, rows["values"]).x.array.copy())
+        for function, read in zip(self._unknowns, values, strict=False):
+            function.x.array[:] = read
+        self.material = values[len(self._unknowns) :]
 
     def _refusal(self, difference: str) -> InputError:
         """Return the error to raise if the file is of a problem with a difference in words."""
@@ -185,32 +201,6 @@ class SavedState:
                 result[column] = exchange(self.comm, values, owner)[0]
         return result
 
-    def functions(self, kind: str, functions: Sequence[fem.Function]) -> list[Array]:
-        """Return for each Function its values in the file, ghosts included. Collective.
-
-        Args:
-            kind: "material" for the material's history, "unknown" for unknowns of a mixed space
-                that are not displacements.
-            functions: Functions on the same spaces as the saved Functions; they are not changed.
-
-        Raises:
-            InputError: the file belongs to another mesh, other Functions or another number of
-                Functions.
-        """
-        widths = [self._widths[n] for n in self._widths if n.startswith(kind) and "values" in n]
-        wanted = [function.function_space.dofmap.index_map_bs for function in functions]
-        if widths != wanted:
-            raise self._refusal(
-                f"with {len(widths)} Function(s) of kind '{kind}', of {widths} component(s), and "
-                f"here there are {len(wanted)}, of {wanted}"
-            )
-        result = []
-        for number, function in enumerate(functions):
-            V = function.function_space
-            values = self._rows(f"{kind} {number}", surroundings(V))["values"]
-            result.append(with_owned_values(V, values).x.array.copy())
-        return result
-
     def state(self, present: StepState) -> StepState:
         """Return the state in the file. Collective.
 
@@ -218,8 +208,7 @@ class SavedState:
             present: a state whose surfaces are paired at `configuration`, `geometry` and `motions`.
 
         Raises:
-            InputError: the file belongs to other pairs or other kinds of laws, or lacks a
-                displacement that is needed.
+            InputError: the file belongs to other pairs or other kinds of laws.
         """
         jump = present.jump
         for number, (saved, law) in enumerate(zip(self._laws, _laws(jump), strict=True)):
@@ -250,33 +239,31 @@ class SavedState:
             with_owned_values(self._system.V, self._nodes[name]) if name in self._nodes else None
             for name in names
         )
-        unknowns = None if present.unknowns is None else self._unknowns()
+        unknowns, component = present.unknowns, self._system.component
+        if self._unknowns:
+            w, *remaining = self._unknowns
+            if component is not None:
+                u, w = w, fem.Function(self._system.space)
+                component.compose(w, u, remaining)
+            unknowns = w.x.array.copy()
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
         return state.after_step(
             history, displacement, configuration=configuration, before=before, solution=None
         )
 
-    def _unknowns(self) -> Array:
-        """Return the values of all unknowns of nonlinear bodies, with ghosts. Collective.
 
-        Raises:
-            InputError: the file has no displacement, or other unknowns.
-        """
-        if "u" not in self._nodes:
-            raise InputError(
-                f"the state in '{self.path}' has no displacement, since a ContactProblem "
-                "wrote it; a NonlinearContactProblem needs one."
-            )
-        u, component = with_owned_values(self._system.V, self._nodes["u"]), self._system.component
-        if component is None:
-            return np.array(u.x.array)
-        w = fem.Function(self._system.space)
-        other_parts = component.other_parts(w)
-        read = self.functions("unknown", other_parts)
-        for function, values in zip(other_parts, read, strict=True):
-            function.x.array[:] = values
-        component.compose(w, u, other_parts)
-        return np.array(w.x.array)
+def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
+    """Return the displacement of nonlinear bodies and the other parts of a mixed space. Collective.
+
+    There are none for linear bodies, whose next solve finds the displacement.
+    """
+    if state.unknowns is None:
+        return []
+    system = state.jump.system
+    w = fem.Function(system.space)
+    w.x.array[:] = state.unknowns
+    remaining = [] if system.component is None else system.component.other_parts(w)
+    return [system.displacement(w, "u"), *remaining]
 
 
 def _read(path: Path) -> dict[str, npt.NDArray[Any]]:

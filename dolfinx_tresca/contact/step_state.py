@@ -224,27 +224,26 @@ class StepState:
         self,
         jump: JumpOperator,
         u: fem.Function,
+        since_accepted: Sequence[bool] | Mask,
         *,
         continues: bool = False,
-        since_accepted: Sequence[bool] | Mask | None = None,
     ) -> StepState:
         """Return the state on the B of displaced surfaces. Collective.
 
         Args:
             jump: B of the displaced surfaces.
             u: displacement of the surfaces [length].
+            since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
+                between nodes and their present partners, of the displacement since the last
+                accepted step; False: nodes keep their slip so far.
             continues: whether the load step goes on. True: u is the displacement of the last solve,
                 and the next solve starts from the tractions of this last solve; False: it may start
                 from the tractions of the last accepted step.
-            since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
-                between nodes and their present partners, of the displacement since the last
-                accepted step; False: nodes keep their slip so far. None: False for all pairs.
         """
         carry = Carry(self.jump, jump)
         kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)
         history = self.history.with_slip(kept, u, jump)
-        if since_accepted is not None:
-            history = history.with_origin_at(self.accepted.displacement, jump, since_accepted)
+        history = history.with_origin_at(self.accepted.displacement, jump, since_accepted)
         return replace(self._on(jump, carry, history), continues=continues)
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:

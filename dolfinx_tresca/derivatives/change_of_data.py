@@ -161,13 +161,12 @@ def moved_rows(
             obstacle at only one of the two displaced positions of the obstacle.
     """
     surfaces, obstacles, jump = system.surfaces, system.surfaces.obstacles, system.surfaces.jump
-    moves = obstacles.depending_on(constant, jump)
+    moves = obstacles.rates(constant, None, jump) > 0.0
     if not moves.any():
         return None
     origin: Array = np.zeros(len(jump.gap))
     if not in_all_steps:
-        solved = system.solved
-        assert solved is not None
+        solved = system.solution_for("a derivative")
         origin, moves_in_step = solved.dual.history.origin, moves & solved.moved
         for pair, moved, (_, t) in zip(system.pairs, moves_in_step, jump.slices, strict=True):
             if moved and system.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
@@ -175,8 +174,9 @@ def moved_rows(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
                 )
-    size = obstacles.step_of_unit_change(constant, direction, jump)
-    step = DIFFERENCE * obstacles.extent * size
+    # with a step that changes distances by a given length, differences do not depend on the units
+    largest = float(obstacles.rates(constant, direction, jump).max(initial=0.0))
+    step = DIFFERENCE * obstacles.extent / largest if largest > 0.0 else 0.0
     sides = []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
@@ -275,7 +275,7 @@ class DataOfSolution:
                         "not known, since it is part of the direction or the two bounds of "
                         "orthotropic friction. Compare two solutions."
                     )
-            surfaces.obstacles.depending_on(control, surfaces.jump)
+            surfaces.obstacles.rates(control, None, surfaces.jump)
 
     def linearise(self, contact: LinearisedContact) -> None:
         """Take the data of a solution. Collective."""

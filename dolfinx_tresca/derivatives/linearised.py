@@ -85,8 +85,7 @@ class LinearisedContact:
     @classmethod
     def of_last_solve(cls, system: ContactSystem) -> LinearisedContact:
         """Return the last solution of a problem that has one. Collective."""
-        solved, bounds = system.solved, system.surfaces.slip_bounds()
-        assert solved is not None
+        solved, bounds = system.solution_for("a derivative"), system.surfaces.slip_bounds()
         return cls(solved.dual, solved.multipliers, solved.fields.u, bounds)
 
     @property

@@ -303,8 +303,8 @@ class ProcessTape:
             )
         has_places = contact.comm.allreduce(self._has_places, op=MPI.LAND)
         for control in controls:
-            moves = self._surfaces.obstacles.depending_on(control, self._surfaces.jump)
-            if not has_places and moves.any():
+            rates = self._surfaces.obstacles.rates(control, None, self._surfaces.jump)
+            if not has_places and rates.any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "

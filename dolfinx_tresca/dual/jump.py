@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import chain, pairwise
 
@@ -331,16 +331,6 @@ def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
     return compliance
 
 
-def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Mat:
-    """Return a new matrix with a function applied to each entry; the caller owns it. Collective."""
-    result = matrix.copy()
-    result.assemble()
-    rows, columns, values = result.getValuesCSR()
-    result.setValuesCSR(rows, columns, function(values))
-    result.assemble()
-    return result
-
-
 def local_stiffness(jump: JumpOperator) -> Array:
     """Return 1 / diag(B diag(K)^-1 B'), (size,): force per jump of each row of B. Collective.
 
@@ -348,9 +338,12 @@ def local_stiffness(jump: JumpOperator) -> Array:
     diag(A) is about the inverse of this stiffness, times a factor that hardly varies over a
     surface.
     """
-    B = jump.matrix
-    squares = entrywise(B, np.square)
-    compliance, total = nodal_compliance(jump.system), B.createVecLeft()
+    squares = jump.matrix.copy()
+    squares.assemble()
+    rows, columns, values = squares.getValuesCSR()
+    squares.setValuesCSR(rows, columns, values**2)
+    squares.assemble()
+    compliance, total = nodal_compliance(jump.system), squares.createVecLeft()
     squares.mult(compliance, total)
     result: Array = 1.0 / np.maximum(total.array, LEAST_DIVISOR)
     return result

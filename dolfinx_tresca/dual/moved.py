@@ -28,7 +28,7 @@ def moved_jump(
     before: JumpOperator,
     pairs: Sequence[ContactPair],
     u: fem.Function,
-    anew: Sequence[bool] | Mask | None = None,
+    anew: Sequence[bool] | Mask,
     frames: BodyFrames | None = None,
 ) -> JumpOperator:
     """Return B of displaced surfaces, owned by the caller. Collective.
@@ -45,19 +45,14 @@ def moved_jump(
         pairs: the pairs of B.
         u: displacement at which the surfaces are paired [length].
         anew: for each pair whether its surfaces are paired at u. Other pairs, and bonded pairs in
-            any case, stay as in `before`. None: True for all pairs.
+            any case, stay as in `before`.
         frames: the frames of bodies that have turned.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
     system, V = before.system, u.function_space
-    stay = [
-        old.bonded or not new
-        for old, new in zip(
-            before.pairs, [True] * len(pairs) if anew is None else anew, strict=True
-        )
-    ]
+    stay = [old.bonded or not new for old, new in zip(before.pairs, anew, strict=True)]
     values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
     straight = straightened(V, values)
     operators = list(before.pairs)

@@ -393,8 +393,7 @@ class ContactProblem(ContactProcess):
         def candidate(t: float) -> Candidate:
             size.value = t
             contact.solve(options, self.units, lambda iteration: False)
-            solved = contact.solved
-            assert solved is not None  # converged or not: all multipliers give a bound
+            solved = contact.solution_for("a guaranteed bound")  # all multipliers give one
             balanced = given if change is None else given.plus(change, t)
             return bodies.candidate(solved.dual, solved.multipliers, solved.fields.u, balanced)
 

@@ -392,7 +392,7 @@ class Newton:
                 return f"{where}: {reason}"
             excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
-                self._sliding.observe(problem.displacement, solution.residuals[0])
+                self._sliding.observe(problem.displacement)
                 excess = max(excess, self._sliding.error / self.contact.geometry_accuracy)
             if reached and excess <= 1.0:
                 return ""
@@ -465,8 +465,6 @@ class Newton:
                 # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0
                 options = self.contact.at_least(self.options.accuracy * forcing)
-                if self._sliding is not None and level == 0:
-                    options = self._sliding.loosened(options)
                 return self.problem.solve(options, self.units, self._observed, self.contact)
             except StiffnessError as error:
                 failure = error

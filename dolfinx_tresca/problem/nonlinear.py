@@ -281,9 +281,9 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the derivative of F, and symmetrize=True takes its symmetric "
                 "part."
             )
-        state = problem.surfaces.state
-        former = state.acceptable(unconverged=True)
-        try:
+        former = problem.surfaces.state.acceptable(unconverged=True)
+        problem.tangent.forget_material()  # loads may have changed since
+        with problem.restored():
             try:
                 problem.factor()
             except StiffnessError as error:
@@ -298,17 +298,13 @@ class NonlinearContactProblem(ContactProcess):
             solved = problem.surfaces.state.acceptable(unconverged=True)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
-            solved = replace(
-                solved, status=former.status, history=former.history, fields=former.fields
-            )
-            state = replace(state, solution=solved)
-        finally:
-            problem.surfaces.return_to(state)
         if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
             raise ContactError(
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."
             )
+        solved = replace(solved, status=former.status, history=former.history, fields=former.fields)
+        problem.surfaces.state = replace(problem.surfaces.state, solution=solved)
         return solved
 
     def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:

@@ -170,7 +170,7 @@ class ContactProcess(PetscOwner, Tabulated):
             surfaces = self._contact.surfaces
             self._contact.advance_material(surfaces.state.acceptable(unconverged))
             surfaces.state = surfaces.state.after_solution(unconverged)
-            surfaces.obstacles.advance(surfaces.state.accepted.motions)
+            surfaces.obstacles.place(surfaces.state.accepted.motions, only_held_by_forces=True)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
@@ -289,12 +289,10 @@ class ContactProcess(PetscOwner, Tabulated):
                 laws of another kind (with friction, without friction, bonded), or to another
                 number of Functions of the material; then nothing has changed.
         """
-        surfaces, system = self._contact.surfaces, self._contact.linear
+        surfaces = self._contact.surfaces
         self._contact.check_not_destroyed()
-        path = Path(self.comm.bcast(str(path)))
         self._check_material(material)
-        saved = SavedState(path, system, len(self.pairs))
-        remembered = saved.functions("material", material)
+        saved = SavedState(Path(self.comm.bcast(str(path))), surfaces.state, material)
         former, motions = surfaces.state, surfaces.obstacles.motions
         try:
             surfaces.obstacles.motions = saved.motions
@@ -304,7 +302,7 @@ class ContactProcess(PetscOwner, Tabulated):
             surfaces.obstacles.motions = motions
             surfaces.return_to(former)
             raise
-        for function, values in zip(material, remembered, strict=True):
+        for function, values in zip(material, saved.material, strict=True):
             function.x.array[:] = values
         return saved.step
 
@@ -334,12 +332,9 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: nothing was solved since K or the pairing changed.
             InputError: the goal is wrong.
         """
-        self._contact.check_not_destroyed()
         self._contact.check_no_tools("the value of a goal")
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
-        solved = self._contact.solved
-        if solved is None:
-            raise ContactError("there is no solution for the value of a goal: call solve() first.")
+        solved = self._contact.solution_for("the value of a goal")
         jump = solved.dual.jump
         return value_of(goal, jump, solved.multipliers, jump.of_displacement(solved.fields.u))
 
@@ -517,11 +512,7 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             ContactError: there is no solution.
         """
-        self._contact.check_not_destroyed()
-        solved = self._contact.solved
-        if solved is None:
-            raise ContactError("there is no solution for reaction(): call solve() first.")
-        fields = solved.fields
+        fields = self._contact.solution_for("reaction()").fields
         u = getattr(self, "u", fields.deformation)
         facet_tags = self.pairs[0].given_tags("secondary")[0]
         supports = Supports(self._forms_at(u), u, fields.contact_force, self.prescribed, facet_tags)
@@ -552,16 +543,13 @@ class ContactProcess(PetscOwner, Tabulated):
             InputError: the forms are no forms of UFL, or are on a mixed space.
         """
         contact = self._contact
-        contact.check_not_destroyed()
         contact.check_no_tools(purpose)
         if contact.linear.component is not None:
             raise InputError(
                 f"{purpose} needs a form of the displacement alone, and not that of a mixed space: "
                 "compare two solutions."
             )
-        if contact.solved is None:
-            raise ContactError(f"there is no solution for {purpose}: call solve() first.")
-        return contact.solved
+        return contact.solution_for(purpose)
 
     def _forms_at(self, u: fem.Function) -> Forms:
         """Return the forms and conditions of the bodies at a displacement. Not collective.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,9 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.dual.jump import entrywise
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -95,6 +92,7 @@ class TangentSystem(LinearSystem):
         forms = [form for form in (F, J) if isinstance(form, ufl.Form)]
         self._functions = {f: None for form in forms for f in form.coefficients() if f != u}
         self._updated_at: Array | None = None
+        self._forces: tuple[Array, Array] | None = None  # the latest u and R(u)
         self._material_changed = False
         self.added: PETSc.Mat | None = None
         self.added_forces: Array | None = None
@@ -160,8 +158,8 @@ class TangentSystem(LinearSystem):
         return ", ".join(shown(field) for field in fields)
 
     def forget_material(self) -> None:
-        """Let the next assembly compute the material again, even at the same u. Not collective."""
-        self._updated_at = None
+        """Let material and forces be computed again, even at the same u. Not collective."""
+        self._updated_at, self._forces = None, None
 
     @property
     def outdated(self) -> bool:
@@ -192,11 +190,18 @@ class TangentSystem(LinearSystem):
         return np.where(self.prescribed, 0.0, self.all_forces())
 
     def all_forces(self) -> Array:
-        """Return R(u_k) [force] at all owned degrees of freedom. Collective."""
-        self.update_material()
-        forces = fem.Function(self.space)
-        self._assemble_L(forces.x)
-        return np.array(forces.x.array[: len(self.prescribed)])
+        """Return R(u_k) [force] at all owned degrees of freedom. Collective.
+
+        Nothing is assembled at the u of the last call: a step begins where the one before ended.
+        """
+        u = self.u.x.array
+        same = self._forces is not None and np.array_equal(u, self._forces[0])
+        if self._forces is None or not self.comm.allreduce(same, op=MPI.LAND):
+            self.update_material()
+            forces = fem.Function(self.space)
+            self._assemble_L(forces.x)
+            self._forces = u.copy(), np.array(forces.x.array[: len(self.prescribed)])
+        return self._forces[1].copy()
 
     def prescribed_values(self) -> Array:
         """Return the prescribed values of the present `fraction`. Collective."""
@@ -240,51 +245,3 @@ class TangentSystem(LinearSystem):
         owned[self.prescribed] = values
         self.f.x.scatter_forward()
         self._check_load()
-
-
-class MixedNorm:
-    """|(u, p)| = sqrt(u'A u + p'S p) with S = C + diag(B diag(A)^-1 B'), of K = (A, B'; B, -C).
-
-    A, B and C are here the blocks of K, the tangent of the undeformed bodies. The energy of a later
-    tangent is not a norm: the block A of a body under pressure is positive definite only for
-    displacements that keep the volume, and a Newton step changes the volume. A and S are the blocks
-    of the usual preconditioner for K (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but
-    S is reduced to its diagonal. Without this reduction, S is approximately C plus the mass matrix
-    of the pressures divided by the shear modulus.
-    """
-
-    def __init__(self, tangent: TangentSystem, component: Component) -> None:
-        """Assemble A and S at the present u. Collective.
-
-        The K of `tangent` is then without Dirichlet conditions, and must be assembled again.
-
-        Args:
-            tangent: the system with K.
-            component: the displacement in its mixed space.
-        """
-        self._component = component
-        tangent.update_material()
-        tangent.assemble_form()
-        K = tangent.K
-        self._A = component.block(K)
-        squares, diagonal = entrywise(K, np.square), K.getDiagonal()
-        compliance, self._S = diagonal.duplicate(), diagonal.duplicate()
-        # a displacement without stiffness couples to no pressure, unless K is singular
-        stiff = component.mask & (diagonal.array > 0.0)
-        compliance.array = np.divide(1.0, diagonal.array, out=np.zeros(len(stiff)), where=stiff)
-        squares.mult(compliance, self._S)
-        self._S.array = np.where(component.mask, 0.0, self._S.array - diagonal.array)
-        self._product: PETSc.Vec = self._A.createVecLeft()
-
-    def of_function(self, w: fem.Function) -> float:
-        """Return the norm of a Function on the mixed space, whose ghosts are up to date.
-
-        Collective.
-        """
-        u = self._component.extract(w)  # owns the memory of its vector
-        self._A.mult(u.x.petsc_vec, self._product)
-        square = float(u.x.petsc_vec.dot(self._product))
-        weighted = self._S.duplicate()
-        weighted.pointwiseMult(self._S, w.x.petsc_vec)
-        square += float(weighted.dot(w.x.petsc_vec))
-        return math.sqrt(max(square, 0.0))

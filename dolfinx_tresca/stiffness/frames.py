@@ -217,39 +217,6 @@ class BodyFrames:
         own = self.into_space(forces.x.array[:owned]) @ self.rigid.x.array[:owned]
         return float(reduce_array(self.V.mesh.comm, own))
 
-    def exactly_turned(self, u: fem.Function) -> fem.Function:
-        """Return a displacement whose rotation from the frames is exact. Collective.
-
-        If the mean rotation w of v is small, R (1 + w x) swells the body by w^2 / 2. The result has
-        R exp(w x) in its place.
-
-        Args:
-            u: displacement [length] with a small v.
-        """
-        owned, label = len(self.guides), self.label
-        v = self._vectors(self.deformation(u).x.array)
-        X = self._points[:owned]
-        _, inertia = self._moments(X)
-        mean, moments = self._moments(X + v[:owned])
-        mean = mean - self.centre
-        rotation, turned = self.rotation.copy(), np.zeros_like(mean)
-        for body in np.flatnonzero(self.has_frame):
-            e, M = self.axis[body], inertia[body]
-            turn, resistance = _axial(moments[body]), np.trace(M) * np.eye(3) - M
-            if e.any():
-                turned[body] = e * (e @ turn) / (e @ resistance @ e)
-            else:
-                turned[body] = np.linalg.solve(resistance, turn)
-            rotation[body] = self.rotation[body] @ Rotation.from_rotvec(turned[body]).as_matrix()
-        arm = self._points - self.centre[label]
-        strained = arm + v - mean[label] - np.cross(turned[label], arm)
-        moved = np.einsum("nij,nj->ni", rotation[label], strained) - arm
-        moved += self.translation[label] + np.einsum("bij,bj->bi", self.rotation, mean)[label]
-        result = u.copy()
-        has_frame = np.repeat(self.has_frame[label], self.V.mesh.geometry.dim)
-        result.x.array[:] = np.where(has_frame, self._values(moved), u.x.array)
-        return result
-
     def continued(self, before: fem.Function, after: fem.Function, fraction: float) -> fem.Function:
         """Return a displacement at which bodies have gone on as they moved. Collective.
 

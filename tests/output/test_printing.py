@@ -131,7 +131,6 @@ def test_a_bound_is_printed_as_it_is_now(comm):
         assert "slip bound Constant, now 2 solver" in " ".join(str(problem).split())
 
 
-
 # Tables
 
 

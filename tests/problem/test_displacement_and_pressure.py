@@ -215,7 +215,7 @@ def test_the_file_of_a_restart_has_the_pressure(comm, folder):
     with plain.problem() as problem:
         problem.save_state(folder / f"plain_{comm.rank}.npz")
     other, problem = uniaxial(MPI.COMM_SELF, 0.3)
-    with problem, pytest.raises(InputError, match=r"with 0 .*'unknown'.* here there are 1"):
+    with problem, pytest.raises(InputError, match=r"with 1 Function.*, and here there are 2"):
         problem.load_state(folder / f"plain_{comm.rank}.npz")
 
 

@@ -132,11 +132,11 @@ def test_the_file_of_a_restart_has_the_history(comm, folder):
     with other.problem(**OPTIONS) as problem:
         for number in (0, 1, 3):
             wrong = [other.history[min(k, 1)] for k in range(number)]
-            with pytest.raises(InputError, match=rf"2 Function\(s\) .* there are {number}"):
+            with pytest.raises(InputError, match=rf"3 Function\(s\).* there are {number + 1}"):
                 problem.load_state(folder / "state.npz", material=wrong)
-        with pytest.raises(InputError, match=r"\[9, 1\] component\(s\), .* of \[1, 9\]"):
+        with pytest.raises(InputError, match=r"\[3, 9, 1\] component\(s\), .* of \[3, 1, 9\]"):
             problem.load_state(folder / "state.npz", material=other.history[::-1])
-        with pytest.raises(InputError, match=r"\[9, 1\] component\(s\), .* of \[3, 1\]"):
+        with pytest.raises(InputError, match=r"\[3, 9, 1\] component\(s\), .* of \[3, 3, 1\]"):
             problem.load_state(folder / "state.npz", material=[other.u, other.history[1]])
         for wrong in (other.u, [3], metal.history):
             with pytest.raises(InputError, match="material must be a list of Functions on the m"):
