@@ -26,6 +26,11 @@ from dolfinx_tresca.pairing.group import Undeformed
 from dolfinx_tresca.pairing.search.facets import FREE_PART, RIM_PART, Facets, SurfaceNodes, tangents
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 
+#: Difference of the means of two patches of a node over the primary side, relative to the means,
+#: up to which the patches face the same place. (With 0.5 the rim of a hole has no friction in its
+#: radial direction under the head of a bolt, whose friction is a sixth too small.)
+SAME_MEANS = 1e-3
+
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (
     *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
@@ -140,7 +145,8 @@ class PairOperators:
             friction_acts = free | _primary_is_free(coupling.primary, primary) & ~bonded[:, None]
         owner = numbers if bodies is None else numbers * V.dofmap.index_map.size_global
         owner = owner if bodies is None else owner + bodies[coupling.position]
-        tangential = _tangential_projections(owner, normals, friction_acts, moves)
+        means = None if primary is None else coupling.primary
+        tangential = _tangential_projections(owner, means, normals, friction_acts, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
         along, tangent_node = _free_tangents(normals, tangential)
         rubs = ~smooth[tangent_node]
@@ -285,30 +291,44 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
 
 def _tangential_projections(
     owners: GlobalNumbers,
+    means: Any,
     normals: Array,
     free: Mask,
     moves: Mask,
 ) -> Array:
     """Return projections (n, d, d) onto the directions that are available for rows of T.
 
-    If several patches of a node on a sharp edge are in contact, each has a row of N for its normal,
+    If several patches of a node on a sharp edge face the same place, such as an edge in the corner
+    of a box with the same nodes, they have the same jump. Each patch has a row of N for its normal,
     as long as these rows are linearly independent; `moves` is set to False for patches without such
-    a row. Friction then acts only along the edge, on the patch with the largest weight.
+    a row. Friction then acts only along the edge, on the patch with the largest weight. Patches
+    that face different places, such as the head of a bolt and its shank in a hole with clearance,
+    are independent of each other.
 
     Args:
         owners: (n,) a number for each patch. Patches of one node that face the same body have the
             same number, and are sorted by ascending weight.
+        means: (n, nodes of V) sparse matrix of the means over the primary side; None for an
+            obstacle, which is the same place for all patches.
         normals: (n, d) unit normals.
         free: (n, d) whether friction may act along a coordinate axis.
         moves: (n,) whether the node has a row of N; changed in place.
     """
     room = free[:, :, None] * np.eye(free.shape[1])
     ascending = np.argsort(owners, kind="stable")
-    _, starts, count = np.unique(owners[ascending], return_index=True, return_counts=True)
-    for start, end in zip(starts[count > 1], (starts + count)[count > 1], strict=True):
-        heaviest = ascending[end - 1]
+    together = owners[ascending[1:]] == owners[ascending[:-1]]
+    if means is not None and together.any():
+        lighter, heavier = means[ascending[:-1][together]], means[ascending[1:][together]]
+        squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
+        apart = (lighter - heavier).power(2).sum(axis=1)
+        together[together] = apart <= SAME_MEANS**2 * squares
+    starts = np.flatnonzero(np.concatenate([[True], ~together]))
+    for patches in np.split(ascending, starts[1:]):
+        if len(patches) <= 1:
+            continue
+        heaviest = patches[-1]
         left = room[heaviest].copy()
-        for i in reversed(ascending[start:end]):
+        for i in reversed(patches):
             own = left @ normals[i]
             length = np.linalg.norm(own)
             moves[i] = length > FREE_PART

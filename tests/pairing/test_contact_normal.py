@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
+import gmsh
 import numpy as np
 import pytest
 
@@ -17,6 +20,7 @@ from dolfinx_tresca import (
     Coulomb,
     Frictionless,
     RigidSphere,
+    contacts,
     read_gmsh,
 )
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
@@ -107,6 +111,40 @@ def read(comm, folder, text, **parameters):
         path.write_text(text)
     comm.barrier()
     return read_gmsh(path, comm, **parameters)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_plate_slips_under_a_head_at_the_rim_of_its_hole(comm, swapped):
+    """The hole has clearance: where its rim is pressed, friction acts along all of the face."""
+    occ = gmsh.model.occ
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    head, shank = occ.addCylinder(0, 0, -0.5, 0, 0, 0.5, 2), occ.addCylinder(0, 0, 0, 0, 0, 2, 1)
+    occ.fuse([(3, head)], [(3, shank)])
+    plate, hole = occ.addBox(-2, -2, 0, 4, 4, 0.8), occ.addCylinder(0, 0, 0, 0, 0, 0.8, 1.2)
+    occ.cut([(3, plate)], [(3, hole)])
+    occ.synchronize()
+    tagged = read_gmsh(gmsh.model, comm, size=0.6)
+    gmsh.finalize()
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (3,)))
+    faces = (
+        locate_entities_boundary(tagged.mesh, 2, lambda x, z=z: np.isclose(x[2], z))
+        for z in (-0.5, 0.8)
+    )
+    bcs = [
+        fixed(V, facets, value)
+        for facets, value in zip(faces, (np.zeros(3), np.array([0.1, 0.0, -1e-3])), strict=True)
+    ]
+    pairs = contacts(tagged, friction=Coulomb(0.3), distance=0.3)
+    if swapped:
+        pairs = [replace(pair, secondary=pair.primary, primary=pair.secondary) for pair in pairs]
+    with ContactProblem(elasticity(V, 1000.0), no_load(V), pairs, bcs=bcs) as problem:
+        solution = problem.solve()
+        solution.raise_if_failed()
+        forces = np.abs(sum(pair.force for pair in solution.pair_resultants))
+    assert forces[0] == pytest.approx(0.3 * forces[2], rel=5e-3)
+    assert forces[0] > 1.0
 
 
 @pytest.mark.parallel
