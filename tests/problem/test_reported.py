@@ -69,7 +69,7 @@ def test_a_pipe_that_is_crushed(comm):
     ("friction", "force", "within"), [(Frictionless(), 0.7645, 0.01), (Coulomb(0.5), 0.83, 0.05)]
 )
 def test_a_billet_folds_onto_the_die(comm, friction, force, within):
-    """With friction the reported force of 0.83 MN is missed by 4 %."""
+    """With friction the force is 4 % above the reported one; 36 x 42 cells leave 2 %."""
     forces, _ = forces_and_steps(billet(comm, friction, (12, 14)), 0.1 * np.arange(1, 91))
     assert 1e-6 * abs(forces[-1, 1]) == pytest.approx(force, rel=within)
 
