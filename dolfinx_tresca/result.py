@@ -31,7 +31,7 @@ from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.table import Row, Tabulated
+from dolfinx_tresca.table import LISTED_ROWS, Row, Tabulated
 from dolfinx_tresca.units import Units
 
 #: What helps where an iteration has ended with a status.
@@ -338,9 +338,10 @@ class ContactSolution(Evaluation, Tabulated):
     def report(self, path: str | Path, *, steps: Sequence[ContactSolution] = ()) -> None:
         """Write a report: one HTML page, which needs neither a server nor a network. Collective.
 
-        It has the table and the picture of the solution, the forces between bodies as a graph, the
-        load steps, the table of the problem, the last warnings, the versions of all software, and
-        the script. The first rank needs pyvista and matplotlib, as for `plot`.
+        It has the table and the picture of the solution, with the pairs that have the largest
+        forces, at most 8, the forces between bodies as a graph, the load steps, the table of the
+        problem, the last warnings, the versions of all software, and the script. The first rank
+        needs pyvista and matplotlib, as for `plot`.
 
         Args:
             path: the `.html` file; the first rank's path counts.
@@ -357,7 +358,10 @@ class ContactSolution(Evaluation, Tabulated):
                 raise InputError(f"a report is an .html file, found '{path}'.")
             if not all(isinstance(step, ContactSolution) for step in steps):
                 raise InputError(f"steps must be a list of ContactSolution, found {shown(steps)}.")
-        picture = self.plot()
+        forces = [np.linalg.norm(resultant.force) for resultant in self.pair_resultants]
+        drawn = np.sort(np.argsort(forces)[-LISTED_ROWS:])  # more views would take minutes
+        surfaces = [self.surfaces[pair] for pair in drawn]
+        picture = plot.plot(None, self.u, surfaces, units=self.units)
         with errors_on_all_ranks(comm):
             if comm.rank == 0:
                 with atomic_write(Path(path)) as new:
