@@ -270,7 +270,7 @@ class Bodies:
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
         lacking = np.abs(lacking).max(initial=0.0)
         lacking, largest = reduce_array(self.comm, [lacking, largest], MPI.MAX)
-        if lacking > IMBALANCE * largest:
+        if not lacking <= IMBALANCE * largest:  # nor is a number that is none
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {lacking:.1e} are "
                 f"missing, where forces on cells are up to {largest:.1e}. A displacement that is "
@@ -316,12 +316,11 @@ class Bodies:
         moved, lack = energies.squared_norms(of_u - of_v), distance.defects.sum(axis=0)
         # the mean of both stresses is the centre of a ball that contains the exact stress
         from_centre = energies.squared_norms(of_u - of_v - 0.5 * distance.difference)
-        whole = energies.squared_norms(of_u)
         squares = [(distance.stress + distance.oscillation) ** 2]
-        squares += [distance.stress**2, distance.oscillation**2, moved, from_centre, whole]
+        squares += [distance.stress**2, distance.oscillation**2, moved, from_centre]
         sums = [term.sum() for term in (*squares, *distance.defects)]
         *roots, complementarity, friction = reduce_array(self.comm, sums)
-        eta, stress, oscillations, lift, offset, norm = np.sqrt(roots)
+        eta, stress, oscillations, lift, offset = np.sqrt(roots)
         gap = max(float(complementarity + friction), 0.0)
         error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + gap)
         radius = np.sqrt(0.25 * stress**2 + gap + oscillations * error_of_v)
@@ -332,9 +331,10 @@ class Bodies:
         by_cell = np.sqrt(squares[0] + 2.0 * np.maximum(lack, 0.0) + moved)
         result.x.array[result.function_space.dofmap.list[: len(by_cell), 0]] = by_cell
         result.x.scatter_forward()
+        norm = dual.norm_of(u)
         return GuaranteedError(
             error=error,
-            relative_error=error / float(norm) if norm > 0.0 else float("inf"),
+            relative_error=error / norm if norm > 0.0 else float("inf"),
             cell_errors=result,
             stress=float(stress),
             oscillation=float(oscillations),

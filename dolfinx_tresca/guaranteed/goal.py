@@ -150,14 +150,9 @@ def guaranteed_goal(
         InputError: the bound does not cover the problem.
         ContactError: a displacement is not in equilibrium.
     """
-    cells, energies = bodies.owned.cells, bodies.energies
 
     def data(v: fem.Function) -> Array:
-        return stress_data(cells, bodies.stresses(v))
-
-    def norm(stress: Array) -> float:
-        squares = energies.squared_norms(stress).sum()
-        return float(np.sqrt(reduce_array(bodies.comm, squares)))
+        return stress_data(bodies.owned.cells, bodies.stresses(v))
 
     of_w = 0.0 if functional.w is None else data(functional.w)
 
@@ -174,7 +169,7 @@ def guaranteed_goal(
             result.append(sign * functional.value(v) + (square + max(gap, 0.0)) / t)
         return np.array(result)
 
-    start = norm(data(u)) / norm(data(functional.response(bodies, dual)))
+    start = dual.norm_of(u) / dual.norm_of(functional.response(bodies, dual))
     best = limits_at(start)
     for factor in (1.0 / STEP, STEP):
         t, narrower = start, True

@@ -11,11 +11,10 @@ from mpi4py import MPI
 import numpy as np
 
 import basix
-import dolfinx.la
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.parallel import exchange
+from dolfinx_tresca._base.parallel import exchange, summed_at_nodes
 from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, opposite
 
 
@@ -83,10 +82,7 @@ class OwnedCells:
 
 def spread(V: Any, owned: Array) -> Array:
     """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
-    vector = dolfinx.la.vector(V.dofmap.index_map, owned.shape[1])
-    vector.array[: owned.size] = owned.ravel()
-    vector.scatter_forward()
-    return np.array(vector.array).reshape(-1, owned.shape[1])
+    return summed_at_nodes(V.dofmap.index_map, np.arange(len(owned)), owned)
 
 
 class Copies:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
-from scipy.sparse import bsr_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import coo_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -50,36 +51,66 @@ class Stars:
         self._facets: Indices = facets.reshape(numbers.shape)
         self._signs = np.full((*numbers.shape, 1, 1), -1.0)
         self._signs.flat[uses] = 1.0
+        loose = self._on_facets(free.astype(np.float64)) > 0.0
+        softness = loose / self._on_facets(stiffness)[:, None]
 
-        self._cell, self._corner = np.nonzero(self._owned)
-        sides = opposite(d)[self._corner]  # (m, d) the facets at the vertex
-        facets = self._facets[self._cell[:, None], sides]
-        arms = points[self._cell]
-        arms = arms - arms[np.arange(len(arms)), self._corner][:, None]
-        motions = rigid_motions(arms / self._cells.heights[self._cell].max(axis=1)[:, None, None])
-        # work of tractions on a motion: a row of blocks for each cell of a star
-        ends = opposite(d)[sides]  # (m, d, d) vertices of these facets
-        work = np.swapaxes(motions, 1, 2)[np.arange(len(ends))[:, None, None], ends]
-        work = np.swapaxes(mean_products(d, 2) @ work.reshape(*ends.shape, -1), 2, 3)
-        scale = (self._signs[:, :, 0, 0] * self._cells.areas)[self._cell[:, None], sides]
-        work = (scale[:, :, None, None] * work).reshape(facets.size, -1, d, d)
-        blocks = np.swapaxes(work, 2, 3).reshape(facets.size, -1, d * d)
-        star = vertices[self._cell, self._corner][:, None]
-        keys, column = np.unique(star * len(self._counts) + facets, return_inverse=True)
+        self._cell, self._corner = cell, corner = np.nonzero(self._owned)
+        sides = opposite(d)[corner]  # (rows, d) the facets at the vertex
+        keys = self._facets[cell[:, None], sides]
+        keys = vertices[cell, corner][:, None] * len(self._counts) + keys
+        keys, uses, unknown = np.unique(keys, return_index=True, return_inverse=True)
         self._unknowns = keys % len(self._counts)  # the facet of each
-        starts = np.arange(0, len(blocks) + 1, d)
-        shape = starts[-1] // d * blocks.shape[1], len(keys) * d * d
-        self._work = bsr_array((blocks, column.ravel(), starts), shape=shape)
-        softness = (self._on_facets(free.astype(np.float64)) > 0.0) / self._on_facets(stiffness)[
-            :, None
-        ]
-        self._softness = np.repeat(softness[self._unknowns][:, None], d, axis=1).ravel()
-        matrix = self._work @ diags_array(self._softness) @ self._work.T
-        diagonal = matrix.diagonal()
-        matrix += diags_array(np.where(diagonal > 0.0, LOOSE * diagonal, 1.0))
+        self._softness = np.tile(softness[self._unknowns], d)
+        # work of tractions on the rigid motions about the vertex: the same for both cells
+        row, side = np.divmod(uses, d)
+        cells, facet = cell[row], sides[row, side]
+        arms = points[cells[:, None], opposite(d)[facet]] - points[cells, corner[row], None]
+        work = mean_products(d, 2) @ rigid_motions(arms)
+        work *= self._cells.areas[cells, facet, None, None, None]
+        self._work = work.reshape(len(keys), -1, d * d)
+        signs = self._signs[cell[:, None], sides].ravel()
+        starts = np.arange(0, len(signs) + 1, d)
+        shape = len(cell), len(keys)
+        self._incidence = csr_array((signs, unknown.ravel(), starts), shape=shape)
         with errors_on_all_ranks(mesh.comm):
-            symmetric = {"SymmetricMode": True}
-            self._factor = splu(matrix.tocsc(), "MMD_AT_PLUS_A", 0.0, options=symmetric)
+            self._factor = self._factored()
+
+    def _factored(self) -> PETSc.PC:
+        """Return the factors of the equations of all stars: a graph's, with blocks as weights."""
+        weights = (self._work * self._softness[:, None]) @ np.swapaxes(self._work, 1, 2)
+        count, size = self._incidence.shape[0], weights.shape[1]
+        diagonal = abs(self._incidence) @ weights.reshape(len(weights), -1)
+        entries = diagonal[:, :: size + 1]
+        entries += np.where(entries > 0.0, LOOSE * entries, 1.0)
+        columns = self._incidence.tocsc()
+        uses = np.diff(columns.indptr)
+        pairs = columns.indices[np.repeat(uses == 2, uses)].reshape(-1, 2)
+        between = -weights[uses == 2]
+        blocks = np.concatenate([diagonal.reshape(-1, size, size), between, between])
+        row, column = np.concatenate([np.indices((count,)).T.repeat(2, 1), pairs, pairs[:, ::-1]]).T
+        order = coo_array((np.arange(len(blocks)), (row, column)), shape=(count, count)).tocsr()
+        pattern = (array.astype(PETSc.IntType) for array in (order.indptr, order.indices))
+        rows = (*pattern, blocks[order.data].ravel())
+        shape = count * size, count * size
+        matrix = PETSc.Mat().createBAIJ(shape, size, csr=rows, comm=PETSc.COMM_SELF)
+        factor = PETSc.PC().create(PETSc.COMM_SELF)
+        factor.setType("lu")  # in blocks faster than "cholesky"
+        factor.setFactorSolverType("petsc")
+        factor.setFactorOrdering("rcm")
+        factor.setOperators(matrix)
+        factor.setUp()
+        return factor
+
+    def _balancing(self, missing: Array) -> Array:
+        """Return the least tractions (unknowns, d * d) with the forces and moments (rows, r)."""
+        supports = np.zeros_like(missing)
+        right, result = (
+            PETSc.Vec().createWithArray(array.ravel(), comm=PETSc.COMM_SELF)
+            for array in (np.ascontiguousarray(missing), supports)
+        )
+        self._factor.apply(right, result)
+        differences = self._incidence.T @ supports
+        return np.asarray(self._softness * (differences[:, None] @ self._work)[:, 0])
 
     def _on_facets(self, values: Array) -> Array:
         """Return sums (facets, ...) of values of both cells."""
@@ -88,7 +119,7 @@ class Stars:
         return result
 
     def _on_cells(self, unknowns: Array) -> Array:
-        """Return the sums over stars (n, d + 1, d, d) of tractions, flat, on copies of cells."""
+        """Return the sums over stars (n, d + 1, d, d) of tractions on copies of cells."""
         d = self._cells.d
         result = np.zeros((len(self._counts), d, d))
         np.add.at(result, self._unknowns, unknowns.reshape(-1, d, d))
@@ -104,10 +135,11 @@ class Stars:
             gradient: (n, d + 1, d, d) minus its derivative by the tractions on the cells.
         """
         gradient = self._signs * self._copies.spread(gradient)
-        forces = self._on_facets(gradient)[self._unknowns].ravel()
-        supports = self._factor.solve(self._work @ (self._softness * forces))
-        forces -= self._work.T @ supports
-        return self._copies.summed(self._on_cells(self._softness * forces), self._size)
+        forces = self._on_facets(gradient)[self._unknowns].reshape(self._softness.shape)
+        tractions = self._softness * forces
+        resultants = (self._work @ tractions[:, :, None])[:, :, 0]
+        tractions -= self._balancing(self._incidence @ resultants)
+        return self._copies.summed(self._on_cells(tractions), self._size)
 
     def equilibrated(self, traction: Array, force: Array) -> Array:
         """Return tractions (n, d + 1, d, d) in equilibrium. Collective.
@@ -128,8 +160,8 @@ class Stars:
         # a force at the vertex itself has no moment about it
         d = self._cells.d
         missing = np.pad(missing, ((0, 0), (0, d * (d - 1) // 2)))
-        corrections = self._work.T @ self._factor.solve(missing.ravel())
+        corrections = self._balancing(missing)
         # the traction at a vertex counts on the rank that owns the vertex
         traction *= self._owned[:, opposite(d), None]
-        result = traction + self._on_cells(self._softness * corrections)
+        result = traction + self._on_cells(corrections)
         return self._copies.summed(result, self._size)
