@@ -103,12 +103,21 @@ class EqualityConstraints:
         return np.asarray(self.values - self.along(x) - self.softness @ c)
 
     def imbalance(self, x: Array, c: Array) -> float:
-        """Return the norm of the residual of the equations, divided by that of their terms."""
+        """Return the residual of the exact or of the soft equations, divided by their terms.
+
+        The larger number counts. Terms of soft equations may be larger than loads by any factor.
+        """
         if len(self) == 0:
             return 0.0
-        terms = self.along_absolute(np.abs(x)) + abs(self.softness) @ np.abs(c) + self.sizes
-        size = float(np.linalg.norm(terms))
-        return float(np.linalg.norm(self.residual(x, c))) / size if size > 0.0 else 0.0
+        missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.sizes
+        exact = self._exact_directions @ missing
+        soft_terms = loads + abs(self.softness) @ np.abs(c)
+        parts = ((exact, loads), (missing - exact, soft_terms))
+        sizes = [float(np.linalg.norm(terms)) for _, terms in parts]
+        return max(
+            float(np.linalg.norm(residual)) / size if size > 0.0 else 0.0
+            for (residual, _), size in zip(parts, sizes, strict=True)
+        )
 
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
