@@ -152,5 +152,5 @@ def test_moments_about_other_points():
     flat = Resultant(np.array([0.0, 3.0]), np.zeros(1), np.zeros(2)).about((-2.0, 5.0))
     np.testing.assert_array_equal(flat.moment, [6.0])
     for wrong in ((1.0, 2.0), "x", (np.nan, 0.0, 0.0), None):
-        with pytest.raises(InputError, match="3 coordinates"):
+        with pytest.raises(InputError, match="3 finite numbers"):
             one.about(wrong)
