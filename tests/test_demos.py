@@ -45,7 +45,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "impact": (20, None),
     "indentation": (6, None),
     "calibration": (8, None),
-    "ironing": (20, None),
+    "ironing": (30, None),
     "roller_profile": (3, None),
     "shrink_fit_thermal": (8, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
