@@ -7,8 +7,10 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 
 - `JumpOperator`: B with its scales, gaps and rows of each pair; `moved_jump` pairs displaced
   surfaces anew, and `Carry` takes multipliers from one B to the next.
-- `SlipBounds`: the user's laws at nodes, as `NodalBounds`; `FrictionDiscs` stretches the rows of B
-  such that friction ellipses are discs; `NodalValues` evaluates any field of the user at nodes.
+- `SlipBounds`: the user's laws at nodes, as `NodalBounds`, of which `JumpOperator.bounded` makes a
+  `FeasibleSet`, or `FrictionCones` if any coefficient is positive: what follows asks for this type.
+- `FrictionDiscs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
+  evaluates any field of the user at nodes.
 - `ContactCompliance`: all that follows from one K: A, near field, bound, error estimate.
 - `ElasticResponse`: the displacement for given multipliers, gradients and b, for one load.
 - `SlipHistory`: slip and dissipation of the accepted load steps.

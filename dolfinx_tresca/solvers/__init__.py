@@ -1,10 +1,14 @@
-"""Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4). Numpy only.
+"""Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4).
+
+The room imports numpy and scipy only, and can be read and tested with dense matrices.
 
 The problem is given by protocols (`problem.py`): A and the response to multipliers are operators of
 which every product is counted. Arrays have the rows of one rank; `Reductions` adds them up.
 
 - `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
   solves the problem with M, and the step to its solution takes one product, which improves M.
+  Coulomb's law runs in the same loop, without a fixed-point iteration around it: Newton's method
+  follows the bounds, and the energy need not decrease from step to step.
 - `Iterate`: the present multipliers and their gradient; `InexactIterate` computes gradients only as
   accurately as a step needs.
 - `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
