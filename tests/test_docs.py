@@ -114,6 +114,18 @@ def test_every_block_is_run_or_made():
         )
 
 
+def test_pages_import_mpi_before_dolfinx():
+    """DOLFINx from PyPI is only found after MPI was loaded; here another test has loaded it."""
+    for page in [README, *of_language("python")]:
+        code = "\n".join(block.text for block in blocks(page.read_text(), "python"))
+        imports = [
+            module
+            for module in re.findall(r"^(?:from|import) (\w+)", code, re.MULTILINE)
+            if module in ("mpi4py", "dolfinx", "dolfinx_tresca")
+        ]
+        assert "mpi4py" not in imports or imports[0] != "dolfinx", name(page)
+
+
 @pytest.mark.parametrize("page", of_language("python"), ids=name)
 def test_python(names, tmp_path, monkeypatch, page):
     """All blocks of a page, one after the other."""
