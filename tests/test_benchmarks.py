@@ -215,6 +215,9 @@ def test_yardstick(tmp_path, monkeypatch, capsys):
     measured = {(row["case"], row["quantity"]): row for row in check.measured(ours)}
     for row in published.quantities(kept(ours)):
         assert measured[row["case"], row["quantity"]]["off"] == pytest.approx(row["off"], abs=1e-6)
+    paper = " ".join((BENCHMARKS.parent / "paper" / "paper.md").read_text().split())
+    near = sum(abs(row["off"]) <= 0.01 for row in measured.values())
+    assert f"{len(measured)} quantities, from" in paper and f"mesh {near} quantities" in paper
     reports = {(row["scene"], row["case"]): row for row in kept(ours.with_name("reports.json"))}
     for name, key in REPORTS.items():
         (value,) = json.loads((check.CASES / f"{name}.json").read_text())["published"].values()
