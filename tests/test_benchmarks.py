@@ -215,15 +215,21 @@ def test_yardstick(tmp_path, monkeypatch, capsys):
     measured = {(row["case"], row["quantity"]): row for row in check.measured(ours)}
     for row in published.quantities(kept(ours)):
         assert measured[row["case"], row["quantity"]]["off"] == pytest.approx(row["off"], abs=1e-6)
+    paper = " ".join((BENCHMARKS.parent / "paper" / "paper.md").read_text().split())
+    near = sum(abs(row["off"]) <= 0.01 for row in measured.values())
+    assert f"{len(measured)} quantities, from" in paper and f"mesh {near} quantities" in paper
     reports = {(row["scene"], row["case"]): row for row in kept(ours.with_name("reports.json"))}
     for name, key in REPORTS.items():
         (value,) = json.loads((check.CASES / f"{name}.json").read_text())["published"].values()
         low, high = check.published_range(value)
         assert abs(check.distance(reports[key]["value"], low, high)) < 0.01, name
-    getfem = check.CASES.with_name("answers") / "getfem.json"
-    monkeypatch.setattr(sys, "argv", ["check.py", str(getfem)])
+    answers = check.CASES.with_name("answers")
+    monkeypatch.setattr(sys, "argv", ["check.py", *map(str, sorted(answers.glob("*.json")))])
     check.main()
-    assert "GetFEM 5.4.2: ironing: horizontal force at t = 1.5 [N]" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "GetFEM 5.4.2: ironing: horizontal force at t = 1.5 [N]" in printed
+    assert "scikit-fem 12.0.2: shrink_fit: mean pressure [MPa]" in printed
+    assert all(abs(row["off"]) < 0.003 for row in check.measured(answers / "scikit_fem.json"))
     for row, message in (
         ({"case": "iron", "quantity": "a", "value": 1.0}, "no case iron"),
         ({"case": "punch", "quantity": "a", "value": 1.0}, "no quantity 'a', but: pressure in"),
@@ -233,6 +239,26 @@ def test_yardstick(tmp_path, monkeypatch, capsys):
         wrong.write_text(json.dumps({"rows": [row | {"size": 1.0}]}))
         with pytest.raises(ValueError, match=message):
             check.measured(wrong)
+    for text, message in (
+        ('{"rows": [{"size": 1, "quantity": "a", "value": 1}]}', "a row has no case"),
+        ('{"values": []}', "answers have the form"),
+        ("{", "wrong.json cannot be read"),
+    ):
+        wrong.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            check.measured(wrong)
+
+
+def test_two_cases_by_scikit_fem(monkeypatch):
+    """The answers are those of the script; the coarsest mesh says so."""
+    pytest.importorskip("skfem")
+    monkeypatch.syspath_prepend(str(BENCHMARKS.with_name("yardstick")))
+    cases, check = importlib.import_module("scikit_fem_cases"), importlib.import_module("check")
+    rows = json.loads((check.CASES.with_name("answers") / "scikit_fem.json").read_text())["rows"]
+    for name, size in (("shrink_fit", 16), ("pushed_block", 32)):
+        kept_rows = [row for row in rows if (row["case"], row["size"]) == (name, size)]
+        values = {row["quantity"]: row["value"] for row in kept_rows}
+        assert getattr(cases, name)(size) == pytest.approx(values, rel=1e-8)
 
 
 def test_tradeoff(tmp_path, monkeypatch):

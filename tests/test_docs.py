@@ -114,6 +114,18 @@ def test_every_block_is_run_or_made():
         )
 
 
+def test_pages_import_mpi_before_dolfinx():
+    """DOLFINx from PyPI is only found after MPI was loaded; here another test has loaded it."""
+    for page in [README, *of_language("python")]:
+        code = "\n".join(block.text for block in blocks(page.read_text(), "python"))
+        imports = [
+            module
+            for module in re.findall(r"^(?:from|import) (\w+)", code, re.MULTILINE)
+            if module in ("mpi4py", "dolfinx", "dolfinx_tresca")
+        ]
+        assert "mpi4py" not in imports or imports[0] != "dolfinx", name(page)
+
+
 @pytest.mark.parametrize("page", of_language("python"), ids=name)
 def test_python(names, tmp_path, monkeypatch, page):
     """All blocks of a page, one after the other."""
@@ -360,6 +372,32 @@ def test_limits_of_the_choice_are_those_of_the_code():
     once = CHOLESKY_LIMITS
     for text in (page, (CHECKOUT / "benchmarks" / "README.md").read_text()):
         assert f"bodies of up to {once[3]:,} unknowns in 3D ({once[2]:,} in 2D)" in text
+
+
+def test_the_paper():
+    """References and pictures exist; the length is the journal's; seconds are those measured."""
+    folder = CHECKOUT / "paper"
+    text = (folder / "paper.md").read_text()
+    keys = re.findall(r"^@\w+{(\w+),", (folder / "paper.bib").read_text(), re.MULTILINE)
+    assert sorted(keys) == sorted(set(re.findall(r"(?<!\w)@(\w+)", text)))
+    pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", text)
+    assert pictures and all((folder / picture).exists() for picture in pictures)
+    _, _, body = re.sub(r"!\[[^]]*\]\([^)]+\)", "", text).split("---\n", 2)
+    assert 750 <= len(body.split()) <= 1750
+    (title,) = re.findall(r'^title: "(.*)"$', (CHECKOUT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert f'title: "{title}"' in text
+    pytest.importorskip("sphinx")
+    tables = importlib.import_module("extensions.measured").tables()
+    seconds = {row[0].strip("*"): row[2] for row in tables["peers"][1]}
+    for solver, words in {
+        "ours, Cholesky": "the package takes {}",
+        "SCS, primal cone program, sparse": "SCS [@scs] {}",
+        "monolithic semismooth Newton, Alart and Curnier": "with MUMPS {}",
+        "GetFEM, its own assembly and Newton method": "GetFEM {}",
+        "Clarabel, dual cone program, dense A": "Clarabel [@clarabel] {}",
+        "Clarabel, primal cone program, sparse": "dual and {}",
+    }.items():
+        assert words.format(seconds[solver].strip("*")) in " ".join(text.split()), solver
 
 
 def test_files_that_pages_name():

@@ -71,13 +71,21 @@ def measured(path: Path) -> list[dict]:
     """Return a row for each case and quantity that a file of answers has.
 
     Raises:
-        ValueError: a case or a quantity does not exist, or a value is no number.
+        ValueError: the file cannot be read, a field is missing, a case or a quantity does not
+            exist, or a value is no number.
     """
     answers: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    content = json.loads(path.read_text())
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
+        raise ValueError(f'{path}: answers have the form {{"program": ..., "rows": [...]}}')
     for row in content["rows"]:
         if "quantity" not in row:
             continue  # the program was stopped
+        if missing := {"case", "size", "value"} - row.keys():
+            raise ValueError(f"{path}: a row has no {', '.join(sorted(missing))}: {row}")
         if not np.isfinite(row["value"]):
             raise ValueError(f"{path}: {row['case']}: {row['quantity']}: {row['value']}")
         key = row["case"], row["quantity"]
