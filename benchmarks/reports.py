@@ -13,6 +13,9 @@ are divided by them: beyond 1 the search takes longer than the linear algebra th
 Strips, shaft and cube are solved to the default accuracy, pellets to a relative residual of 1e-8,
 all other scenes to 1e-6. All use Cholesky factors.
 
+Machine parts (`scenes/right_values.py`) have values that statics or a formula gives, each on two
+meshes. Where a body stands up to a limit, the value is the greatest load that was solved.
+
 Processes with finite sliding, of nonlinear bodies and of linear bodies that turn, have a table of
 their own: Newton steps (for nonlinear bodies) in place of iterations, and a value with the right
 one. Their steps have the default accuracy. Bodies that turn are solved as linear bodies and as
@@ -54,6 +57,7 @@ from scenes.bent_sheet import STROKE, plastic_sheet
 from scenes.blocks import ABOVE, block
 from scenes.disc_spring import HEIGHT as CONE
 from scenes.disc_spring import disc_spring
+from scenes.machine_parts import CORD, cord
 from scenes.pellets import HEATING, three_pellets
 from scenes.pile import random_pile
 from scenes.reported import (
@@ -65,6 +69,7 @@ from scenes.reported import (
     pipe,
     roller,
 )
+from scenes.right_values import PARTS, MachinePart, line_contact_force
 from scenes.scene import Scene
 from scenes.shaft import greatest_moment, shaft_in_hub
 from scenes.snap_fit import WIDTH, snap_fit
@@ -199,13 +204,12 @@ class Meter:
             "seconds": sum(step["seconds"] for step in self.process),
             "status": ContactStatus.CONVERGED.name,
             **({"newton_steps": newton} if newton else {}),
-            **self.values,
         }
 
     def row(self) -> Row:
         """Return the figures of all load steps. Not collective."""
-        if self.process:
-            return self.process_row()
+        if not self.steps:
+            return (self.process_row() if self.process else {}) | self.values
         steps, names = self.steps, ("seconds", "linear", "with_K", "estimate", "solves")
         seconds, linear, with_K, estimate, solves = (sum(s[name] for s in steps) for name in names)
         products = sum(step["in_products"] for step in steps)
@@ -225,6 +229,7 @@ class Meter:
             "iteration": sum(s["iteration"] for s in steps) / products if computed else None,
             "percent": [round(100.0 * s / seconds) for s in (with_K, estimate)],
             "status": (failed or [ContactStatus.CONVERGED.name])[0],
+            **self.values,
         }
 
 
@@ -367,12 +372,13 @@ def reported(
         right: the right value, as text.
     """
     process, forces = scene(meter.comm), []
+    meter.values["right"] = right
     with process.problem:
         for place in places[: 2 if meter.small else None]:
             process.move(float(place))
             solution = meter.process_step(process.problem)
             forces.append(solution.pair_resultants[0].force)
-    meter.values = {"value": value(np.array(forces)), "right": right}
+    meter.values["value"] = value(np.array(forces))
 
 
 def spring(meter: Meter, *, height: float, right: str) -> None:
@@ -423,6 +429,13 @@ def shoe(meter: Meter, *, nonlinear: bool = False) -> None:
     scene = drum(meter.comm, 4 if meter.small else 16)
     *_, solution = turning(meter, scene, angles[: 2 if meter.small else None], nonlinear)
     meter.values = {"value": float(solution.normal_force), "right": "that at rest"}
+
+
+def machine_part(meter: Meter, *, part: MachinePart) -> None:
+    """Move a machine part through its loads, as far as it stands."""
+    meter.values["right"] = part.right if isinstance(part.right, str) else f"{part.right:.4g}"
+    solve = meter.process_step if part.nonlinear else meter.step
+    meter.values["value"] = part.follow(meter.comm, solve, meter.problem)
 
 
 #: Name of a path of the strips -> forces [N/mm]; beyond 0.4 some nodes slip.
@@ -519,6 +532,21 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
             right="0.1",
         )
     },
+    "cord": {
+        f"F = {F:g} to {end}, cells of {size} mm: force at 0.05": partial(
+            reported,
+            scene=partial(cord, size=size, friction=F),
+            places=np.append(0.025, np.arange(0.05, end + 0.01, 0.05)),
+            value=lambda forces: 2.0 * abs(float(forces[1, 1])),
+            right=f"{line_contact_force(0.05 * CORD):.3f} (Hertz)",
+        )
+        for F, end in ((0.0, 0.25), (0.3, 0.4), (0.0, 0.4))
+        for size in (0.5, 0.35)
+    },
+    **{
+        scene: {case: partial(machine_part, part=part) for case, part in parts.items()}
+        for scene, parts in PARTS.items()
+    },
     "gears": {name: partial(gear_pair, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
     "bearing": {
         f"16 rollers, {turn} degrees, {name}": partial(rollers, turn=turn, nonlinear=nonlinear)
@@ -600,6 +628,14 @@ PROCESSES = [
     Column("status", "{status}"),
 ]
 
+VALUES = [*COLUMNS[:5], COLUMNS[5], COLUMNS[9], *PROCESSES[5:]]
+
+
+def is_process(row: Row) -> bool:
+    """Return whether a row has a right value, but no linear solve to be compared with."""
+    return "right" in row and "ratio" not in row
+
+
 BENCHMARK = Benchmark(
     script=__file__,
     about=__doc__,
@@ -611,7 +647,10 @@ BENCHMARK = Benchmark(
     shown=COLUMNS,
     tables=[
         Table("reports", COLUMNS, lambda row: "right" not in row, ["scene", "case"]),
-        Table("processes", PROCESSES, lambda row: "right" in row, ["scene", "case"]),
+        Table("processes", PROCESSES, is_process, ["scene", "case"]),
+        Table(
+            "machine_parts", VALUES, lambda row: {"right", "ratio"} <= set(row), ["scene", "case"]
+        ),
     ],
 )
 
