@@ -13,6 +13,9 @@ are divided by them: beyond 1 the search takes longer than the linear algebra th
 Strips, shaft and cube are solved to the default accuracy, pellets to a relative residual of 1e-8,
 all other scenes to 1e-6. All use Cholesky factors.
 
+Machine parts (`scenes/right_values.py`) have values that statics or a formula gives, each on two
+meshes. Where a body stands up to a limit, the value is the greatest load that was solved.
+
 Processes with finite sliding, of nonlinear bodies and of linear bodies that turn, have a table of
 their own: Newton steps (for nonlinear bodies) in place of iterations, and a value with the right
 one. Their steps have the default accuracy. Bodies that turn are solved as linear bodies and as
@@ -25,6 +28,7 @@ import argparse
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,6 +58,7 @@ from scenes.bent_sheet import STROKE, plastic_sheet
 from scenes.blocks import ABOVE, block
 from scenes.disc_spring import HEIGHT as CONE
 from scenes.disc_spring import disc_spring
+from scenes.machine_parts import CORD, cord
 from scenes.pellets import HEATING, three_pellets
 from scenes.pile import random_pile
 from scenes.reported import (
@@ -65,6 +70,7 @@ from scenes.reported import (
     pipe,
     roller,
 )
+from scenes.right_values import PARTS, MachinePart, line_contact_force
 from scenes.scene import Scene
 from scenes.shaft import greatest_moment, shaft_in_hub
 from scenes.snap_fit import WIDTH, snap_fit
@@ -199,13 +205,12 @@ class Meter:
             "seconds": sum(step["seconds"] for step in self.process),
             "status": ContactStatus.CONVERGED.name,
             **({"newton_steps": newton} if newton else {}),
-            **self.values,
         }
 
     def row(self) -> Row:
         """Return the figures of all load steps. Not collective."""
-        if self.process:
-            return self.process_row()
+        if not self.steps:
+            return (self.process_row() if self.process else {}) | self.values
         steps, names = self.steps, ("seconds", "linear", "with_K", "estimate", "solves")
         seconds, linear, with_K, estimate, solves = (sum(s[name] for s in steps) for name in names)
         products = sum(step["in_products"] for step in steps)
@@ -225,6 +230,7 @@ class Meter:
             "iteration": sum(s["iteration"] for s in steps) / products if computed else None,
             "percent": [round(100.0 * s / seconds) for s in (with_K, estimate)],
             "status": (failed or [ContactStatus.CONVERGED.name])[0],
+            **self.values,
         }
 
 
@@ -319,9 +325,9 @@ def cube(meter: Meter, *, n: int) -> None:
                 meter.steps.clear()
 
 
-def die(meter: Meter) -> None:
+def die(meter: Meter, *, cells: tuple[int, int]) -> None:
     """Bend a sheet of metal into a die, and release it: the value is the angle after springback."""
-    sheet = plastic_sheet(meter.comm, (30, 2) if meter.small else (120, 4))
+    sheet = plastic_sheet(meter.comm, (30, 2) if meter.small else cells)
     strokes = STROKE / 100.0 * np.arange(1, 3 if meter.small else 101)
     released = STROKE - 12.0 * (np.arange(1, 31) / 30.0) ** 2
     with sheet.problem as problem:
@@ -331,15 +337,17 @@ def die(meter: Meter) -> None:
     meter.values = {"value": sheet.angle(), "right": "43 to 55"}
 
 
-def hook(meter: Meter, *, friction: float, right: str) -> None:
+def hook(meter: Meter, *, friction: float, right: str, refined: int) -> None:
     """Push a block over a snap-fit hook; the value is the force across on the hook's flat end.
 
     Args:
         meter: keeps the figures.
         friction: coefficient of friction.
         right: the right value [N], as text.
+        refined: factor on the numbers of cells.
     """
-    scene = snap_fit(meter.comm, Coulomb(friction) if friction else Frictionless())
+    law = Coulomb(friction) if friction else Frictionless()
+    scene = snap_fit(meter.comm, law, 1 if meter.small else refined)
     number = 24 if meter.small else 120
     with scene.problem as problem:
         for distance in 9.0 * np.arange(1, number + 1) / number:
@@ -367,17 +375,21 @@ def reported(
         right: the right value, as text.
     """
     process, forces = scene(meter.comm), []
+    meter.values["right"] = right
     with process.problem:
-        for place in places[: 2 if meter.small else None]:
-            process.move(float(place))
-            solution = meter.process_step(process.problem)
-            forces.append(solution.pair_resultants[0].force)
-    meter.values = {"value": value(np.array(forces)), "right": right}
+        try:
+            for place in places[: 2 if meter.small else None]:
+                process.move(float(place))
+                solution = meter.process_step(process.problem)
+                forces.append(solution.pair_resultants[0].force)
+        finally:
+            if len(forces) > 1:
+                meter.values["value"] = value(np.array(forces))
 
 
-def spring(meter: Meter, *, height: float, right: str) -> None:
+def spring(meter: Meter, *, height: float, right: str, cells: tuple[int, int]) -> None:
     """Press a disc spring flat, and let it return; the value is the force when it is flat [N]."""
-    cells = (10, 2) if meter.small else (40, 4)
+    cells = (10, 2) if meter.small else cells
     problem, plate = disc_spring(meter.comm, Frictionless(), "finite", cells, height=height)
     down = np.append(0.05 * np.arange(1, round(height / 0.05)), height)
     forces = {}
@@ -397,18 +409,18 @@ def turning(meter: Meter, scene: Scene, angles: np.ndarray, nonlinear: bool) -> 
             yield meter.process_step(problem)
 
 
-def gear_pair(meter: Meter, *, nonlinear: bool = False) -> None:
+def gear_pair(meter: Meter, *, coarse: int, nonlinear: bool) -> None:
     """Turn two gears through a tooth and a half: the value is the ratio that is farthest off."""
-    scene = gears(meter.comm, 0.8 if meter.small else 0.4)
+    scene = gears(meter.comm, 0.8 if meter.small else 0.4 * coarse)
     angles = np.arange(2.0 if meter.small else 28.0)
     moments = [torques(solution) for solution in turning(meter, scene, angles, nonlinear)]
     ratios = np.array([-gear / pinion for pinion, gear in moments])
     meter.values = {"value": ratios[np.abs(ratios - 1.5).argmax()], "right": "1.5 to 1 %"}
 
 
-def rollers(meter: Meter, *, turn: int, nonlinear: bool = False) -> None:
+def rollers(meter: Meter, *, turn: int, coarse: int, nonlinear: bool) -> None:
     """Turn the shaft of a bearing [degrees]: the value is the angle by which rollers roll on."""
-    scene = bearing(meter.comm, *((6, 8) if meter.small else (16, 16)))
+    scene = bearing(meter.comm, *((6, 8) if meter.small else (16, 16 // coarse)))
     angles = np.arange(2.0 if meter.small else turn + 1.0)
     *_, solution = turning(meter, scene, angles, nonlinear)
     meter.values = {
@@ -417,12 +429,20 @@ def rollers(meter: Meter, *, turn: int, nonlinear: bool = False) -> None:
     }
 
 
-def shoe(meter: Meter, *, nonlinear: bool = False) -> None:
+def shoe(meter: Meter, *, coarse: int, nonlinear: bool) -> None:
     """Turn a drum by 0.2 rad under its shoe; the value is the normal force [N/mm]."""
     angles = np.degrees([0.0, 0.01, 0.02, 0.04, 0.08, 0.12, 0.16, 0.2])
-    scene = drum(meter.comm, 4 if meter.small else 16)
+    scene = drum(meter.comm, 4 if meter.small else 16 // coarse)
     *_, solution = turning(meter, scene, angles[: 2 if meter.small else None], nonlinear)
     meter.values = {"value": float(solution.normal_force), "right": "that at rest"}
+
+
+def machine_part(meter: Meter, *, part: MachinePart) -> None:
+    """Move a machine part through its loads, as far as it stands."""
+    meter.values["right"] = part.right if isinstance(part.right, str) else f"{part.right:.4g}"
+    part = replace(part, loads=part.loads[:1]) if meter.small else part
+    solve = meter.process_step if part.nonlinear else meter.step
+    meter.values["value"] = part.follow(meter.comm, solve, meter.problem)
 
 
 #: Name of a path of the strips -> forces [N/mm]; beyond 0.4 some nodes slip.
@@ -437,6 +457,9 @@ STRIPS = [(100, 2), (400, 1), (200, 2)]
 
 #: Name of a material, and whether it is nonlinear.
 MATERIALS = (("linear", False), ("St. Venant-Kirchhoff", True))
+
+#: What is behind the name of a process on a coarse mesh -> how much larger its cells are.
+COARSE = {"": 1, ", coarse mesh": 2}
 
 #: Scene -> case -> function that solves its load steps.
 SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
@@ -463,50 +486,61 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
     },
     "arch": {f"thickness {t:g} m": partial(arches, thickness=t) for t in (0.15, 0.11)},
     "piles": {f"{number} seeds": partial(piles, number=number) for number in (40, 300)},
-    "die": {"sheet of aluminium, with springback": die},
+    "die": {
+        f"sheet of aluminium, with springback{name}": partial(die, cells=(120 // c, 4 // c))
+        for name, c in COARSE.items()
+    },
     "hook": {
-        f"snap-fit, F = {F:g}": partial(hook, friction=F, right=right)
+        f"snap-fit, F = {F:g}{name}": partial(hook, friction=F, right=right, refined=refined)
         for F, right in ((0.0, "29.1"), (0.6, "32.8"))
+        for name, refined in (("", 1), (", fine mesh", 2))
     },
     "disc spring": {
-        "height 0.4, flat and back": partial(spring, height=CONE, right="5,245 (small sliding)")
+        f"height 0.4, flat and back{name}": partial(
+            spring, height=CONE, right="5,245 (small sliding)", cells=(40 // c, 4 // c)
+        )
+        for name, c in COARSE.items()
     },
     "curved beams": {
-        "F = 0: largest force [N/mm]": partial(
+        f"F = 0: largest force [N/mm]{name}": partial(
             reported,
-            scene=partial(curved_beams, friction=Frictionless(), cells=(40, 2)),
+            scene=partial(curved_beams, friction=Frictionless(), cells=(40 // c, 2 // c)),
             places=0.5 * np.arange(1, 64),
             value=lambda forces: float(np.hypot(*forces.T).max()),
             right="35.7",
         )
+        for name, c in COARSE.items()
     },
     "pipe": {
-        "crushed by 35 mm: force [N/mm]": partial(
+        f"crushed by 35 mm: force [N/mm]{name}": partial(
             reported,
-            scene=partial(pipe, cells=(32, 4)),
+            scene=partial(pipe, cells=(32 // c, 4 // c)),
             places=0.35 * np.arange(1, 51),
             value=lambda forces: 2.0 * abs(float(forces[-1, 1])),
             right="478",
         )
+        for name, c in COARSE.items()
     },
     "roller": {
-        "hub moved by 9.503 mm: force [N]": partial(
+        f"hub moved by 9.503 mm: force [N]{name}": partial(
             reported,
-            scene=partial(roller, cells=(40, 8)),
+            scene=partial(roller, cells=(40 // c, 8 // c)),
             places=np.append(0.5 * np.arange(1, 20), 9.503),
             value=lambda forces: 2.0 * ROLLER_WIDTH * float(forces[-1, 1]),
             right="380",
         )
+        for name, c in COARSE.items()
     },
     "billet": {
-        f"F = {F:g}: force [MN]": partial(
+        f"F = {F:g}: force [MN]{name}": partial(
             reported,
-            scene=partial(billet, friction=Coulomb(F) if F else Frictionless(), cells=(12, 14)),
+            scene=partial(billet, friction=Coulomb(F) if F else Frictionless(), cells=cells),
             places=0.1 * np.arange(1, 91),
             value=lambda forces: 1e-6 * abs(float(forces[-1, 1])),
             right=right,
         )
         for F, right in ((0.0, "0.7645"), (0.5, "0.83"))
+        for name, cells in (("", (12, 14)), (", fine mesh", (18, 21)))
     },
     "hopping block": {
         "F = 0.1: largest T / N": partial(
@@ -519,12 +553,38 @@ SCENES: dict[str, dict[str, Callable[[Meter], None]]] = {
             right="0.1",
         )
     },
-    "gears": {name: partial(gear_pair, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
-    "bearing": {
-        f"16 rollers, {turn} degrees, {name}": partial(rollers, turn=turn, nonlinear=nonlinear)
-        for turn, (name, nonlinear) in ((90, MATERIALS[0]), *((10, each) for each in MATERIALS))
+    "cord": {
+        f"F = {F:g} to {end}, cells of {size} mm: force at 0.05": partial(
+            reported,
+            scene=partial(cord, size=size, friction=F),
+            places=np.append(0.025, np.arange(0.05, end + 0.01, 0.05)),
+            value=lambda forces: 2.0 * abs(float(forces[1, 1])),
+            right=f"{line_contact_force(0.05 * CORD):.3f} (Hertz)",
+        )
+        for F, end in ((0.0, 0.2), (0.3, 0.4), (0.0, 0.4))
+        for size in (0.5, 0.35)
     },
-    "drum": {name: partial(shoe, nonlinear=nonlinear) for name, nonlinear in MATERIALS},
+    **{
+        scene: {case: partial(machine_part, part=part) for case, part in parts.items()}
+        for scene, parts in PARTS.items()
+    },
+    "gears": {
+        material + name: partial(gear_pair, coarse=c, nonlinear=nonlinear)
+        for material, nonlinear in MATERIALS
+        for name, c in COARSE.items()
+    },
+    "bearing": {
+        f"16 rollers, {turn} degrees, {material}{name}": partial(
+            rollers, turn=turn, coarse=c, nonlinear=nonlinear
+        )
+        for turn, (material, nonlinear) in ((90, MATERIALS[0]), *((10, m) for m in MATERIALS))
+        for name, c in COARSE.items()
+    },
+    "drum": {
+        material + name: partial(shoe, coarse=c, nonlinear=nonlinear)
+        for material, nonlinear in MATERIALS
+        for name, c in COARSE.items()
+    },
     "cube": {f"{3 * (n + 1) ** 3:,} unknowns": partial(cube, n=n) for n in (4, 8, 16)},
 }
 
@@ -536,7 +596,9 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
     """Yield the paths of the scenes."""
     for scene in arguments.scenes:
         chosen = [case for case in SCENES[scene] if arguments.full or case not in FULL]
-        for case in chosen[-1:] if arguments.small else chosen:
+        if arguments.small:  # machine parts have their coarse meshes first
+            chosen = chosen[:1] if scene in PARTS else chosen[-1:]
+        for case in chosen:
             yield {"scene": scene, "case": case, "small": arguments.small}
 
 
@@ -600,6 +662,14 @@ PROCESSES = [
     Column("status", "{status}"),
 ]
 
+VALUES = [*COLUMNS[:5], COLUMNS[5], COLUMNS[9], *PROCESSES[5:]]
+
+
+def is_process(row: Row) -> bool:
+    """Return whether a row has a right value, but no linear solve to be compared with."""
+    return "right" in row and "ratio" not in row
+
+
 BENCHMARK = Benchmark(
     script=__file__,
     about=__doc__,
@@ -611,7 +681,10 @@ BENCHMARK = Benchmark(
     shown=COLUMNS,
     tables=[
         Table("reports", COLUMNS, lambda row: "right" not in row, ["scene", "case"]),
-        Table("processes", PROCESSES, lambda row: "right" in row, ["scene", "case"]),
+        Table("processes", PROCESSES, is_process, ["scene", "case"]),
+        Table(
+            "machine_parts", VALUES, lambda row: {"right", "ratio"} <= set(row), ["scene", "case"]
+        ),
     ],
 )
 

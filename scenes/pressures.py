@@ -32,7 +32,7 @@ def with_pressure(
         poisson: Poisson's ratio, above 0 and up to 0.5.
         element: family and degree of the pressure's element; the default is that of Taylor-Hood.
     """
-    W = _mixed_space(scene.mesh, element)
+    W = mixed_space(scene.mesh, element)
     (u, p), (v, q) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
     mu, compliance = _material(scene.mesh, young, poisson)
     a = 2 * mu * ufl.inner(strain(u), strain(v)) + p * ufl.div(v) + q * ufl.div(u)
@@ -66,7 +66,7 @@ def _material(mesh: Any, young: float, poisson: float) -> tuple[fem.Constant, fe
     return fem.Constant(mesh, mu), fem.Constant(mesh, (1 - 2 * poisson) / (2 * mu * poisson))
 
 
-def _mixed_space(mesh: Any, pressure: tuple[str, int]) -> Any:
+def mixed_space(mesh: Any, pressure: tuple[str, int]) -> Any:
     """Return the mixed space of displacements of degree 2 and pressures."""
     cell, (family, degree) = mesh.basix_cell(), pressure
     u = basix.ufl.element("Lagrange", cell, 2, shape=(mesh.geometry.dim,))
@@ -106,7 +106,7 @@ def rubber_with_pressure(
         element: family and degree of the pressure's element; the default is that of Taylor-Hood.
         dx: measure of the terms with the pressure.
     """
-    W = _mixed_space(rubber.scene.mesh, element)
+    W = mixed_space(rubber.scene.mesh, element)
     w = fem.Function(W)
     u, p = ufl.split(w)
     log_J = ufl.ln(ufl.det(ufl.Identity(len(u)) + ufl.grad(u)))

@@ -43,17 +43,22 @@ class Process:
     move: Callable[[float], None]
 
 
+def facets_at(domain: Any, axis: int, value: float) -> np.ndarray:
+    """Return the facets in the plane where a coordinate has a value, in order. Collective."""
+    dim = domain.topology.dim - 1
+    facets = mesh.locate_entities_boundary(domain, dim, lambda x: np.isclose(x[axis], value))
+    return np.sort(facets)
+
+
 def tagged(domain: Any, places: dict[int, tuple[int, float]]) -> Any:
-    """Return the facets of a rectangle's sides: tag -> (coordinate, its value). Collective."""
-    domain.topology.create_connectivity(1, 2)
-    sides = {
-        tag: mesh.locate_entities_boundary(domain, 1, lambda x, k=k, at=at: np.isclose(x[k], at))
-        for tag, (k, at) in places.items()
-    }
+    """Return the facets of a box's sides: tag -> (coordinate, its value). Collective."""
+    dim = domain.topology.dim - 1
+    domain.topology.create_connectivity(dim, dim + 1)
+    sides = {tag: facets_at(domain, *place) for tag, place in places.items()}
     facets = np.concatenate(list(sides.values()))
     values = np.repeat(np.array(list(sides), np.int32), [len(f) for f in sides.values()])
     order = np.argsort(facets)
-    return mesh.meshtags(domain, 1, facets[order], values[order])
+    return mesh.meshtags(domain, dim, facets[order], values[order])
 
 
 def strip_grid(

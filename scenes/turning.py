@@ -42,7 +42,7 @@ def saint_venant_kirchhoff(scene: Scene) -> NonlinearContactProblem:
     F = ufl.Identity(2) + ufl.grad(u)
     E = (F.T * F - ufl.Identity(2)) / 2
     energy = (mu * ufl.inner(E, E) + lame / 2 * ufl.tr(E) ** 2) * ufl.dx
-    residual = ufl.derivative(energy, u, ufl.TestFunction(scene.V))
+    residual = ufl.derivative(energy, u, ufl.TestFunction(scene.V)) - scene.L
     return NonlinearContactProblem(residual, u, scene.pairs, scene.bcs)
 
 
