@@ -63,6 +63,17 @@ class ContactOperators(PetscOwner):
 
     N and T are PETSc matrices, which petsc4py frees when nobody refers to them.
 
+    Attributes:
+        nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
+        weights: (n,) covered areas of the contact nodes [length^2, in 2D length]: the part of a
+            node's area that faces the primary side.
+        normals: (n, d) outward unit normals of the secondary side.
+        gap: (rows of N,) initial gap of the undeformed bodies [length], positive if open.
+        normal_node: (rows of N,) index in `nodes` of each row of N.
+        tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
+        tangent_node: (rows of T,) index in `nodes` of each row of T; nodes have up to two rows in
+            3D.
+
     Example:
         The cube in the example of `ContactProblem`, on one rank. Non-negative least squares
         find the forces F >= 0 that minimise 1/2 F'A F - F'b, where A = N K^-1 N' = C C' and
@@ -98,6 +109,9 @@ class ContactOperators(PetscOwner):
         """
         self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
         self.comm = V.mesh.comm
+        self.nodes, self.weights, self.normals = pair.nodes, pair.weights, pair.normals
+        self.normal_node, self.gap = pair.normal_node, pair.gap[pair.normal_node]
+        self.tangents, self.tangent_node = pair.tangents, pair.tangent_node
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
@@ -132,49 +146,10 @@ class ContactOperators(PetscOwner):
         return self._columns(as_petsc(dofmap.index_map, dofmap.index_map_bs, [rows], self.comm))
 
     @property
-    def nodes(self) -> LocalNumbers:
-        """(n,) local numbers of the contact nodes that this rank owns (blocks of V)."""
-        return self._pair.nodes
-
-    @property
     def points(self) -> Array:
         """(n, 3) positions of the contact nodes [length]."""
         points: Array = self._V.tabulate_dof_coordinates()[self._pair.nodes]
         return points
-
-    @property
-    def weights(self) -> Array:
-        """(n,) covered areas of the contact nodes [length^2, in 2D length].
-
-        The covered part of a node's area is the part that faces the primary side.
-        """
-        return self._pair.weights
-
-    @property
-    def normals(self) -> Array:
-        """(n, d) outward unit normals of the secondary side."""
-        return self._pair.normals
-
-    @property
-    def gap(self) -> Array:
-        """(rows of N,) initial gap of the undeformed bodies [length], positive if open."""
-        gap: Array = self._pair.gap[self._pair.normal_node]
-        return gap
-
-    @property
-    def normal_node(self) -> LocalNumbers:
-        """(rows of N,) index in `nodes` of each row of N."""
-        return self._pair.normal_node
-
-    @property
-    def tangents(self) -> Array:
-        """(rows of T, d) unit vectors: each row of T is the jump along its vector."""
-        return self._pair.tangents
-
-    @property
-    def tangent_node(self) -> LocalNumbers:
-        """(rows of T,) index in `nodes` of each row of T; nodes have up to two rows in 3D."""
-        return self._pair.tangent_node
 
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
