@@ -25,8 +25,8 @@
 #
 # $$\psi = \tfrac{\mu}{2} (I_1 - 2 - 2 \ln J) + \tfrac{\lambda}{2} (\ln J)^2.$$
 #
-# With 60 cells along the foundation and 27 load steps it takes about half a minute; a number after the
-# name of this script sets the number of cells, to which the number of load steps is about
+# With 60 cells along the foundation and 27 load steps it takes about half a minute; a number after
+# the name of this script sets the number of cells, to which the number of load steps is about
 # proportional.
 
 # %%

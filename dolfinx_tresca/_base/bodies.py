@@ -57,8 +57,12 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     in_file = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[geometry_dofmap(mesh)]
     np.minimum.at(least_node, body[cells[: len(in_file), 0]], in_file.min(axis=1))
     in_file = reduce_array(comm, least_node, MPI.MIN)
-    # digits beyond the tenth of the largest coordinate are rounding
-    places = np.round(bounds / (1e-10 * np.abs(bounds).max(initial=0.0)))
+    # steps between sorted coordinates that are rounding do not count
+    places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
+    for place, values in zip(places.T, bounds.T, strict=True):
+        ascending = np.argsort(values)
+        steps = np.diff(values[ascending], prepend=values[ascending[:1]])
+        place[ascending] = np.cumsum(steps > rounding)
     order = np.lexsort([in_file, *places.T[::-1]])
     rank_of = np.empty(number, dtype=np.int64)
     rank_of[order] = np.arange(number)

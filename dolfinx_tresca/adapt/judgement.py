@@ -20,7 +20,6 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.status import ContactStatus
 
 #: Least relative energy error to which a problem is solved again for the error of a goal.
@@ -123,7 +122,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
     nodes, cells = fem.functionspace(mesh, ("Lagrange", 1)), cell_errors.function_space
     node, cell = ufl.TestFunction(nodes), ufl.TestFunction(cells)
     for pair, operator in zip(problem.pairs, operators, strict=True):
-        if isinstance(pair.primary, RigidObstacle):
+        if pair.obstacle is not None:
             continue
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)
         density, areas = (

@@ -36,7 +36,6 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.scene_checks import (
@@ -183,7 +182,7 @@ class ContactSystem(PetscOwner):
             InputError: an obstacle is held by forces, or a pair has a preload.
         """
         for pair in self.pairs:
-            given = isinstance(pair.primary, RigidObstacle) and pair.primary.given_forces
+            given = pair.obstacle is not None and pair.obstacle.given_forces
             if given or isinstance(pair.friction, Preload):
                 raise InputError(
                     f"contact pair {pair}: {purpose} is not known with obstacles held by forces, "

@@ -43,9 +43,7 @@ class Obstacles:
             pairs: the contact pairs.
         """
         self._V, self._pairs = V, pairs
-        self._obstacles = [
-            pair.primary if isinstance(pair.primary, RigidObstacle) else None for pair in pairs
-        ]
+        self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
         self._of_bodies = np.tile(RigidMotion.none().matrix, (len(pairs), 1, 1))
 

@@ -45,9 +45,8 @@ CANCELLED = 0.1
 UNEVEN = 0.5
 
 #: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
-#: kink are kept; from four times this angle on, the facet's own normal takes their place. (With
-#: zero, the friction of a block on a plank that it dents varies by 1 % as nodes pass. From twice
-#: the angle on, a block that is ironed over a coarse foundation takes 20 Newton steps for 12.)
+#: kink are kept; from twice this angle on, the facet's own normal takes their place. (With
+#: zero, the friction of a block on a plank that it dents varies by 1 % as nodes pass.)
 KINK_ANGLE = 0.1
 
 #: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
@@ -139,7 +138,7 @@ class SmoothSurface:
         # both is right to fourth order in the angle.
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        is_kinked = (1.0 - smooth) * np.clip((turns_at_kinks / KINK_ANGLE - 1.0) / 3.0, 0.0, 1.0)
+        is_kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
         self.corner_normals += is_kinked[:, None, None] * (
             self._facet_normals[:, None] - self.corner_normals
         )

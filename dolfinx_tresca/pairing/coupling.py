@@ -403,10 +403,10 @@ def _tangential_projections(
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
         apart = (lighter - heavier).power(2).sum(axis=1)
         together[together] = apart <= SAME_MEANS**2 * squares
-    starts = np.flatnonzero(np.concatenate([[True], ~together]))
-    for patches in np.split(ascending, starts[1:]):
-        if len(patches) <= 1:
-            continue
+    # the pieces of consecutive patches that face the same place: of most nodes there is one patch
+    starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
+    for start, end in zip(starts, ends, strict=True):
+        patches = ascending[start : end + 1]
         heaviest = patches[-1]
         left = room[heaviest].copy()
         for i in reversed(patches):

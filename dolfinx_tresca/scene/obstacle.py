@@ -515,13 +515,13 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
     return sign * (length - radius), normal
 
 
-def _coordinates(name: str, value: npt.ArrayLike) -> Array:
+def _coordinates(name: str, value: npt.ArrayLike, *, nonzero: bool = False) -> Array:
     """Return three coordinates from two or three; the third is 0 by default.
 
     Raises:
-        InputError: the value is not a vector of 2 or 3 finite numbers.
+        InputError: the value is not a vector of 2 or 3 finite numbers, or it is zero and `nonzero`.
     """
-    vector = checked_vector(name, value, 2, 3)
+    vector = checked_vector(name, value, 2, 3, nonzero=nonzero)
     return np.append(vector, np.zeros(3 - len(vector)))
 
 
@@ -545,8 +545,7 @@ def _direction(name: str, value: npt.ArrayLike) -> Array:
     Raises:
         InputError: the value is not a vector of 2 or 3 finite numbers, or is zero.
     """
-    checked_vector(name, value, 2, 3, nonzero=True)
-    vector = _coordinates(name, value)
+    vector = _coordinates(name, value, nonzero=True)
     vector /= np.abs(vector).max()
     return np.asarray(vector / np.linalg.norm(vector))
 

@@ -112,12 +112,11 @@ class EqualityConstraints:
         missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.sizes
         exact = self._exact_directions @ missing
         soft_terms = loads + abs(self.softness) @ np.abs(c)
-        parts = ((exact, loads), (missing - exact, soft_terms))
-        sizes = [float(np.linalg.norm(terms)) for _, terms in parts]
-        return max(
-            float(np.linalg.norm(residual)) / size if size > 0.0 else 0.0
-            for (residual, _), size in zip(parts, sizes, strict=True)
-        )
+        result = 0.0
+        for residual, terms in ((exact, loads), (missing - exact, soft_terms)):
+            size = float(np.linalg.norm(terms))
+            result = max(result, float(np.linalg.norm(residual)) / size if size > 0.0 else 0.0)
+        return result
 
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.

@@ -207,6 +207,21 @@ def test_numbers_of_bodies_depend_on_neither_rounding_nor_ranks(comm, towards):
     assert set(np.unique(body)) <= {0, 1}  # at the interface either
 
 
+def test_numbers_of_bodies_do_not_hang_on_a_digit_that_is_rounded():
+    """Coordinates halfway between two multiples of 1e-10 of the largest one differ by an ulp."""
+    triangle = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
+    for right, left in ((1.0, 1.0 + EPS), (1.0 + EPS, 1.0), (1.0, 1.0)):
+        upper = [[right, 3.0], [2.0, 3.0], [2.0, 2048.0]]
+        lower = [[left, 0.0], [2.0, 0.0], [2.0, 1.0]]
+        cells = np.array([[0, 1, 2], [3, 4, 5]])
+        mesh = dolfinx.mesh.create_mesh(
+            MPI.COMM_SELF, cells=cells, x=np.array(upper + lower), e=triangle
+        )
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body, y = label_bodies(V), V.tabulate_dof_coordinates()[:, 1]
+        assert (body == (y > 2.0)).all()
+
+
 def test_bodies_in_one_place_are_numbered_as_the_mesh_file_has_them(comm):
     """The bounds are the same but for rounding; the cells are two triangles."""
     triangle = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
