@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, NamedTuple
+from typing import Any
 
 from mpi4py import MPI
 
@@ -27,8 +27,7 @@ from dolfinx_tresca.pairing.multipliers import nodes_with_multipliers
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
-    FREE_PART,
-    RIM_PART,
+    NEGLIGIBLE,
     Facets,
     SurfaceNodes,
     free_normals,
@@ -112,9 +111,9 @@ def couple(
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
     with errors_on_all_ranks(comm):
         columns = V.dofmap.index_map.size_global
-        rows = mortar_rows(nodes, primary, integrals, columns, carries)
-    scale: Array = 1.0 / np.where(rows.weights > 0.0, rows.weights, 1.0)
-    means = scale[:, None] * rows.means
+        weights, jump, across, means = mortar_rows(nodes, primary, integrals, columns, carries)
+    scale: Array = 1.0 / np.where(weights > 0.0, weights, 1.0)
+    means *= scale[:, None]
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     kept = np.linalg.norm(means[:, 3:6], axis=1) <= CANCELLED
     normals = free_normals(np.where(kept[:, None], nodes.normals, means[:, 3:6]), nodes.free)
@@ -122,21 +121,18 @@ def couple(
         cosine = np.maximum(np.einsum("ni,ni->n", measured, normals), FACING_COSINE)
         means[:, :3] /= cosine[:, None]
     gap, secondary_sagitta, sagitta = means[:, :3].T
-    unpaired: Mask = rows.weights <= LEAST_AREA_PART * nodes.weights
+    unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-    if primary is None:
-        facet, column = np.arange(len(facets.points)), np.zeros(1, dtype=np.intp)
-        sizes = integrals.hats.sum(axis=2)
-    else:
-        facet, partner = integrals.pairs.T
-        column, sizes = primary.tag_index[partner], integrals.partner.sum(axis=2)
+    facet, partner = integrals.pairs.T
+    column = partner if primary is None else primary.tag_index[partner]
+    sizes = integrals.partner.sum(axis=2)
     sizes = redistributed(sizes[:, :, None], carries[facet])[:, :, 0]
     shares: Array = np.zeros((count, len(group.pairs)))
     member = group.pair_of_tags[facets.tag_index[facet], column]
     np.add.at(shares, (nodes.facet_nodes[facet], member[:, None]), sizes)
-    weights, shares = rows.weights[position], shares[position]
+    weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     if not moved and primary is not None:
         # Functions of the dual basis are negative in part: a mean may be less than all distances
@@ -152,9 +148,9 @@ def couple(
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
     smooth = np.array([isinstance(law, Frictionless) for law in laws])[owner]
     normals, free, numbers = normals[position, :dim], nodes.free[position], nodes.numbers[position]
-    moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
+    moves = np.linalg.norm(normals * free, axis=1) > FACING_COSINE
     prescribed = ~moves
-    across = scaled_rows(rows.primary[position], scale[position])
+    across = scaled_rows(across[position], scale[position])
     friction_acts, means_across = free, None
     if primary is not None:
         friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
@@ -177,7 +173,7 @@ def couple(
         added_gap=np.zeros_like(distance),
         # only displacements of degree 2 can bend facets and so make up for the sagitta
         secondary_sagitta=secondary_sagitta[position] * (facets.degree > 1),
-        jump=scaled_rows(rows.jump[position], scale[position]),
+        jump=scaled_rows(jump[position], scale[position]),
         primary=across,
         prescribed=prescribed,
         normal_node=np.flatnonzero(moves).astype(np.int32),
@@ -206,30 +202,13 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
         )
 
 
-class MortarRows(NamedTuple):
-    """Weighted jumps at the nodes of the secondary side.
-
-    Attributes:
-        weights: (n,) covered area of each node [length^2, in 2D length].
-        jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
-        primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
-        means: (n, 9) six quantities of `MortarIntegrals.means` and the three coordinates of the
-            point of application of the nodal forces, times weight.
-    """
-
-    weights: Array
-    jump: Any
-    primary: Any
-    means: Array
-
-
 def mortar_rows(
     nodes: SurfaceNodes,
     primary: Facets | None,
     integrals: FacetIntegrals,
     columns: int,
     carries: Mask,
-) -> MortarRows:
+) -> tuple[Array, Any, Any, Array]:
     """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
 
     Args:
@@ -238,6 +217,12 @@ def mortar_rows(
         integrals: the integrals over the facets.
         columns: number of nodes of V on all ranks.
         carries: (facets, corners) whether a corner has a multiplier, see `couple`.
+
+    Returns:
+        For each of the nodes (n,) the covered area w [length^2, in 2D length]; times w, the sparse
+        matrix (n, nodes of V) of the jump, secondary minus primary, and the one of its primary
+        part; and (n, 9) the six quantities of `FacetIntegrals.means` and the three coordinates of
+        the point of application of the nodal force, times w.
     """
     corners, count = nodes.facet_nodes, len(nodes.numbers)
     dual = dual_coefficients(integrals.hats, integrals.full, carries)
@@ -252,7 +237,7 @@ def mortar_rows(
         across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
         jump = jump - across
     means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
-    return MortarRows(weights, jump, across, node_sums(corners, means, count))
+    return weights, jump, across, node_sums(corners, means, count)
 
 
 def dual_coefficients(hats: Array, full: Mask, carries: Mask) -> Array:
@@ -355,14 +340,14 @@ def assemble_rows(
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
-    Primary nodes whose share of the mean is at most `RIM_PART` do not count.
+    Primary nodes whose share of the mean is at most `NEGLIGIBLE` do not count.
 
     Args:
         primary: (n, nodes of V) sparse matrix of the means over the primary side.
         facets: facets of the primary side.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
-    counts = np.abs(primary.data) > RIM_PART
+    counts = np.abs(primary.data) > NEGLIGIBLE
     result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
     for axis in range(facets.free.shape[2]):
         prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
@@ -412,7 +397,7 @@ def _tangential_projections(
         for i in reversed(patches):
             own = left @ normals[i]
             length = np.linalg.norm(own)
-            moves[i] = length > FREE_PART
+            moves[i] = length > FACING_COSINE
             if moves[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
@@ -434,5 +419,5 @@ def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
     mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
     values, vectors = np.linalg.eigh(mobility)
     along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
-    keep[limited] = values > FREE_PART
+    keep[limited] = values > FACING_COSINE
     return along[keep], np.nonzero(keep)[0].astype(np.int32)

@@ -11,9 +11,7 @@ from dolfinx_tresca._base.arrays import Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
-from dolfinx_tresca.pairing.search.facets import SurfaceNodes, node_sums
-from dolfinx_tresca.pairing.search.visibility import COVER_ROUNDING
-from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.pairing.search.facets import MISMATCH, SurfaceNodes, node_sums
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
@@ -82,7 +80,7 @@ def nodes_without_multiplier(
     without = owners_flags((covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
-    largest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
+    largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
     without[corners[no_carrier[:, None] & largest]] = False
     return owners_flags(without)
 
@@ -141,9 +139,9 @@ def nodes_with_multipliers(
         )
         return position
     hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
-    if isinstance(pair.primary, RigidObstacle):
+    if pair.obstacle is not None:
         with errors_on_all_ranks(comm):
-            _, normals = pair.primary.at(nodes.points[own])
+            _, normals = pair.obstacle.at(nodes.points[own])
         along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
         reversed_nodes = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
         if reversed_nodes:

@@ -29,18 +29,15 @@ from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_in
 from dolfinx_tresca.pairing.multipliers import nodes_without_multiplier, owned_nodes
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos, with_neighbours
-from dolfinx_tresca.pairing.search.facets import Facets, SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import (
+    MISMATCH,
+    NEGLIGIBLE,
+    Facets,
+    SurfaceNodes,
+)
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
-from dolfinx_tresca.pairing.search.visibility import TOUCHING_DISTANCE
 from dolfinx_tresca.scene.friction import Bonded
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, SideName
-
-#: Difference of the sums of squares of a node's means over both sides up to which the meshes match
-#: there: one to two times the distance of the nodes along the surface, relative to the size of a
-#: facet. With twice as much, meshes match that are twice as far apart; those of a mesh generator
-#: differ by 1e-10 or less.
-MATCHING_SQUARES = 2e-8
 
 
 def pair_surfaces(
@@ -102,10 +99,10 @@ def _pair(
     pair = group.surfaces
     owned = sides[pair.secondary]
     primary, bodies, measured = None, None, None
-    if isinstance(pair.primary, RigidObstacle):
+    if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
         nodes, integrals, carries, measured = obstacle_integrals(
-            comm, str(pair), pair.primary, nodes, moved
+            comm, str(pair), pair.obstacle, nodes, moved
         )
         shared: Mask = np.zeros(len(measured), dtype=np.bool_)
     else:
@@ -161,13 +158,15 @@ def _check_meshes_match(
 ) -> None:
     """Check that the means over both sides have equal weights, as on matching meshes. Collective.
 
-    The means are over one node on each side then, and over equal nodes with degree 2.
+    The means are over one node on each side then, and over equal nodes with degree 2. The
+    difference of the sums of their squares is one to two times the distance of the nodes along the
+    surface, relative to the size of a facet.
 
     Raises:
         PairingError: secondary nodes face the primary side away from its nodes.
     """
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
-    apart = differ > MATCHING_SQUARES + 100.0 * nodes.facets.rounding.max(initial=0.0)
+    apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
     away = operators.nodes[apart]
     number = V.mesh.comm.allreduce(len(np.unique(away)))
     if number > 0:
@@ -223,7 +222,7 @@ def _surface_nodes(
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
     entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
-    places = np.round(nodes.points[own][entry] / (TOUCHING_DISTANCE * smallest)).astype(np.int64)
+    places = np.round(nodes.points[own][entry] / (NEGLIGIBLE * smallest)).astype(np.int64)
     places, _ = exchange(comm, places, places.sum(axis=1) % comm.size)
     coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
     if coincident:
