@@ -14,9 +14,9 @@ Nouns:
   sides turn (`contact_normal.py`, which derives the rule).
 - `FacetIntegrals`: integrals over the parts of facets that face the other side: `MortarIntegrals`
   over the overlap of both surfaces, `obstacle_integrals` over facets that face an obstacle.
-- `Coupling`: the jump at the nodes that carry multipliers, with gap and contact normal.
-- `PairOperators`: N, T, gaps and areas of one pair; `ContactOperators` shows them to users, and
-  transfers fields and loads between the sides.
+- `PairOperators`: N, T, gaps and areas at the nodes of a pair that carry multipliers
+  (`multipliers.py`); `couple` computes them. `ContactOperators` shows them to users, and transfers
+  fields and loads between the sides.
 
 Symbols: the hat functions phi are `hats`, the dual basis psi is `dual`, the projection P from the
 primary side is `PairOperators.primary`, the covered areas w are `weights`. The jump is secondary

@@ -12,7 +12,7 @@ contact normal is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction, so that the rows of N are its variation.
-A rigid obstacle that the mesh resolves keeps its exact normal (`mortar_integrals.RESOLVED_ANGLES`).
+A rigid obstacle that the mesh resolves keeps its exact normal (`mortar_integrals.RESOLVED_ANGLE`).
 """
 
 from __future__ import annotations

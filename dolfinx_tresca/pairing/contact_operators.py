@@ -32,18 +32,19 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
-from dolfinx_tresca._base.functions import assembled, entities_per_cell
+from dolfinx_tresca._base.functions import (
+    assembled,
+    entities_per_cell,
+    owned_values,
+    with_owned_values,
+)
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.petsc import PetscOwner, dense_matrix
+from dolfinx_tresca._base.petsc import dense_matrix
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
-from dolfinx_tresca.pairing.search.facets import tabulate
+from dolfinx_tresca.pairing.search.facets import MESH_ROUNDING, tabulate
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-
-#: Covered area of a primary node, relative to the largest one, that counts as rounding: densities
-#: are zero at such a node.
-AREA_PART = 1e-10
 
 
 def _space(operators: ContactOperators) -> dict[str, Any]:
@@ -51,7 +52,7 @@ def _space(operators: ContactOperators) -> dict[str, Any]:
     return {"the space of the problem": operators._V}
 
 
-class ContactOperators(PetscOwner):
+class ContactOperators:
     """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
     The rows of N and T are distributed among the ranks like the contact nodes, the columns like
@@ -62,6 +63,17 @@ class ContactOperators(PetscOwner):
     |t| < g.
 
     N and T are PETSc matrices, which petsc4py frees when nobody refers to them.
+
+    Attributes:
+        nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
+        weights: (n,) covered areas of the contact nodes [length^2, in 2D length]: the part of a
+            node's area that faces the primary side.
+        normals: (n, d) outward unit normals of the secondary side.
+        gap: (rows of N,) initial gap of the undeformed bodies [length], positive if open.
+        normal_node: (rows of N,) index in `nodes` of each row of N.
+        tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
+        tangent_node: (rows of T,) index in `nodes` of each row of T; nodes have up to two rows in
+            3D.
 
     Example:
         The cube in the example of `ContactProblem`, on one rank. Non-negative least squares
@@ -98,16 +110,13 @@ class ContactOperators(PetscOwner):
         """
         self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
         self.comm = V.mesh.comm
+        self.nodes, self.weights, self.normals = pair.nodes, pair.weights, pair.normals
+        self.normal_node, self.gap = pair.normal_node, pair.gap[pair.normal_node]
+        self.tangents, self.tangent_node = pair.tangents, pair.tangent_node
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
         return f"<ContactOperators: {rows} on this rank>"
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        for name in ("N", "T"):
-            if name in vars(self):
-                vars(self).pop(name).destroy()
 
     @cached_property
     def N(self) -> PETSc.Mat:
@@ -132,49 +141,10 @@ class ContactOperators(PetscOwner):
         return self._columns(as_petsc(dofmap.index_map, dofmap.index_map_bs, [rows], self.comm))
 
     @property
-    def nodes(self) -> LocalNumbers:
-        """(n,) local numbers of the contact nodes that this rank owns (blocks of V)."""
-        return self._pair.nodes
-
-    @property
     def points(self) -> Array:
         """(n, 3) positions of the contact nodes [length]."""
         points: Array = self._V.tabulate_dof_coordinates()[self._pair.nodes]
         return points
-
-    @property
-    def weights(self) -> Array:
-        """(n,) covered areas of the contact nodes [length^2, in 2D length].
-
-        The covered part of a node's area is the part that faces the primary side.
-        """
-        return self._pair.weights
-
-    @property
-    def normals(self) -> Array:
-        """(n, d) outward unit normals of the secondary side."""
-        return self._pair.normals
-
-    @property
-    def gap(self) -> Array:
-        """(rows of N,) initial gap of the undeformed bodies [length], positive if open."""
-        gap: Array = self._pair.gap[self._pair.normal_node]
-        return gap
-
-    @property
-    def normal_node(self) -> LocalNumbers:
-        """(rows of N,) index in `nodes` of each row of N."""
-        return self._pair.normal_node
-
-    @property
-    def tangents(self) -> Array:
-        """(rows of T, d) unit vectors: each row of T is the jump along its vector."""
-        return self._pair.tangents
-
-    @property
-    def tangent_node(self) -> LocalNumbers:
-        """(rows of T,) index in `nodes` of each row of T; nodes have up to two rows in 3D."""
-        return self._pair.tangent_node
 
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
@@ -187,7 +157,7 @@ class ContactOperators(PetscOwner):
         weights = self._pair.weights[:, None]
         areas = self._multiplied(Q, weights, transposed=True)
         np.add.at(areas, self._nodes_in(Q), weights)
-        return _function(Q, "areas", areas)
+        return with_owned_values(Q, areas, "areas")
 
     def area_fraction(self) -> fem.Function:
         """Return the covered fraction of each node's area as a Function. Collective.
@@ -245,10 +215,10 @@ class ContactOperators(PetscOwner):
             raise InputError(f'to must be "secondary" or "primary", found {shown(to)}.')
         Q, values = self._nodal_values(function)
         if to == "primary":
-            return _function(Q, function.name, self._density(Q, values[self._nodes_in(Q)]))
+            return with_owned_values(Q, self._density(Q, values[self._nodes_in(Q)]), function.name)
         result = np.zeros_like(values)
         result[self._nodes_in(Q)] = self._multiplied(Q, values)
-        return _function(Q, function.name, result)
+        return with_owned_values(Q, result, function.name)
 
     @collective(comm_of_self, extra_values=_space)
     def transfer_loads(self, function: fem.Function) -> fem.Function:
@@ -266,7 +236,7 @@ class ContactOperators(PetscOwner):
         """
         Q, values = self._nodal_values(function)
         loads = self._multiplied(Q, values[self._nodes_in(Q)], transposed=True)
-        return _function(Q, function.name, loads)
+        return with_owned_values(Q, loads, function.name)
 
     @collective(comm_of_self, extra_values=_space)
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
@@ -295,10 +265,7 @@ class ContactOperators(PetscOwner):
         weighted, weights = jump.duplicate(copy=True), jump.createVecLeft()
         weights.array = self._pair.weights * values[self._nodes_in(Q), 0]
         weighted.diagonalScale(L=weights)
-        result = jump.transposeMatMult(weighted)
-        for owned in (jump, weighted, weights):
-            owned.destroy()
-        return result
+        return jump.transposeMatMult(weighted)
 
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
         """Return a density at contact nodes as a Function with values on both sides. Collective.
@@ -316,7 +283,7 @@ class ContactOperators(PetscOwner):
         result = self._density(Q, density)
         secondary = density.any(axis=1)
         result[self._nodes_in(Q)[secondary]] = density[secondary]
-        return _function(Q, name, result)
+        return with_owned_values(Q, result, name)
 
     def _nodal_values(self, function: fem.Function, *, scalar: bool = False) -> tuple[Any, Array]:
         """Return the space of a field, and its values (owned nodes, 1 or d). Collective.
@@ -341,9 +308,7 @@ class ContactOperators(PetscOwner):
                     f"the displacement, a scalar{vector}, found {shown(function)}. Interpolate or "
                     "project it into such a space."
                 )
-        dofmap = function.function_space.dofmap
-        values = function.x.array.reshape(-1, dofmap.index_map_bs)
-        return function.function_space, values[: dofmap.index_map.size_local]
+        return function.function_space, owned_values(function)
 
     def _nodes_in(self, Q: Any) -> LocalNumbers:
         """Return the numbers (n,) of the contact nodes in a space Q of degree 1."""
@@ -355,8 +320,8 @@ class ContactOperators(PetscOwner):
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
         """Create the matrix (n, nodes of Q) that acts on Q like `rows` on V. Collective.
 
-        The caller destroys the matrix. At nodes of V on edges and faces a field of degree 1 is
-        interpolated from the corners of a cell.
+        At nodes of V on edges and faces a field of degree 1 is interpolated from the corners of a
+        cell.
 
         Args:
             Q: a space of degree 1.
@@ -376,20 +341,14 @@ class ContactOperators(PetscOwner):
         interpolation.eliminate_zeros()
         in_V = as_petsc(V.dofmap.index_map, 1, [rows], self.comm)
         to_Q = as_petsc(nodes, 1, [interpolation], self.comm)
-        result = in_V.matMult(to_Q)
-        in_V.destroy()
-        to_Q.destroy()
-        return result
+        return in_V.matMult(to_Q)
 
     def _multiplied(self, Q: Any, values: Array, *, transposed: bool = False) -> Array:
         """Return P f (n, k) for f (owned nodes of Q, k), or P'f for f (n, k). Collective."""
         P = self._in_space(Q, self._pair.primary)
         columns = dense_matrix(values, self.comm)
         product = P.transposeMatMult(columns) if transposed else P.matMult(columns)
-        result = product.getDenseArray().copy()
-        for matrix in (P, columns, product):
-            matrix.destroy()
-        return np.asarray(result)
+        return np.asarray(product.getDenseArray().copy())
 
     def _density(self, Q: Any, values: Array) -> Array:
         """Return P'(w f) / P'w (owned nodes of Q, k) for a density f (n, k). Collective."""
@@ -398,13 +357,5 @@ class ContactOperators(PetscOwner):
         loads, areas = sums[:, :-1], sums[:, -1:]
         largest = self.comm.allreduce(areas.max(initial=0.0), op=MPI.MAX)
         # zero at nodes whose covered area is only rounding
-        covered = np.broadcast_to(areas > AREA_PART * largest, loads.shape)
+        covered = np.broadcast_to(areas > MESH_ROUNDING * largest, loads.shape)
         return np.divide(loads, areas, out=np.zeros_like(loads), where=covered)
-
-
-def _function(Q: Any, name: str, values: Array) -> fem.Function:
-    """Return a Function with values (owned nodes of Q, k). Collective."""
-    result = fem.Function(Q, name=name)
-    result.x.array[: values.size] = values.ravel()
-    result.x.scatter_forward()
-    return result

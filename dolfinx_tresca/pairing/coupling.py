@@ -1,33 +1,41 @@
-"""The jump at secondary nodes: who carries multipliers, the dual basis, gaps and normals."""
+"""The jump at secondary nodes: the dual basis, gaps, normals and directions of friction."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, scaled_rows
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
-from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca._base.arrays import (
+    ROUNDING,
+    Array,
+    GlobalNumbers,
+    Indices,
+    LocalNumbers,
+    Mask,
+    scaled_rows,
+)
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
-from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.group import Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
+from dolfinx_tresca.pairing.multipliers import nodes_with_multipliers
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
+    NEGLIGIBLE,
     Facets,
     SurfaceNodes,
     free_normals,
     node_sums,
+    tangents,
 )
 from dolfinx_tresca.pairing.search.tagged import any_known_surface
-from dolfinx_tresca.pairing.search.visibility import COVER_ROUNDING
-from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.friction import Bonded, Frictionless
 
 #: Least covered part of a node's area with which the node carries a multiplier. (At the limit
 #: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,
@@ -54,62 +62,15 @@ ENTRY_ROUNDING = 8.0
 #: thousandths of the facet.
 LEAST_EIGENVALUE = 1e-6
 
-
-#: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
-#: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
-#: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
-#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it were
-#: 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the pressure of
-#: the nodes on the edge. If it were 0.94 (half this d), nodes of a circle of 16 segments would lose
-#: their multipliers if they lie outside the chords of the other body's mesh.
-LEAST_MEAN = 0.88
-
-#: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
-#: an overlap with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes,
-#: about which a body could rotate (tests/validation/test_random_floating.py, scene 3). With half
-#: of this limit, nodes with a twentieth of their area covered would carry multipliers.
-LEAST_MEAN_OF_FEW = 0.45
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """The jump of the displacement at secondary nodes of this rank.
-
-    The rows of `jump` apply to each component of the displacement. `PairOperators` combines the
-    components along normals and tangents, which gives N and T.
-
-    Attributes:
-        position: (n,) indices of the nodes in the secondary side's `SurfaceNodes`, which may have
-            several entries for a node on a sharp edge.
-        weights: (n,) covered area of each node: the part that faces the primary side [length^2, in
-            2D length].
-        shares: (n, pairs) part of each node's weight that belongs to each pair of the group.
-        normals: (n, 3) contact normals, which point out of the secondary side.
-        jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, with global column
-            numbers.
-        primary: (n, nodes of V) sparse matrix of the primary part, which is subtracted in `jump`.
-            Rows sum to 1, or are empty for an obstacle.
-        gap: (n,) distance of the sides along the contact normal, positive if open [length].
-        place: (n, 3) points of application of the resultant nodal forces on the secondary side
-            [length].
-        secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
-            which reduces the gap [length]; zero for degree 1.
-    """
-
-    position: Indices
-    weights: Array
-    shares: Array
-    normals: Array
-    jump: Any
-    primary: Any
-    gap: Array
-    place: Array
-    secondary_sagitta: Array
+#: Difference of the means of two patches of a node over the primary side, relative to the means,
+#: up to which the patches face the same place. (With 0.5 the rim of a hole has no friction in its
+#: radial direction under the head of a bolt, whose friction is a sixth too small.)
+SAME_MEANS = 1e-3
 
 
 def couple(
     V: Any,
-    group: PairGroup,
+    undeformed: Undeformed,
     nodes: SurfaceNodes,
     primary: Facets | None,
     integrals: FacetIntegrals,
@@ -117,16 +78,18 @@ def couple(
     shared: Mask,
     moved: bool,
     measured: Array | None = None,
-) -> Coupling:
+    bodies: Indices | None = None,
+) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
 
     The gap is the mean distance of the smooth surfaces along the contact normal: of the exact
     surfaces where they are known, else of the facets with the heights of fitted surfaces over them.
-    Collective.
+    Directions in which the displacement is prescribed have no rows; for exceptions see
+    `PairOperators`. The result has the nodes of all pairs of the group. Collective.
 
     Args:
         V: the space of the displacement.
-        group: the contact pairs.
+        undeformed: the undeformed surfaces, with the pairs and their laws.
         nodes: nodes of the secondary side.
         primary: facets of the primary side; None for an obstacle.
         integrals: the integrals over the facets.
@@ -137,16 +100,20 @@ def couple(
             penetration is an error of the displacement.
         measured: (n, 3) unit vectors along which the distances in `integrals` are measured; None:
             along the contact normals.
+        bodies: (n,) number of the body that a node faces; None if all face the same body. Smooth
+            patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies are
+            treated like different nodes.
 
     Raises:
         PairingError: no node can carry a multiplier.
     """
-    pair, facets, count = group.surfaces, nodes.facets, len(nodes.numbers)
-    with errors_on_all_ranks(V.mesh.comm):
+    group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
+    pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
+    with errors_on_all_ranks(comm):
         columns = V.dofmap.index_map.size_global
-        rows = mortar_rows(nodes, primary, integrals, columns, carries)
-    scale: Array = 1.0 / np.where(rows.weights > 0.0, rows.weights, 1.0)
-    means = scale[:, None] * rows.means
+        weights, jump, across, means = mortar_rows(nodes, primary, integrals, columns, carries)
+    scale: Array = 1.0 / np.where(weights > 0.0, weights, 1.0)
+    means *= scale[:, None]
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     kept = np.linalg.norm(means[:, 3:6], axis=1) <= CANCELLED
     normals = free_normals(np.where(kept[:, None], nodes.normals, means[:, 3:6]), nodes.free)
@@ -154,21 +121,18 @@ def couple(
         cosine = np.maximum(np.einsum("ni,ni->n", measured, normals), FACING_COSINE)
         means[:, :3] /= cosine[:, None]
     gap, secondary_sagitta, sagitta = means[:, :3].T
-    unpaired: Mask = rows.weights <= LEAST_AREA_PART * nodes.weights
+    unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-    if primary is None:
-        facet, column = np.arange(len(facets.points)), np.zeros(1, dtype=np.intp)
-        sizes = integrals.hats.sum(axis=2)
-    else:
-        facet, partner = integrals.pairs.T
-        column, sizes = primary.tag_index[partner], integrals.partner.sum(axis=2)
+    facet, partner = integrals.pairs.T
+    column = partner if primary is None else primary.tag_index[partner]
+    sizes = integrals.partner.sum(axis=2)
     sizes = redistributed(sizes[:, :, None], carries[facet])[:, :, 0]
     shares: Array = np.zeros((count, len(group.pairs)))
     member = group.pair_of_tags[facets.tag_index[facet], column]
     np.add.at(shares, (nodes.facet_nodes[facet], member[:, None]), sizes)
-    weights, shares = rows.weights[position], shares[position]
+    weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     if not moved and primary is not None:
         # Functions of the dual basis are negative in part: a mean may be less than all distances
@@ -178,18 +142,45 @@ def couple(
         np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
         gap[:] = np.maximum(gap, least)
         if not any_known_surface(facets, primary):
-            _warn_of_close_fit(V.mesh.comm, str(pair), gap[position], sagitta[position])
-    return Coupling(
-        position,
-        weights,
-        shares,
-        normals[position],
-        scaled_rows(rows.jump[position], scale[position]),
-        scaled_rows(rows.primary[position], scale[position]),
-        gap[position],
-        means[position, 6:],
+            _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
+    owner = group.owners(shares)
+    laws = [single.friction for single in group.pairs]
+    bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
+    smooth = np.array([isinstance(law, Frictionless) for law in laws])[owner]
+    normals, free, numbers = normals[position, :dim], nodes.free[position], nodes.numbers[position]
+    moves = np.linalg.norm(normals * free, axis=1) > FACING_COSINE
+    prescribed = ~moves
+    across = scaled_rows(across[position], scale[position])
+    friction_acts, means_across = free, None
+    if primary is not None:
+        friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
+        means_across = across
+    patches = numbers if bodies is None else numbers * columns + bodies[position]
+    room = _tangential_projections(patches, means_across, normals, friction_acts, moves)
+    along, tangent_node = _free_tangents(normals, room)
+    rubs = ~smooth[tangent_node]
+    extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
+    distance = np.where(bonded | (np.abs(gap[position]) <= ROUNDING * extent), 0.0, gap[position])
+    return PairOperators(
+        bonded=False,
+        nodes=(numbers - V.dofmap.index_map.local_range[0]).astype(np.int32),
+        weights=weights,
+        shares=shares,
+        areas=nodes.weights[position],
+        places=means[position, 6 : 6 + dim],
+        normals=normals,
+        distance=distance,
+        added_gap=np.zeros_like(distance),
         # only displacements of degree 2 can bend facets and so make up for the sagitta
-        secondary_sagitta[position] * (facets.degree > 1),
+        secondary_sagitta=secondary_sagitta[position] * (facets.degree > 1),
+        jump=scaled_rows(jump[position], scale[position]),
+        primary=across,
+        prescribed=prescribed,
+        normal_node=np.flatnonzero(moves).astype(np.int32),
+        tangents=along[rubs],
+        tangent_node=tangent_node[rubs],
+        semi_axes=np.ones(rubs.sum()),
+        undeformed=undeformed,
     )
 
 
@@ -211,30 +202,13 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
         )
 
 
-class MortarRows(NamedTuple):
-    """Weighted jumps at the nodes of the secondary side.
-
-    Attributes:
-        weights: (n,) covered area of each node [length^2, in 2D length].
-        jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
-        primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
-        means: (n, 9) six quantities of `MortarIntegrals.means` and the three coordinates of the
-            point of application of the nodal forces, times weight.
-    """
-
-    weights: Array
-    jump: Any
-    primary: Any
-    means: Array
-
-
 def mortar_rows(
     nodes: SurfaceNodes,
     primary: Facets | None,
     integrals: FacetIntegrals,
     columns: int,
     carries: Mask,
-) -> MortarRows:
+) -> tuple[Array, Any, Any, Array]:
     """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
 
     Args:
@@ -243,6 +217,12 @@ def mortar_rows(
         integrals: the integrals over the facets.
         columns: number of nodes of V on all ranks.
         carries: (facets, corners) whether a corner has a multiplier, see `couple`.
+
+    Returns:
+        For each of the nodes (n,) the covered area w [length^2, in 2D length]; times w, the sparse
+        matrix (n, nodes of V) of the jump, secondary minus primary, and the one of its primary
+        part; and (n, 9) the six quantities of `FacetIntegrals.means` and the three coordinates of
+        the point of application of the nodal force, times w.
     """
     corners, count = nodes.facet_nodes, len(nodes.numbers)
     dual = dual_coefficients(integrals.hats, integrals.full, carries)
@@ -257,7 +237,7 @@ def mortar_rows(
         across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
         jump = jump - across
     means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
-    return MortarRows(weights, jump, across, node_sums(corners, means, count))
+    return weights, jump, across, node_sums(corners, means, count)
 
 
 def dual_coefficients(hats: Array, full: Mask, carries: Mask) -> Array:
@@ -357,153 +337,87 @@ def assemble_rows(
     return result
 
 
-def nodes_without_multiplier(
-    V: Any, nodes: SurfaceNodes, integrals: FacetIntegrals, shared: Mask
-) -> Mask:
-    """Return the nodes that give their part of the overlap to their neighbours. Collective.
+def _primary_is_free(primary: Any, facets: Facets) -> Mask:
+    """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
-    These are nodes beyond the rim of the overlap. A part of the area of such a node may be covered,
-    but the node itself does not face the primary side. If it had a multiplier, the primary side
-    would seem to extend up to the node: the nodal force would be as large as for a whole facet, and
-    the pressure, this force divided by the covered area, would be far too large.
-
-    If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
-    its multiplier.
+    Primary nodes whose share of the mean is at most `NEGLIGIBLE` do not count.
 
     Args:
-        V: the space of the displacement.
-        nodes: nodes of the secondary side.
-        integrals: the integrals over the overlap.
-        shared: (n,) whether a node also belongs to the primary side.
-
-    Returns:
-        (n,) whether the node has no multiplier; the same on all ranks that have the node.
+        primary: (n, nodes of V) sparse matrix of the means over the primary side.
+        facets: facets of the primary side.
     """
-    corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
-    count = len(nodes.numbers)
-    covered = node_sums(corners, weights, count)
-    whole = node_sums(corners, weights.mean(axis=1, keepdims=True), count)
-    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
-    _, number = np.unique(nodes.numbers, return_inverse=True)
-    single: Mask = np.bincount(number, covered > 0.0)[number] == 1
-    own = owned_nodes(V, nodes)
-
-    def owners_flags(flags: Mask) -> Mask:
-        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
-        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[flags & own]))
-
-    partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
-    at_rim = _corners_of(corners, partial, count)
-    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
-    # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
-    # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
-    # which one of these nodes has a multiplier
-    near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
-    near = owners_flags(
-        at_rim & (near | _corners_of(corners, partial & near[corners].any(axis=1), count))
-    )
-    near = _corners_of(corners, partial & (near & ~without)[corners].any(axis=1), count)
-    without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
-    without = owners_flags((covered > 0.0) & without & single)
-    carries = ~without & ~shared & nodes.free.any(axis=1)
-    no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
-    largest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
-    without[corners[no_carrier[:, None] & largest]] = False
-    return owners_flags(without)
-
-
-def _corners_of(corners: Indices, facets: Mask, count: int) -> Mask:
-    """Return the mask (count,) of the nodes that are corners of facets in a mask.
-
-    Args:
-        corners: (n, k) corner nodes of each facet.
-        facets: (n,) mask of facets.
-        count: number of nodes.
-    """
-    result = np.zeros(count, dtype=np.bool_)
-    result[corners[facets]] = True
+    columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
+    counts = np.abs(primary.data) > NEGLIGIBLE
+    result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
+    for axis in range(facets.free.shape[2]):
+        prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
+        result[row[counts & np.isin(columns, prescribed)], axis] = False
     return result
 
 
-def owned_nodes(V: Any, nodes: SurfaceNodes) -> Mask:
-    """Return whether this rank owns each of the nodes, (n,). Not collective."""
-    low, high = V.dofmap.index_map.local_range
-    return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
+def _tangential_projections(
+    owners: GlobalNumbers,
+    means: Any,
+    normals: Array,
+    free: Mask,
+    moves: Mask,
+) -> Array:
+    """Return projections (n, d, d) onto the directions that are available for rows of T.
 
-
-def nodes_with_multipliers(
-    V: Any, pair: ContactPair, nodes: SurfaceNodes, unpaired: Mask, shared: Mask
-) -> Indices:
-    """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
+    If several patches of a node on a sharp edge face the same place, such as an edge in the corner
+    of a box with the same nodes, they have the same jump. Each patch has a row of N for its normal,
+    as long as these rows are linearly independent; `moves` is set to False for patches without such
+    a row. Friction then acts only along the edge, on the patch with the largest weight. Patches
+    that face different places, such as the head of a bolt and its shank in a hole with clearance,
+    are independent of each other.
 
     Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        nodes: the secondary nodes.
-        unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
-        shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
-            a surface that touches itself, see `redundant_nodes`.
-
-    Raises:
-        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
-            error if nodes could carry multipliers in other positions of the bodies.
+        owners: (n,) a number for each patch. Patches of one node that face the same body have the
+            same number, and are sorted by ascending weight.
+        means: (n, nodes of V) sparse matrix of the means over the primary side; None for an
+            obstacle, which is the same place for all patches.
+        normals: (n, d) unit normals.
+        free: (n, d) whether friction may act along a coordinate axis.
+        moves: (n,) whether the node has a row of N; changed in place.
     """
-    comm, own = V.mesh.comm, owned_nodes(V, nodes)
-    fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
-    carries = facing & ~fixed & ~shared
-    masks = [own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries]
-    masks.append(carries & ~nodes.free.all(axis=1))
-    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
-    counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
-    total, paired, eligible, prescribed, common, number, partly = reduce_array(comm, counts)
-    position = np.flatnonzero(carries)
-    if number > 0:
-        log(
-            comm,
-            "pairing: %s: %d of %d secondary nodes carry multipliers, %d of them prescribed in "
-            "part; of the others %d face nothing, %d are prescribed and %d are on both sides",
-            *(pair, number, total, partly, total - paired, prescribed, common),
-        )
-        return position
-    hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
-    if isinstance(pair.primary, RigidObstacle):
-        with errors_on_all_ranks(comm):
-            _, normals = pair.primary.at(nodes.points[own])
-        along = np.einsum("ni,ni->n", normals, nodes.normals[own]) > 0.0
-        reversed_nodes = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
-        if reversed_nodes:
-            hint = (
-                f" At {reversed_nodes} nodes the obstacle's normal is along the outward normal of "
-                "the body, and so points into the body: it must point out of the obstacle, towards "
-                "the surface that may touch it. Reverse it if the tag is right."
-            )
-    if eligible > 0 and pair.sliding == "finite":
-        log(
-            comm,
-            "pairing: %s: no node that could carry a multiplier faces the other.%s",
-            *(pair, hint),
-            level=logging.WARNING if hint else logging.INFO,
-            about=str(pair),
-        )
-        return position
-    if paired > 0:
-        raise PairingError(
-            f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {total - paired} do not face the primary side ({primary}), {prescribed} are "
-            f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
-        )
-    limited = pair.search_distance is not None
-    within = f" within {pair.search_distance:g}" if limited else ""
-    limits = " and the search distance" if limited else ""
-    if pair.touches_itself:
-        raise PairingError(
-            f"no part of the surface ({secondary}) can touch another one: from none of its "
-            f"{total} nodes the outward normal leads to the surface of another body, or to "
-            f"another part of the same body{within}. Check the tag{limits}; for parts that "
-            'meet only when the body has moved take sliding="finite".'
-        )
-    raise PairingError(
-        f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
-        f"side ({secondary}) the outward normal leads to the primary side "
-        f"({primary}){within}. Check the tags{limits}.{hint}"
-    )
+    room = free[:, :, None] * np.eye(free.shape[1])
+    ascending = np.argsort(owners, kind="stable")
+    together = owners[ascending[1:]] == owners[ascending[:-1]]
+    if means is not None and together.any():
+        lighter, heavier = means[ascending[:-1][together]], means[ascending[1:][together]]
+        squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
+        apart = (lighter - heavier).power(2).sum(axis=1)
+        together[together] = apart <= SAME_MEANS**2 * squares
+    # the pieces of consecutive patches that face the same place: of most nodes there is one patch
+    starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
+    for start, end in zip(starts, ends, strict=True):
+        patches = ascending[start : end + 1]
+        heaviest = patches[-1]
+        left = room[heaviest].copy()
+        for i in reversed(patches):
+            own = left @ normals[i]
+            length = np.linalg.norm(own)
+            moves[i] = length > FACING_COSINE
+            if moves[i]:
+                left -= np.outer(own, own) / length**2
+            room[i] = 0.0
+        room[heaviest] = left
+    return room
+
+
+def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
+    """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
+
+    Args:
+        normals: (n, d) unit normals.
+        room: (n, d, d) projections onto the available directions.
+    """
+    along = tangents(normals)
+    limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
+    keep = np.ones(along.shape[:2], dtype=np.bool_)
+    # if not all directions are available, rotate the tangents to eigenvectors of the projection
+    mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
+    values, vectors = np.linalg.eigh(mobility)
+    along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
+    keep[limited] = values > FACING_COSINE
+    return along[keep], np.nonzero(keep)[0].astype(np.int32)

@@ -25,11 +25,10 @@ from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import entities_per_cell
 from dolfinx_tresca._base.parallel import exchange, log, reduce_array
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.pairing.search.facets import RIM_PART, Facets, joined, tabulate
+from dolfinx_tresca.pairing.search.facets import NEGLIGIBLE, Facets, joined, tabulate
 from dolfinx_tresca.pairing.search.self_contact import facet_origins
-from dolfinx_tresca.pairing.search.tagged import displaced, tagged_facets, with_offsets
+from dolfinx_tresca.pairing.search.tagged import checked, tagged_facets, with_offsets
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
 
 #: Arguments that pairs of a group must have in common.
@@ -43,7 +42,7 @@ class PairGroup:
     Attributes:
         numbers: the position of each pair in the list of the problem.
         pairs: the pairs.
-        surfaces: the pair of surfaces with the tags of all pairs.
+        surfaces: the pair of surfaces with the tags of all pairs, and the law of one of them.
         pair_of_tags: (secondary tags, primary tags) index in `pairs` of the pair between two tags
             of `surfaces`; -1 if there is none, so that facets with these tags are not paired.
         rank: (pairs,) rank of the laws, equal for pairs with the same law and the same added gap.
@@ -89,13 +88,11 @@ class PairGroup:
         rank = np.array([sorted(set(strengths)).index(strength) for strength in strengths])
         surfaces = pattern
         if len(pairs) > 1:
-            dry = [pair.friction for pair in pairs if isinstance(pair.friction, DryFriction)]
             surfaces = replace(
                 pattern,
                 facet_tags=pattern.given_tags("secondary")[0],
                 secondary=secondary,
                 primary=primary or pattern.primary,
-                friction=[*dry, pattern.friction][0],
                 gap=None,
                 name="; ".join(map(str, pairs)),
             )
@@ -107,13 +104,13 @@ class PairGroup:
         Args:
             shares: (n, pairs) parts of the nodes' areas that belong to each pair.
         """
-        belongs = shares > RIM_PART * shares.sum(axis=1, keepdims=True)
+        belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         strongest = np.where(belongs, self.rank, -1).max(axis=1, keepdims=True)
         return np.asarray(np.argmax(self.rank == strongest, axis=1))
 
     def say_laws(self, comm: MPI.Comm, shares: Array) -> None:
         """Log which law acts at nodes of pairs with different laws or gaps. Collective."""
-        belongs = shares > RIM_PART * shares.sum(axis=1, keepdims=True)
+        belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         for i, j in combinations(range(len(self.pairs)), 2):
             if self.rank[i] == self.rank[j]:
                 continue
@@ -162,8 +159,8 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
         InputError: pairs that must be paired together differ in an argument that must be the same.
     """
     single = [not pair.touches_itself for pair in pairs]
-    deformable = np.array([not isinstance(pair.primary, RigidObstacle) for pair in pairs])
-    obstacles = np.where(deformable, 0, [id(pair.primary) for pair in pairs])
+    deformable = np.array([pair.obstacle is None for pair in pairs])
+    obstacles = [id(pair.obstacle) for pair in pairs]
     linked = np.outer(single, single) & np.equal.outer(obstacles, obstacles)
     np.fill_diagonal(linked, False)
     if linked.any():
@@ -265,10 +262,14 @@ class Undeformed:
         Raises:
             PairingError: displaced facets have no area.
         """
-        return {
-            tag: displaced(V, facets, u, self.group.surfaces.side(name), name)
-            for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False)
-        }
+        result = {}
+        for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False):
+            node = V.dofmap.index_map.global_to_local(facets.nodes.ravel())
+            points = facets.points.copy()
+            points[:, :, : u.shape[1]] += u[node.reshape(facets.nodes.shape)]
+            moved = facets.moved_to(points)
+            result[tag] = checked(V.mesh.comm, moved, self.group.surfaces.side(name), name)
+        return result
 
 
 def straightened(V: Any, u: Array) -> Array:

@@ -14,9 +14,10 @@ import numpy as np
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
-from dolfinx_tresca.pairing.search.balls import Balls, Pieces, blocks
+from dolfinx_tresca.pairing.search.balls import AT_ONCE, Pieces, blocks
 from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
+    MISMATCH,
     Facets,
     SurfaceNodes,
     facets_coincide,
@@ -28,43 +29,31 @@ from dolfinx_tresca.pairing.search.facets import (
 from dolfinx_tresca.pairing.search.self_contact import SelfContact
 from dolfinx_tresca.pairing.search.tagged import OFFSET_DEGREE, any_known_surface
 from dolfinx_tresca.pairing.search.visibility import (
-    COVER_ROUNDING,
     Visibility,
     nearest_layer_weights,
     overlaps,
 )
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
-#: Distance, relative to the radius of a facet, within which opposite facets are sought first on a
-#: surface that touches itself. Without this first search a wall of 2,046 bricks is paired in 71 s.
-#: With half or twice this distance 150 bricks have the same number of contact nodes, but pairing
-#: takes 1.1 or 1.4 times as long.
-NEAR = 2.0
+#: Length of a facet, relative to its radius: the distance by which the primary side may recede over
+#: a facet. What is farther away than the nearest point by more than this is another surface behind
+#: the end of the nearest one: means over both would be wrong for either, as functions of the dual
+#: basis are negative in part. (With half of it, rounded bodies with facets of the size of their
+#: radius would lose parts of their overlap.) On a surface that touches itself, opposite facets are
+#: sought within this distance first: without this first search a wall of 2,046 bricks is paired in
+#: 71 s, and with half or twice the distance 150 bricks take 1.1 or 1.4 times as long.
+FACET_LENGTH = 2.0
 
-#: Distance by which the primary side may recede over a facet, relative to the radius of the facet.
-#: What is farther away than the nearest point by more than this, which is the length of a facet, is
-#: another surface behind the end of the nearest one: means over both would be wrong for either, as
-#: functions of the dual basis are negative in part. (With half of it, rounded bodies with facets of
-#: the size of their radius would lose parts of their overlap.)
-RECEDES = 2.0
-
-#: Number of pairs of facets that are integrated at once, which bounds the memory.
-PAIRS_AT_ONCE = 8_000
-
-
-#: Angles [rad] by which an obstacle's normal turns over a facet (10 and 20 degrees). Up to the
-#: first one the mesh resolves the obstacle, and its exact normals at the nodes count; from the
-#: second one on, the rule of both sides (`contact_normals`) holds. With half of both the moment of
-#: a wheel of 32 cells is wrong by 0.3 %; with twice of both the force on a snap-fit hook jumps by
-#: half of its value from one position to the next.
-RESOLVED_ANGLES = math.radians(10.0), math.radians(20.0)
+#: Angle [rad] by which an obstacle's normal turns over a facet (10 degrees). Up to this angle the
+#: mesh resolves the obstacle, and its exact normals at the nodes count; from twice the angle on,
+#: the rule of both sides (`contact_normals`) holds. With half of it the moment of a wheel of 32
+#: cells is wrong by 0.3 %; with twice of it the force on a snap-fit hook jumps by half of its value
+#: from one position to the next.
+RESOLVED_ANGLE = math.radians(10.0)
 
 #: Part of the depth by which an obstacle enters facets between their nodes that is warned of. (With
 #: cells of two thirds of the radius of a cylinder it is 0.45, and its force varies by a third.)
 UNSEEN_PART = 0.3
-
-#: Degree of the lattice of points on each facet at which this depth is measured.
-ENTERED_DEGREE = 4
 
 
 @dataclass
@@ -81,9 +70,9 @@ class FacetIntegrals:
             if an exact surface is known); and the three components of the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
         full: (n,) whether the whole facet is covered.
-        pairs: (p, 2) secondary and primary facet of each overlap; none for an obstacle.
+        pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat functions times primary basis functions
-            over each overlap.
+            over each overlap; for an obstacle, times secondary hat functions.
     """
 
     hats: Array
@@ -164,44 +153,37 @@ class MortarIntegrals(FacetIntegrals):
         self._covered = np.zeros(count)
         self._overlaps: list[tuple[Indices, Array, Indices]] = []
         mine = np.flatnonzero(np.isin(self._pieces.facet, selected))
-        balls = Balls(self._others.centres, self._others.radii)
         reach: Array = np.full(count, limit)
         if order is not None:
-            near = np.minimum(NEAR * self._pieces.radii, reach)
+            near = np.minimum(FACET_LENGTH * self._pieces.radii, reach)
             done = np.zeros(count, dtype=np.bool_)
-            for block in self._facing_pairs(balls, mine, near):
+            for block in self._facing_pairs(mine, near):
                 done |= self._integrate(*block, near, covered_only=True)
             mine = mine[~done[mine]]
-        for block in self._facing_pairs(balls, mine, reach):
+        for block in self._facing_pairs(mine, reach):
             self._integrate(*block, reach)
-        missing = self._covered < (1.0 - COVER_ROUNDING) * self._area
+        missing = self._covered < (1.0 - MISMATCH) * self._area
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         none: Indices = np.zeros((0, 2), dtype=np.intp)
         self._overlaps.append((none, np.zeros((0, corners, partners.nodes.shape[1])), none))
         self.pairs, self.partner, self.opposite = map(
             np.concatenate, zip(*self._overlaps, strict=True)
         )
-        # the integrals outlive what they were computed with
-        del self._overlaps, self._pieces, self._others, self._visibility
-        del self._surface, self._other_surface
 
-    def _facing_pairs(
-        self, balls: Balls, mine: Indices, limit: Array
-    ) -> Iterator[tuple[Indices, Indices]]:
+    def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that may face each other.
 
         The normals of such a pair are opposed, and the primary piece lies along the normal of the
         secondary piece. All pairs of a secondary piece are in the same block.
 
         Args:
-            balls: balls that enclose the primary pieces, for the search.
             mine: (m,) indices of the secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
         pieces, partners = self._pieces, self._others
         for block in blocks(len(mine)):
             own = mine[block]
-            line, partner = balls.on_normals(
+            line, partner = partners.balls.on_normals(
                 pieces.centres[own], pieces.normals[own], pieces.radii[own], limit[own]
             )
             piece = own[line]
@@ -211,8 +193,8 @@ class MortarIntegrals(FacetIntegrals):
                 facets = pieces.facet[piece[opposed]], partners.facet[partner[opposed]]
                 opposed[opposed] = self._may_meet(*facets)
             piece, partner = piece[opposed], partner[opposed]
-            # a block ends at the first pair of a piece after each `PAIRS_AT_ONCE` pairs
-            number = np.searchsorted(piece, piece) // PAIRS_AT_ONCE
+            # a block ends at the first pair of a piece after each `AT_ONCE` pairs
+            number = np.searchsorted(piece, piece) // AT_ONCE
             ends = np.flatnonzero(np.diff(number)) + 1
             if len(piece):
                 yield from zip(np.split(piece, ends), np.split(partner, ends), strict=True)
@@ -278,7 +260,7 @@ class MortarIntegrals(FacetIntegrals):
         )
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
-        weight = weight * (np.abs(apart) - nearest[piece] <= RECEDES * pieces.radii[piece])
+        weight = weight * (np.abs(apart) - nearest[piece] <= FACET_LENGTH * pieces.radii[piece])
         seen = weight
         opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
@@ -320,7 +302,7 @@ class MortarIntegrals(FacetIntegrals):
         piece = mine[kept]
         seen = np.add.reduceat(seen, simplex_starts * count)
         covered: Mask = np.bincount(piece, seen, minlength=len(limit)) >= (
-            (1.0 - COVER_ROUNDING) * self._area
+            (1.0 - MISMATCH) * self._area
         )
         add = covered[piece] if covered_only else np.ones(len(piece), dtype=np.bool_)
         means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
@@ -403,8 +385,7 @@ def obstacle_integrals(
         turns, outward = largest[corners].ravel(), surface.corner_normals.reshape(-1, 3)
         exact = -at_corners.reshape(-1, 3)
         own_turns = np.repeat(surface.turns, facets.corners)
-        low, high = RESOLVED_ANGLES
-        unresolved = np.clip((turns - low) / (high - low), 0.0, 1.0)[:, None]
+        unresolved = np.clip(turns / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, None]
         normals = contact_normals(outward, -exact, own_turns, turns)
         normals = (unresolved * normals + (1.0 - unresolved) * exact).reshape(at_corners.shape)
     distance, height = (array.reshape(facets.nodes.shape) for array in (distance, height))
@@ -412,12 +393,12 @@ def obstacle_integrals(
     at_nodes = np.stack([distance - height, height, height], axis=2)
     means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
     full: Mask = np.ones(len(hats), dtype=np.bool_)
-    no_partner = np.zeros((0, 2), dtype=np.intp), values[:0]
-    integrals = FacetIntegrals(hats, values, means, np.zeros(len(hats)), full, *no_partner)
+    pairs: Indices = np.column_stack([np.arange(len(hats)), np.zeros(len(hats), dtype=np.intp)])
+    integrals = FacetIntegrals(hats, values, means, np.zeros(len(hats)), full, pairs, hats)
     if not moved:
         # the obstacle enters the smooth surface between nodes, which do not see it
         near, on_surface = np.flatnonzero(facing), distance - height
-        points = surface.points(near, lagrange_points(facets.cell, ENTERED_DEGREE))
+        points = surface.points(near, lagrange_points(facets.cell, OFFSET_DEGREE))
         with errors_on_all_ranks(comm):
             inside = -obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
         depth = inside.max(axis=1, initial=0.0)

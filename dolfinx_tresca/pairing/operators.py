@@ -12,24 +12,9 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from dolfinx_tresca._base.arrays import (
-    Array,
-    GlobalNumbers,
-    Indices,
-    LocalNumbers,
-    Mask,
-    scaled_rows,
-)
+from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask, scaled_rows
 from dolfinx_tresca._base.petsc import sparse_matrix
-from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.group import Undeformed
-from dolfinx_tresca.pairing.search.facets import FREE_PART, RIM_PART, Facets, SurfaceNodes, tangents
-from dolfinx_tresca.scene.friction import Bonded, Frictionless
-
-#: Difference of the means of two patches of a node over the primary side, relative to the means,
-#: up to which the patches face the same place. (With 0.5 the rim of a hole has no friction in its
-#: radial direction under the head of a bolt, whose friction is a sixth too small.)
-SAME_MEANS = 1e-3
 
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (
@@ -99,85 +84,6 @@ class PairOperators:
     tangent_node: LocalNumbers
     semi_axes: Array
     undeformed: Undeformed
-
-    @classmethod
-    def from_coupling(
-        cls,
-        V: Any,
-        coupling: Coupling,
-        nodes: SurfaceNodes,
-        rounding: float,
-        undeformed: Undeformed,
-        primary: Facets | None = None,
-        bodies: Indices | None = None,
-    ) -> list[PairOperators]:
-        """Compute N and T of a group of pairs from the jumps at its nodes. Not collective.
-
-        Each node has its multiplier in one pair (`PairGroup.owners`).
-
-        Directions in which the displacement is prescribed have no rows; for exceptions see the
-        class.
-
-        Args:
-            V: the space of the displacement.
-            coupling: the jumps at the nodes.
-            nodes: the nodes of the secondary side.
-            rounding: rounding of distances [length].
-            undeformed: the undeformed surfaces, with the pairs and their laws: T has no rows for
-                `Frictionless`.
-            primary: facets of the primary side; None for an obstacle.
-            bodies: number of the body that each of `nodes` faces; None if all face the same body.
-                Smooth patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies
-                are treated like different nodes.
-        """
-        dim = V.mesh.geometry.dim
-        free = nodes.free[coupling.position]
-        normals = coupling.normals[:, :dim]
-        moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
-        prescribed = ~moves
-        numbers = nodes.numbers[coupling.position]
-        pair = undeformed.group.owners(coupling.shares)
-        laws = [single.friction for single in undeformed.group.pairs]
-        bonded = np.array([isinstance(law, Bonded) for law in laws])[pair]
-        smooth = np.array([isinstance(law, Frictionless) for law in laws])[pair]
-        friction_acts = free
-        if primary is not None:
-            friction_acts = free | _primary_is_free(coupling.primary, primary) & ~bonded[:, None]
-        owner = numbers if bodies is None else numbers * V.dofmap.index_map.size_global
-        owner = owner if bodies is None else owner + bodies[coupling.position]
-        means = None if primary is None else coupling.primary
-        tangential = _tangential_projections(owner, means, normals, friction_acts, moves)
-        normal_node = np.flatnonzero(moves).astype(np.int32)
-        along, tangent_node = _free_tangents(normals, tangential)
-        rubs = ~smooth[tangent_node]
-        along, tangent_node = along[rubs], tangent_node[rubs]
-        distance = coupling.gap.copy()
-        distance[np.abs(distance) <= rounding] = 0.0
-        lowest = V.dofmap.index_map.local_range[0]
-        together = cls(
-            bonded=False,
-            nodes=(numbers - lowest).astype(np.int32),
-            weights=coupling.weights,
-            shares=coupling.shares,
-            areas=nodes.weights[coupling.position],
-            places=coupling.place[:, :dim],
-            normals=normals,
-            distance=np.where(bonded, 0.0, distance),
-            added_gap=np.zeros_like(distance),
-            secondary_sagitta=coupling.secondary_sagitta,
-            jump=coupling.jump,
-            primary=coupling.primary,
-            prescribed=prescribed,
-            normal_node=normal_node,
-            tangents=along,
-            tangent_node=tangent_node,
-            semi_axes=np.ones(len(tangent_node)),
-            undeformed=undeformed,
-        )
-        return [
-            replace(together.at_nodes(pair == k), bonded=isinstance(law, Bonded))
-            for k, law in enumerate(laws)
-        ]
 
     def at_nodes(self, keep: Mask) -> PairOperators:
         """Return the operators at the nodes in a mask (n,). Not collective."""
@@ -254,24 +160,6 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
     return replace(operators[0], bonded=all(pair.bonded for pair in operators), **changes)
 
 
-def _primary_is_free(primary: Any, facets: Facets) -> Mask:
-    """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
-
-    Primary nodes whose share of the mean is at most `RIM_PART` do not count.
-
-    Args:
-        primary: (n, nodes of V) sparse matrix of the means over the primary side.
-        facets: facets of the primary side.
-    """
-    columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
-    counts = np.abs(primary.data) > RIM_PART
-    result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
-    for axis in range(facets.free.shape[2]):
-        prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
-        result[row[counts & np.isin(columns, prescribed)], axis] = False
-    return result
-
-
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
     """Return rows (n, dofs) of the jump along directions (n, d), from the rows of a scalar jump.
 
@@ -287,74 +175,6 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
     result = csr_array((values.ravel(), columns.ravel(), dim * of_rows.indptr), shape)
     result.eliminate_zeros()  # no columns for directions normal to an axis
     return result
-
-
-def _tangential_projections(
-    owners: GlobalNumbers,
-    means: Any,
-    normals: Array,
-    free: Mask,
-    moves: Mask,
-) -> Array:
-    """Return projections (n, d, d) onto the directions that are available for rows of T.
-
-    If several patches of a node on a sharp edge face the same place, such as an edge in the corner
-    of a box with the same nodes, they have the same jump. Each patch has a row of N for its normal,
-    as long as these rows are linearly independent; `moves` is set to False for patches without such
-    a row. Friction then acts only along the edge, on the patch with the largest weight. Patches
-    that face different places, such as the head of a bolt and its shank in a hole with clearance,
-    are independent of each other.
-
-    Args:
-        owners: (n,) a number for each patch. Patches of one node that face the same body have the
-            same number, and are sorted by ascending weight.
-        means: (n, nodes of V) sparse matrix of the means over the primary side; None for an
-            obstacle, which is the same place for all patches.
-        normals: (n, d) unit normals.
-        free: (n, d) whether friction may act along a coordinate axis.
-        moves: (n,) whether the node has a row of N; changed in place.
-    """
-    room = free[:, :, None] * np.eye(free.shape[1])
-    ascending = np.argsort(owners, kind="stable")
-    together = owners[ascending[1:]] == owners[ascending[:-1]]
-    if means is not None and together.any():
-        lighter, heavier = means[ascending[:-1][together]], means[ascending[1:][together]]
-        squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
-        apart = (lighter - heavier).power(2).sum(axis=1)
-        together[together] = apart <= SAME_MEANS**2 * squares
-    # the pieces of consecutive patches that face the same place: of most nodes there is one patch
-    starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
-    for start, end in zip(starts, ends, strict=True):
-        patches = ascending[start : end + 1]
-        heaviest = patches[-1]
-        left = room[heaviest].copy()
-        for i in reversed(patches):
-            own = left @ normals[i]
-            length = np.linalg.norm(own)
-            moves[i] = length > FREE_PART
-            if moves[i]:
-                left -= np.outer(own, own) / length**2
-            room[i] = 0.0
-        room[heaviest] = left
-    return room
-
-
-def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
-    """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
-
-    Args:
-        normals: (n, d) unit normals.
-        room: (n, d, d) projections onto the available directions.
-    """
-    along = tangents(normals)
-    limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
-    keep = np.ones(along.shape[:2], dtype=np.bool_)
-    # if not all directions are available, rotate the tangents to eigenvectors of the projection
-    mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
-    values, vectors = np.linalg.eigh(mobility)
-    along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
-    keep[limited] = values > FREE_PART
-    return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 
 def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:

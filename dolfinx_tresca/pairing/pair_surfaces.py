@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -12,7 +13,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
     exchange,
@@ -22,27 +23,21 @@ from dolfinx_tresca._base.parallel import (
     row_of_least,
 )
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.coupling import (
-    Coupling,
-    couple,
-    nodes_without_multiplier,
-    owned_nodes,
-)
+from dolfinx_tresca.pairing.coupling import couple
 from dolfinx_tresca.pairing.group import PairGroup, Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
+from dolfinx_tresca.pairing.multipliers import nodes_without_multiplier, owned_nodes
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos, with_neighbours
-from dolfinx_tresca.pairing.search.facets import Facets, SurfaceNodes
+from dolfinx_tresca.pairing.search.facets import (
+    MISMATCH,
+    NEGLIGIBLE,
+    Facets,
+    SurfaceNodes,
+)
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
-from dolfinx_tresca.pairing.search.visibility import TOUCHING_DISTANCE
-from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair, SideName
-
-#: Difference of the sums of squares of a node's means over both sides up to which the meshes match
-#: there: one to two times the distance of the nodes along the surface, relative to the size of a
-#: facet. With twice as much, meshes match that are twice as far apart; those of a mesh generator
-#: differ by 1e-10 or less.
-MATCHING_SQUARES = 2e-8
 
 
 def pair_surfaces(
@@ -104,10 +99,10 @@ def _pair(
     pair = group.surfaces
     owned = sides[pair.secondary]
     primary, bodies, measured = None, None, None
-    if isinstance(pair.primary, RigidObstacle):
+    if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
         nodes, integrals, carries, measured = obstacle_integrals(
-            comm, str(pair), pair.primary, nodes, moved
+            comm, str(pair), pair.obstacle, nodes, moved
         )
         shared: Mask = np.zeros(len(measured), dtype=np.bool_)
     else:
@@ -137,37 +132,45 @@ def _pair(
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
         without = nodes_without_multiplier(V, nodes, integrals, shared)
         carries = ~without[nodes.facet_nodes]
-    coupling = couple(V, group, nodes, primary, integrals, carries, shared, moved, measured)
+    together = couple(
+        V, undeformed, nodes, primary, integrals, carries, shared, moved, measured, bodies
+    )
     if pair.pairing == "nodes" and primary is not None and not moved:
-        _check_meshes_match(V, pair, coupling, nodes)
+        _check_meshes_match(V, pair, together, nodes)
     if not moved and len(group.pairs) > 1:
-        areas = reduce_array(comm, coupling.shares.sum(axis=0))
+        areas = reduce_array(comm, together.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
             if area == 0.0 and single.sliding == "small":
                 raise PairingError(
                     f"the surfaces of contact pair {single} do not face each other. Check the tags"
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
-        group.say_laws(comm, coupling.shares)
-    rounding = ROUNDING * float(reduce_array(comm, np.abs(owned.points).max(initial=0.0), MPI.MAX))
-    return PairOperators.from_coupling(V, coupling, nodes, rounding, undeformed, primary, bodies)
+        group.say_laws(comm, together.shares)
+    owner = group.owners(together.shares)
+    return [
+        replace(together.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
+        for k, single in enumerate(group.pairs)
+    ]
 
 
-def _check_meshes_match(V: Any, pair: ContactPair, coupling: Coupling, nodes: SurfaceNodes) -> None:
+def _check_meshes_match(
+    V: Any, pair: ContactPair, operators: PairOperators, nodes: SurfaceNodes
+) -> None:
     """Check that the means over both sides have equal weights, as on matching meshes. Collective.
 
-    The means are over one node on each side then, and over equal nodes with degree 2.
+    The means are over one node on each side then, and over equal nodes with degree 2. The
+    difference of the sums of their squares is one to two times the distance of the nodes along the
+    surface, relative to the size of a facet.
 
     Raises:
         PairingError: secondary nodes face the primary side away from its nodes.
     """
-    primary, secondary = coupling.primary, coupling.jump + coupling.primary
-    differ = np.abs((secondary.power(2) - primary.power(2)).sum(axis=1))
-    apart = differ > MATCHING_SQUARES + 100.0 * nodes.facets.rounding.max(initial=0.0)
-    position = coupling.position[apart]
-    number = V.mesh.comm.allreduce(len(np.unique(nodes.numbers[position])))
+    differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
+    apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
+    away = operators.nodes[apart]
+    number = V.mesh.comm.allreduce(len(np.unique(away)))
     if number > 0:
-        place = row_of_least(V.mesh.comm, -differ[apart], nodes.points[position])
+        place = row_of_least(V.mesh.comm, -differ[apart], V.tabulate_dof_coordinates()[away])
         raise PairingError(
             f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
             f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
@@ -219,7 +222,7 @@ def _surface_nodes(
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
     entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
-    places = np.round(nodes.points[own][entry] / (TOUCHING_DISTANCE * smallest)).astype(np.int64)
+    places = np.round(nodes.points[own][entry] / (NEGLIGIBLE * smallest)).astype(np.int64)
     places, _ = exchange(comm, places, places.sum(axis=1) % comm.size)
     coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
     if coincident:

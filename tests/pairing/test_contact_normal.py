@@ -191,14 +191,16 @@ def test_a_chamfered_slab_moves_along_a_wall(comm, folder, size, angle, sides):
 
 
 @pytest.mark.parallel
+@pytest.mark.parametrize("geometry", [None, {}])
 @pytest.mark.parametrize("sides", [("inside", "outside"), ("outside", "inside")])
-def test_an_exact_fit_has_no_gap_at_its_rims(comm, folder, sides):
+def test_an_exact_fit_has_no_gap_at_its_rims(comm, folder, sides, geometry):
     """Normals there are radial, though the ring ends: the disc goes on."""
     tagged = read(comm, folder, EXACT_FIT)
     V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
     prescribed = np.zeros(2 * V.dofmap.index_map.size_local, dtype=bool)
     tags = (tagged.tags[name] for name in sides)
-    found = pair_surfaces(V, prescribed, ContactPair(tagged.facet_tags, *tags, Frictionless()))
+    pair = ContactPair(tagged.facet_tags, *tags, Frictionless(), geometry=geometry)
+    found = pair_surfaces(V, prescribed, pair)
     radial = found.places / np.linalg.norm(found.places, axis=1)[:, None]
     x, y = found.normals.T
     sine = np.abs(x * radial[:, 1] - y * radial[:, 0]).max(initial=0.0)

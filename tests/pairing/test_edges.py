@@ -51,6 +51,11 @@ def test_patch_is_a_chain_of_normals(angles, patches):
         assert (patch[:, None] == patch)[near & (node[:, None] == node)].all()
 
 
+def test_a_rank_without_facets_has_no_patches():
+    patch, of_patch = smooth_patches(np.zeros(0, dtype=np.intp), np.zeros((0, 3)))
+    assert len(patch) == len(of_patch) == 0
+
+
 def test_error_names_a_node_whose_normals_cancel():
     """The triangles all contain the same axis, like a needle."""
     count = 12

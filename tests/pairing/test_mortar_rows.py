@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from sheets import CELLS, nodes_of, sheet
 
-from dolfinx_tresca.pairing.coupling import MortarRows, mortar_rows
+from dolfinx_tresca.pairing.coupling import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.search.facets import Facets
 from dolfinx_tresca.pairing.search.visibility import overlaps
@@ -24,12 +26,13 @@ SIDES = pytest.mark.parametrize(("cell", "other"), PAIRS)
 DEGREES = pytest.mark.parametrize("degree", [1, 2])
 
 
-def pair_of(secondary: Facets, primary: Facets) -> MortarRows:
+def pair_of(secondary: Facets, primary: Facets) -> SimpleNamespace:
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
     integrals = MortarIntegrals(nodes, other_nodes, np.arange(len(secondary.points)), np.inf)
     carries = np.ones(nodes.facet_nodes.shape, dtype=bool)
-    return mortar_rows(nodes, primary, integrals, columns, carries)
+    rows = mortar_rows(nodes, primary, integrals, columns, carries)
+    return SimpleNamespace(**dict(zip(("weights", "jump", "primary", "means"), rows, strict=True)))
 
 
 def values_at(function, *sides: Facets, size: int | None = None) -> np.ndarray:

@@ -30,8 +30,9 @@ from dolfinx_tresca.pairing.search.facets import (
     nodes_round,
 )
 
-#: Number of lines in a block that is searched at once, which bounds the memory.
-LINES_AT_ONCE = 2048
+#: Number of lines, of pairs of facets, or of points and what may hide them, that are processed at
+#: once, which bounds the memory.
+AT_ONCE = 8192
 
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
@@ -57,9 +58,9 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """Yield slices of 0, ..., count - 1 with at most `LINES_AT_ONCE` members each."""
-    for start in range(0, count, LINES_AT_ONCE):
-        yield slice(start, min(start + LINES_AT_ONCE, count))
+    """Yield slices of 0, ..., count - 1 with at most `AT_ONCE` members each."""
+    for start in range(0, count, AT_ONCE):
+        yield slice(start, min(start + AT_ONCE, count))
 
 
 def bounding_box(points: Array) -> Array:
@@ -158,6 +159,11 @@ class Pieces:
         """Orthonormal axes (n, dim + 1, 3) of the pieces: tangents, and the normal last."""
         axes = frames_along(self.points[:, 1] - self.points[:, 0], self.normals)
         return axes[:, [0, 2]] if self.points.shape[1] == 2 else axes
+
+    @cached_property
+    def balls(self) -> Balls:
+        """The balls that enclose the pieces, for the search along normals."""
+        return Balls(self.centres, self.radii)
 
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
         """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
@@ -313,10 +319,9 @@ def near_lines(
     ranks = np.repeat(np.arange(comm.size), [len(indices) for indices in chosen])
     lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
     lines, source = exchange(comm, lines, ranks)
-    balls = Balls(pieces.centres, pieces.radii)
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
     for block in blocks(len(lines)):
-        line, piece = balls.on_normals(
+        line, piece = pieces.balls.on_normals(
             lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
         )
         facet = pieces.facet[piece]
@@ -376,10 +381,9 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     lines = mine.centres, mine.normals, reach, far
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
     partners = Pieces.from_facets(across)
-    balls = Balls(partners.centres, partners.radii)
     depth: Array = np.zeros(len(far))
     for block in blocks(len(far)):
-        own, partner = balls.on_normals(
+        own, partner = partners.balls.on_normals(
             mine.centres[block], mine.normals[block], mine.radii[block], far[block]
         )
         own += block.start

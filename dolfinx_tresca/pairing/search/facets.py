@@ -28,22 +28,26 @@ FACET_ARRAYS = (
     *("outward", "offsets", "origins", "tag_index"),
 )
 
-#: Largest number of Newton steps; the length of a step, in reference coordinates, that counts as
-#: rounding.
-NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
+#: Largest number of Newton steps that find a reference point.
+NEWTON_STEPS = 20
 
 #: Distance of two corners, relative to the size of the facet, up to which they match, in addition
-#: to the rounding of coordinates. Twice as much would admit meshes that are twice as far apart;
-#: those of a mesh generator differ by 1e-10 or less.
-MATCHING_DISTANCE = 1e-8
+#: to the rounding of coordinates. Such a mismatch may leave this part of the area of facets
+#: uncovered, or cover it twice. Twice as much would admit meshes that are twice as far apart; those
+#: of a mesh generator differ by 1e-10 or less.
+MISMATCH = 1e-8
 
-#: Overlap of two facets, relative to the area of the secondary facet, up to which the facets count
-#: as sharing only an edge or a corner. A mismatch of `MATCHING_DISTANCE` causes smaller overlaps.
-RIM_PART = 1e-6
-
+#: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: the
+#: part of its area by which it overlaps a facet with a common edge only; the distance, relative to
+#: its radius, of surfaces that touch; the cosine between its normal and a line along it. Also the
+#: length of a sum of normals, relative to the sum of their weights, where they cancel.
+NEGLIGIBLE = 1e-6
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
 #: degrees). At larger angles the facet's area is more than ten times the area of its projection.
+#: Also the length of the projection of a unit normal onto the free directions beyond which the
+#: projection, scaled to length 1, replaces the normal. (The mesh error tilts a normal out of a
+#: symmetry plane by a few degrees, not by 84.)
 FACING_COSINE = 0.1
 
 #: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
@@ -60,15 +64,6 @@ CREDIBLE_PART = 0.1
 #: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
 #: (51.4 degrees and less); boxes and hexagonal prisms have sharp edges (60 degrees and more).
 EDGE_ANGLE = 55.0
-
-#: Length of the sum of the facets' weighted normals, relative to the sum of the weights, up to
-#: which the normals cancel and the node has no normal.
-NORMAL_ROUNDING = 1e-6
-
-#: If a unit normal has a projection onto the free directions that is longer than this, the
-#: projection, scaled to length 1, replaces the normal. (The mesh error tilts a normal out of a
-#: symmetry plane by a few degrees, not by 84.)
-FREE_PART = 0.1
 
 
 @dataclass(frozen=True)
@@ -148,13 +143,17 @@ class Facets:
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
     def moved_to(self, points: Array) -> Facets:
-        """Return the facets with their nodes at other points (n, k, 3).
+        """Return the facets with their nodes at other points (n, k, 3); `offsets` turn with them.
 
         `bent` and `plane` of the result describe the facets of this rank only; see `checked` in
         pairing/search/tagged.py.
         """
+        moved = replace(self, points=points)
+        if self.offsets.shape[1]:
+            local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
+            moved = replace(moved, offsets=np.einsum("nqd,ndi->nqi", local, moved.frames()))
         if self.degree == 1 and self.cell != "quadrilateral":
-            return replace(self, points=points)  # always straight and plane
+            return moved  # always straight and plane
         corners = points[:, : self.corners]
         hats = self.hats(lagrange_points(self.cell, self.degree))
         straight = np.einsum("kc,nci->nki", hats, corners)
@@ -166,7 +165,7 @@ class Facets:
             sides = corners[:, 1:] - corners[:, :1]
             volume = np.einsum("ni,ni->n", cross(sides[:, 0], sides[:, 1]), sides[:, 2])
             plane = bool((np.abs(volume) <= rounding * size**3).all())
-        return replace(self, points=points, bent=bent, plane=plane)
+        return replace(moved, bent=bent, plane=plane)
 
     def frames(self) -> Array:
         """Return right-handed orthonormal axes (n, 3, 3) in rows: a side, across it, the normal."""
@@ -295,7 +294,7 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
         defect = target - np.einsum("nk,nki->ni", table[0], nodes)
         step = _solve(np.einsum("jnk,nki->nij", table[1:], nodes), defect)
         x = x + step
-        if np.abs(step).max(initial=0.0) <= STEP_ROUNDING:
+        if np.abs(step).max(initial=0.0) <= ROUNDING:
             break
     return x
 
@@ -324,7 +323,7 @@ def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, partner:
     corners = secondary.points[facet, : secondary.corners]
     offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
     size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
-    allowed = (MATCHING_DISTANCE + secondary.rounding[facet]) * size
+    allowed = (MISMATCH + secondary.rounding[facet]) * size
     nearest = np.linalg.norm(offset, axis=3).min(axis=2)
     return np.asarray((nearest <= allowed[:, None]).all(axis=1))
 
@@ -342,7 +341,6 @@ class SurfaceNodes:
             patch with the largest weight comes last.
         points: (n, 3) positions [length].
         weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
-        corner_weights: (facets, corners) contribution of each facet to the weights of its corners.
         normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
             without prescribed components. (At the edge of a curved surface on a symmetry plane the
             mean over one side is tilted out of this plane.)
@@ -355,7 +353,6 @@ class SurfaceNodes:
     numbers: GlobalNumbers
     points: Array
     weights: Array
-    corner_weights: Array
     normals: Array
     free: Mask
     facet_nodes: Indices
@@ -384,13 +381,12 @@ class SurfaceNodes:
         corner = np.unique(position, return_index=True)[1]
         points = facets.points[:, :corners].reshape(-1, 3)[corner]
         free = facets.free.reshape(-1, facets.free.shape[2])[corner]
-        has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
+        has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
         return cls(
             facets,
             numbers,
             points,
             weights,
-            corner_weights,
             free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free),
             free,
             position,
@@ -424,7 +420,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 def free_normals(vectors: Array, free: Mask) -> Array:
     """Return unit normals (n, 3) along vectors (n, 3), without prescribed components.
 
-    A vector keeps all components if its free part is at most `FREE_PART` of its length.
+    A vector keeps all components if its free part is at most `FACING_COSINE` of its length.
 
     Args:
         vectors: (n, 3) sums of the normals of facets.
@@ -434,7 +430,7 @@ def free_normals(vectors: Array, free: Mask) -> Array:
     movable = normals.copy()
     movable[:, : free.shape[1]][~free] = 0.0
     length = np.linalg.norm(movable, axis=1)
-    turned = (length > FREE_PART) & ~free.all(axis=1)
+    turned = (length > FACING_COSINE) & ~free.all(axis=1)
     normals[turned] = movable[turned] / length[turned, None]
     return normals
 
@@ -453,26 +449,17 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
         The patch (n,) of each corner, numbered by ascending nodes, and the node (patches,) of each
         patch.
     """
-    count = int(node.max(initial=-1)) + 1
-    mean = np.stack([np.bincount(node, normals[:, i], count) for i in range(3)], axis=1)
-    leans = np.einsum("ni,ni->n", normals, mean[node])
-    # if all normals differ from their mean by half of EDGE_ANGLE at most, the node is smooth
-    limit = math.cos(math.radians(0.5 * EDGE_ANGLE)) * np.linalg.norm(mean, axis=1)
-    corners = np.flatnonzero(np.isin(node, node[leans <= limit[node]]))
-    if len(corners) == 0:
-        return node, np.arange(count)
-    rows = np.arange(len(corners))
-    at_node = coo_array((np.ones(len(corners)), (rows, node[corners])))
+    corners = np.arange(len(node))
+    shape = len(node), int(node.max(initial=-1)) + 1
+    at_node = coo_array((np.ones(len(node)), (corners, node)), shape=shape)
     corner, partner = (at_node @ at_node.T).nonzero()
-    cosine = np.einsum("ni,ni->n", normals[corners[corner]], normals[corners[partner]])
+    cosine = np.einsum("ni,ni->n", normals[corner], normals[partner])
     near = cosine >= math.cos(math.radians(EDGE_ANGLE))
     links = np.ones(near.sum()), (corner[near], partner[near])
-    graph = coo_array(links, shape=(len(corners), len(corners)))
-    component = np.zeros(len(node), dtype=np.intp)
-    component[corners] = connected_components(graph, directed=False)[1]
-    number = int(component.max()) + 1
+    graph = coo_array(links, shape=(len(node), len(node)))
+    number, component = connected_components(graph, directed=False)
     patches, patch = np.unique(node * number + component, return_inverse=True)
-    return patch, patches // number
+    return patch, patches // max(number, 1)
 
 
 def node_sums(nodes: Indices, values: Array, count: int) -> Array:

@@ -20,12 +20,12 @@ from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
+    NEGLIGIBLE,
     SHALLOW_DEPTH,
     Facets,
     SurfaceNodes,
     quadrature,
 )
-from dolfinx_tresca.pairing.search.visibility import TOUCHING_DISTANCE
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
 #: 1, slight differences in size would decide, and between equal bricks rounding.
@@ -82,7 +82,7 @@ class SelfContact:
         lips of a crack also share corners at its tip, but face each other. Two facets are the faces
         of a wall if each is behind the other, deeper than facets of curved surfaces penetrate each
         other (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than
-        touching lips (`TOUCHING_DISTANCE`). This must be so both in the undeformed mesh and in the
+        touching lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the
         present configuration, and the present depth must exceed `WALL_PART` of the undeformed
         depth.
         """
@@ -91,7 +91,7 @@ class SelfContact:
         f, g = facet[in_one_body], partner[in_one_body]
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
-        shallow = np.where(common, TOUCHING_DISTANCE, SHALLOW_DEPTH)
+        shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH)
         shallow = shallow * (self.radius[f] + self.radius[g])
         undeformed = _least_depth(self.centre, self.normal, f, g)
         present = _least_depth(self.place, self.present_normal, f, g)

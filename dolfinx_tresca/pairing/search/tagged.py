@@ -14,7 +14,7 @@ import numpy as np
 import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file
+from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, row_of_least
 from dolfinx_tresca.errors import InputError, MeshError, PairingError
 from dolfinx_tresca.pairing.search.facets import (
@@ -32,7 +32,6 @@ from dolfinx_tresca.scene.geometry import (
     open_pieces,
     project_points,
 )
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
@@ -98,10 +97,8 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
     nodes = np.take_along_axis(cell_nodes, closure, axis=1)
     points = x[nodes]
     middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
-    free = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs, np.float64)
-    free.array[: len(prescribed)] = ~prescribed
-    free.scatter_forward()
-    is_free = free.array.reshape(-1, dofmap.index_map_bs) > 0.5
+    free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
+    is_free = free.reshape(-1, dofmap.index_map_bs) > 0.5
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
     result = Facets(
         cell,
@@ -121,29 +118,6 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
     vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
     result.outward[np.einsum("ni,ni->n", vectors, ahead) < 0.0] = -1.0
     return checked(comm, result, f"tag {tag}", side)
-
-
-def displaced(V: Any, facets: Facets, u: Array, surface: str, side: str) -> Facets:
-    """Return facets that this rank owns, displaced; their `offsets` turn with them. Collective.
-
-    Args:
-        V: the space of the displacement.
-        facets: the undeformed facets.
-        u: (nodes, dim of space) displacement of this rank's nodes [length].
-        surface: the name or the tags of the surface, for error messages.
-        side: "secondary" or "primary", for error messages.
-
-    Raises:
-        PairingError: displaced facets have no area.
-    """
-    node = V.dofmap.index_map.global_to_local(facets.nodes.ravel()).reshape(facets.nodes.shape)
-    points = facets.points.copy()
-    points[:, :, : u.shape[1]] += u[node]
-    moved = facets.moved_to(points)
-    if facets.offsets.shape[1]:
-        local = np.einsum("nqi,ndi->nqd", facets.offsets, facets.frames())
-        moved = replace(moved, offsets=np.einsum("nqd,ndi->nqi", local, moved.frames()))
-    return checked(V.mesh.comm, moved, surface, side)
 
 
 def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
@@ -189,7 +163,7 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
         InputError: a projection fails, or facets are not on their surface.
         MeshError: Gmsh cannot read the geometry file any more.
     """
-    if isinstance(pair.primary, RigidObstacle):
+    if pair.obstacle is not None:
         return sides
     if pair.geometry is not None:
         return _offset_sides(V, pair.geometry, sides, FAR_CORNER)

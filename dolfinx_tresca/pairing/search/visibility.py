@@ -6,26 +6,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.pairing.search.balls import Balls, Pieces, expanded_ranges, flattened
-from dolfinx_tresca.pairing.search.facets import CREDIBLE_PART, SHALLOW_DEPTH
-
-#: Part of a facet's area that counts as rounding: facets are fully covered if no larger part is
-#: uncovered, and covered once if no larger part is covered twice.
-COVER_ROUNDING = 1e-8
-
-#: Distance of surfaces, relative to the radius of a facet, up to which they touch: above rounding,
-#: and far below the resolution of a mesh.
-TOUCHING_DISTANCE = 1e-6
-
-#: Cosine between a line and the normal of a facet up to which the line is parallel to the facet.
-PARALLEL_COSINE = 1e-6
-
-#: Number of pairs of a point and a possible occluder that are processed at once, which bounds the
-#: memory.
-CROSSINGS_AT_ONCE = 100_000
-
-#: Length in a facet's plane, relative to the facet's size, that counts as rounding.
-POSITION_ROUNDING = 1e-9
+from dolfinx_tresca.pairing.search.balls import AT_ONCE, Pieces, expanded_ranges, flattened
+from dolfinx_tresca.pairing.search.facets import (
+    CREDIBLE_PART,
+    MISMATCH,
+    NEGLIGIBLE,
+    SHALLOW_DEPTH,
+)
 
 
 class Visibility:
@@ -63,7 +50,6 @@ class Visibility:
                 the same pieces; None for two surfaces.
         """
         self._pieces, self._others, self._body = pieces, partners, body
-        self._balls = [Balls(side.centres, side.radii) for side in (partners, pieces)]
 
     def hidden(
         self,
@@ -88,7 +74,7 @@ class Visibility:
         end_piece: Indices = np.full(len(piece), -1)
         if self._body is not None and partner is not None:
             in_one_body, end_piece = self._body[piece] == self._body[partner], partner
-        apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
+        apart = np.flatnonzero(np.abs(end - start) > NEGLIGIBLE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
         targets, starts, target = np.unique(piece[apart], return_index=True, return_inverse=True)
@@ -99,7 +85,7 @@ class Visibility:
             )
             begin = np.searchsorted(occluder_target, target)
             numbers = np.searchsorted(occluder_target, target, side="right") - begin
-            block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
+            block = np.cumsum(numbers) // AT_ONCE
             for chunk in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
                 owner, occluder = expanded_ranges(begin[chunk], numbers[chunk])
@@ -117,7 +103,7 @@ class Visibility:
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
                 matters = leaves | gap if own else leaves == gap
                 distance = (crossing - start[place]) * np.where(gap, 1.0, -1.0)
-                touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
+                touch = NEGLIGIBLE * self._pieces.radii[piece[place]]
                 place_on_line = np.where(leaves, distance - touch, distance + touch)
                 length = np.abs(end - start)[place]
                 between = (place_on_line > 0.0) & (place_on_line <= length)
@@ -172,7 +158,7 @@ class Visibility:
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         # segments end at primary facets with opposed normals; such facets hide nothing
-        target, occluder = self._balls[own].on_normals(
+        target, occluder = side.balls.on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             reach + pieces.radii[targets],
         )  # fmt: skip
@@ -183,10 +169,10 @@ class Visibility:
             offset = side.centres[occluder] - pieces.centres[piece]
             height = np.abs(np.einsum("ni,ni->n", offset, normal))
             height += side.radii[occluder] * np.linalg.norm(normal - their_normal, axis=1)
-            apart = height > TOUCHING_DISTANCE * pieces.radii[piece]
-            keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
+            apart = height > NEGLIGIBLE * pieces.radii[piece]
+            keep = (cosine < -NEGLIGIBLE) | (cosine > NEGLIGIBLE) & apart
         else:
-            keep = cosine > PARALLEL_COSINE
+            keep = cosine > NEGLIGIBLE
         if self._body is not None:
             keep &= (self._body[occluder] == self._body[piece]) == own
         target, occluder = target[keep], occluder[keep]
@@ -200,7 +186,7 @@ class Visibility:
         own_flat = pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1]
         low = np.maximum(flat.min(axis=1), own_flat.min(axis=1))
         high = np.minimum(flat.max(axis=1), own_flat.max(axis=1))
-        keep = (high - low > POSITION_ROUNDING * np.ptp(own_flat, axis=1)).all(axis=1)
+        keep = (high - low > MISMATCH * np.ptp(own_flat, axis=1)).all(axis=1)
         occluder, target, corners = occluder[keep], target[keep], corners[keep]
         slope = np.einsum("ni,ndi->nd", side.normals[occluder], pieces.frames[piece[keep]])
         slope[:, :-1] /= -slope[:, -1:]
@@ -211,11 +197,11 @@ def _around_origin(corners: Array) -> Mask:
     """Return whether the origin lies in segments or polygons (n, corners, d), or on their edges."""
     if corners.shape[2] == 1:
         low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
-        slack = POSITION_ROUNDING * (high - low)
+        slack = MISMATCH * (high - low)
         return np.asarray((low <= slack) & (high >= -slack))
     following = np.roll(corners, -1, axis=1)
     turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
-    slack = POSITION_ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
+    slack = MISMATCH * np.abs(turns).sum(axis=1, keepdims=True)
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
 
@@ -353,7 +339,7 @@ def nearest_layer_weights(
     count = len(places) // len(pair)
     counts = weight.reshape(-1, count).any(axis=1)
     covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
-    overlaid = (covered > (1.0 + COVER_ROUNDING) * piece_area)[piece[pair]]
+    overlaid = (covered > (1.0 + MISMATCH) * piece_area)[piece[pair]]
     crowded = np.flatnonzero(overlaid & counts)
     if len(crowded) == 0:
         return weight

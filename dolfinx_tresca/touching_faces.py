@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
@@ -24,6 +25,7 @@ from dolfinx_tresca.pairing.search.self_contact import FINER
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.user_fields import checked_positive
 from dolfinx_tresca.table import Row, Tabulated
 
 
@@ -124,9 +126,7 @@ def contacts(
     """
     if not isinstance(tagged, TaggedMesh):
         raise InputError(f"tagged must be the result of read_gmsh, found {shown(tagged)}.")
-    limit = None if distance is None else real(distance)
-    if distance is not None and (limit is None or not 0.0 < limit < np.inf):
-        raise InputError(f"distance must be a positive number, found {shown(distance)}.")
+    limit = None if distance is None else checked_positive("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)
@@ -179,11 +179,7 @@ def contacts(
 
 def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
     """Return the measures of a pair's faces where they are near; None if nowhere. Collective."""
-    limited = ContactPair(
-        *(pair.facet_tags, pair.secondary, pair.primary, pair.friction),
-        search_distance=near,
-        geometry=pair.geometry,
-    )
+    limited = replace(pair, pairing="auto", search_distance=near, sliding="small", gap=None)
     free = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
     try:
         with each_warning_once():
