@@ -26,64 +26,7 @@ from dolfinx_tresca.dual.mesh_error import total
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks
 from scenes.random_blocks import RandomBlocks
-from scenes.scene import Scene
-from scenes.two_bricks import floating, two_bricks
-
-#: Change of the load, over the load, in difference quotients: what they leave is its square, and
-#: rounding of solutions over it.
-STEP = 1e-3
-
-BRICK_GOALS = [
-    NormalForce(),
-    ContactForce((1.0, 0.2, 0.0)),
-    MeanPressure((1.0, 0.5, 1.0), 1.3),
-    MeanSlip((1.5, 0.5, 1.0), 0.8, (2.0, 0.0, 0.0)),
-]
-
-
-def slipping(comm) -> Scene:
-    """Bricks whose nodes all slip."""
-    return two_bricks(comm, 3, end="free_end_2")
-
-
-#: An ellipse; about half of the nodes are at the limit.
-LIMITED = Coulomb((0.3, 0.1), limit=0.25, direction=(1.0, 0.3, 0.0))
-
-#: Contact states with curved circles, with bounds that follow pressures on both sides of their
-#: limit, and with bodies that contact holds; and the solver for K.
-LINEARISED = {
-    "slip": (slipping, "cholesky"),
-    "multigrid": (slipping, "multigrid"),
-    "coulomb": (lambda comm: slipping(comm).but(friction=Coulomb(0.3)), "cholesky"),
-    "limited": (lambda comm: two_bricks(comm, 3).but(friction=LIMITED), "multigrid"),
-    "floating": (lambda comm: floating(comm, "upper").but(friction=Coulomb(0.3)), "cholesky"),
-}
-
-
-@pytest.mark.parallel(case=["multigrid", "floating"])
-@pytest.mark.parametrize("case", LINEARISED)
-def test_adjoints_are_derivatives(comm, case):
-    """Z'df is the change of a number with the load, curvature of slip circles included."""
-    make, stiffness = LINEARISED[case]
-    scene = make(comm)
-    load = scene.data.load
-    start = load.value.copy()
-    step = STEP * np.array([0.3, 0.5, 0.2])
-    with scene.problem(stiffness=stiffness) as problem:
-        problem.solve(accuracy=1e-7)
-        found = [problem.goal_error(goal) for goal in BRICK_GOALS]
-        values, forces = [], []
-        for sign in (1.0, -1.0):
-            load.value[:] = start + sign * step
-            problem.solve(accuracy=1e-7)
-            values.append([problem.goal_error(goal).value for goal in BRICK_GOALS])
-            forces.append(problem._contact.linear.f.x.petsc_vec.array.copy())
-    free = ~problem._contact.linear.prescribed
-    for one, more, less in zip(found, *values, strict=True):
-        z = one.adjoint.x.petsc_vec.array
-        change = float(reduce_array(comm, z[free] @ (forces[0] - forces[1])[free]))
-        assert change == pytest.approx(more - less, rel=20 * STEP, abs=0.0)
-        assert abs(more - less) > 1e-3 * STEP * abs(one.value)
+from scenes.two_bricks import two_bricks
 
 
 @pytest.mark.parallel

@@ -1,147 +1,39 @@
-"""Derivatives of goals: against central differences where no node changes its state."""
+"""Derivatives of goals: at the edges of states, with functions of Python, and what is refused.
+
+`test_taylor.py` compares derivatives with differences.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
-import scipy.optimize
 from logged import logged
-from rubbing_controls import RTOL, Rubbing, along, direction_of, smooth, solved, values_of
+from rubbing_controls import RTOL, Rubbing, solved, values_of
+from test_taylor import taylor
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    Bonded,
     ContactError,
     ContactForce,
-    ContactPair,
     ContactProblem,
     Coulomb,
     Frictionless,
     InputError,
-    MeanPressure,
-    NewtonOptions,
-    NonlinearContactProblem,
     NormalForce,
     RigidObstacle,
     RigidPlane,
-    SolverOptions,
     Tresca,
 )
 from scenes.blocks import ABOVE, block
-from scenes.elasticity import elasticity
-from scenes.patches import BOTTOM, TOP
-from scenes.rubber_block import neo_hookean, rubber_block
-from scenes.rubbing import rubbing
 from scenes.two_bricks import two_bricks
-
-#: Step of central differences of order 4 over the control. (With order 2 either their error or the
-#: residuals over the step are 1e-6 of some derivatives.)
-STEP = 5e-4
 
 #: Error of central differences that the solves' residuals and the step allow, over the derivative.
 ACCURACY = 1e-6
-
-
-#: Difference of tangent and adjoint over the largest of the added derivatives: each is accurate to
-#: 1e-10 in the energy norm.
-TRANSPOSED = 1e-9
-
-
-def number(problem, goal) -> float:
-    """Return a goal of the last solution."""
-    if isinstance(goal, ufl.Form):
-        return problem.comm.allreduce(fem.assemble_scalar(fem.form(goal)))
-    return problem.goal_value(goal)
-
-
-def check(solve, problem, goals, controls, accuracy=ACCURACY, terms=0.0) -> None:
-    """Compare derivatives along a direction of each control with central differences.
-
-    The tangent along all directions changes each goal by the sum of its derivatives along them.
-    `terms` is the size of numbers that cancel in a derivative.
-    """
-    at_solution = goals(solve().u)
-    found = [problem.gradient(goal, controls) for goal in at_solution]
-    tangent = problem.tangent(controls, [direction_of(control) for control in controls])
-    for goal, derivatives in zip(at_solution, found, strict=True):
-        parts = [along(one, smooth(c)) for one, c in zip(derivatives, controls, strict=True)]
-        size = max(np.abs(parts).max(), terms)
-        assert abs(tangent.of(goal) - sum(parts)) <= TRANSPOSED * size, goal
-    for k, control in enumerate(controls):
-        values, direction = values_of(control), smooth(control)
-        start = values.copy()
-        largest = problem.comm.allreduce(np.abs(start).max(initial=0.0), op=MPI.MAX)
-        size = STEP * max(largest, 1e-2)
-        differences = []
-        for steps in (1.0, -1.0, 2.0, -2.0):
-            values[...] = start + steps * size * direction
-            differences.append([number(problem, goal) for goal in goals(solve().u)])
-        values[...] = start
-        wanted = np.array([8.0, -8.0, -1.0, 1.0]) @ differences / (12.0 * size)
-        for derivatives, slope, value in zip(found, wanted, differences[0], strict=True):
-            scale = max(abs(slope), abs(value) / max(largest, 1e-2))
-            assert abs(along(derivatives[k], direction) - slope) <= accuracy * scale, controls[k]
-
-
-@pytest.mark.parallel(kind=["triangle"])
-@pytest.mark.parametrize(
-    ("kind", "degree", "law"),
-    [
-        ("triangle", 1, "tresca"),
-        ("quadrilateral", 2, "coulomb"),
-        ("quadrilateral", 1, "frictionless"),
-        ("tetrahedron", 1, "coulomb"),
-    ],
-)
-def test_every_kind_of_control(comm, kind, degree, law):
-    """Of materials, loads, prescribed values, gaps and friction: numbers of each kind, forms."""
-    model = Rubbing(comm, kind, degree, law)
-    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
-
-        def goals(u):
-            energy = 0.5 * ufl.replace(model.a, dict(zip(model.a.arguments(), (u, u), strict=True)))
-            return [*model.goals, ufl.action(model.L, u), energy]
-
-        check(lambda: solved(problem), problem, goals, model.controls)
-
-
-@pytest.mark.parallel
-def test_a_body_that_contact_holds(comm):
-    """A block on a rigid floor, pressed and pushed: also of a form, by rigid displacements."""
-    scene = rubbing(comm, "quadrilateral")
-    mesh, V = scene.mesh, scene.V
-    facets, v = scene.facet_tags, ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facets)
-    load, stiffness = fem.Constant(mesh, (0.1, -1.0)), fem.Constant(mesh, 1000.0)
-    profile = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="profile")
-    profile.interpolate(lambda x: 1e-4 * x[0])
-    coefficient = fem.Constant(mesh, 0.3)
-    # the two blocks are one body, on a floor that yields to none of its motions
-    pairs = [
-        dataclasses.replace(scene.pair, friction=Bonded()),
-        ContactPair(
-            facets, BOTTOM, RigidPlane((0.0, 0.0), (0.0, 1.0)), Coulomb(coefficient), gap=profile
-        ),
-    ]
-    a, L = elasticity(V, stiffness), ufl.inner(load, v) * ds(TOP)
-    goals = [NormalForce(pair=1), MeanPressure((0.5, 0.0), 0.5, pair=1)]
-    with ContactProblem(a, L, pairs, stiffness="cholesky") as problem:
-        controls = [load, stiffness, coefficient, profile]
-        check(
-            lambda: solved(problem),
-            problem,
-            lambda u: [*goals, ufl.action(L, u)],
-            controls,
-            # pressures by a change of the profile balance each other
-            terms=stiffness.value.item(),
-        )
 
 
 def test_inexact_products(comm):
@@ -158,73 +50,6 @@ def test_inexact_products(comm):
         one, other = (np.ravel(getattr(each, "array", each)) for each in (one, other))
         # derivatives by the load are small differences of large numbers here
         assert np.linalg.norm(one - other) <= 1e-3 * np.linalg.norm(one), control
-
-
-@pytest.mark.parallel
-def test_nonlinear_bodies(comm):
-    """Rubber on a plate with friction: its modulus, what pushes it, the gap, the coefficient."""
-    block = rubber_block(comm, (3, 3), clamped=True, friction=Frictionless())
-    mesh = block.scene.mesh
-    coefficient = fem.Constant(mesh, 0.3)
-    profile = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="profile")
-    profile.interpolate(lambda x: 0.02 * x[0])
-    modulus = fem.Constant(mesh, 1.0)
-    v = ufl.TestFunction(block.scene.V)
-    F = ufl.derivative(neo_hookean(block.u, mu=modulus) * ufl.dx, block.u, v)
-    pair = dataclasses.replace(block.scene.pairs[0], friction=Coulomb(coefficient), gap=profile)
-    block.push.value[:] = (0.03, -0.1)
-    options = SolverOptions(rtol=1e-11)
-    goals = [NormalForce(), ContactForce((1.0, 0.0)), MeanPressure((0.3, 0.0), 0.5)]
-    with NonlinearContactProblem(F, block.u, [pair], block.bcs, options=options) as problem:
-
-        def solve():
-            solution = problem.solve(newton=NewtonOptions(accuracy=1e-11))
-            solution.raise_if_failed()
-            return solution
-
-        controls = [modulus, block.push, coefficient, profile]
-        check(solve, problem, lambda u: [*goals, ufl.inner(u, u) * ufl.dx], controls)
-        u = block.u.x.array.copy()
-        problem.gradient(goals[0], [modulus])
-        assert np.array_equal(u, block.u.x.array)
-        block.push.value[:] *= 1.1
-        with pytest.raises(ContactError, match=r"have changed since the solution"):
-            problem.gradient(goals[0], [modulus])
-        problem.accept()  # gradients have left the solution as it was
-        with pytest.raises(ContactError, match=r"call solve\(\) first, and accept\(\) afterwards"):
-            problem.gradient(goals[0], [modulus])
-
-
-@pytest.mark.parallel
-def test_least_squares_by_scipy(comm):
-    """A modulus, a coefficient and a profile are found again from forces and a displacement."""
-    model = Rubbing(comm, "triangle")
-    start = np.array([1.0, 1.1, 1.0])
-    shape = model.profile.x.array.copy()
-    goals = [NormalForce(), ContactForce((1.0, 0.0)), MeanPressure((0.3, 1.0), 0.5)]
-    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
-
-        def numbers(values):
-            model.young.value, model.factor.value = 1e3 * values[0], values[1]
-            model.profile.x.array[:] = values[2] * shape
-            solved(problem)
-            return np.array([problem.goal_value(goal) for goal in goals])
-
-        true = numbers(1.02 * start)
-
-        def misfit(values):
-            error = numbers(values) / true - 1.0
-            slopes = [
-                [1e3 * by_young, by_factor, along(by_profile, shape)]
-                for by_young, by_factor, by_profile in (
-                    problem.gradient(goal, [model.young, model.factor, model.profile])
-                    for goal in goals
-                )
-            ]
-            return error @ error, 2.0 * (error / true) @ np.array(slopes)
-
-        found = scipy.optimize.minimize(misfit, start, jac=True, method="L-BFGS-B", tol=1e-14)
-        assert found.fun <= 1e-4 * misfit(start)[0]
 
 
 def test_what_nothing_depends_on(comm, caplog):
@@ -269,7 +94,7 @@ def test_python_functions_that_read_constants(comm, law, offset):
         pair, friction=Coulomb(laws[law]), gap=lambda x: d.value[0] + d.value[1] * x[0]
     )
     with ContactProblem(a, L, [pair], bcs, stiffness="cholesky") as problem:
-        check(lambda: solved(problem), problem, lambda u: model.goals, [c, d])
+        taylor(lambda: solved(problem), problem, [c, d], model.goals)
         c.value = 0.31
         with pytest.raises(ContactError, match="have changed since the solution"):
             problem.gradient(NormalForce(), [c])
@@ -335,22 +160,6 @@ def test_wrong_arguments(comm):
         problem.solve()
         with pytest.raises(InputError, match=r"the pairing of their surfaces depends"):
             problem.gradient(NormalForce(), [far.young])
-
-
-#: Direction of the first bound, which is not along an edge of the surface.
-GROOVES = (1.0, 0.4, 0.0)
-
-
-def test_ellipses(comm):
-    """Adhesion and limit of orthotropic friction, whose two coefficients stay as they are."""
-    scene = two_bricks(comm, 3)
-    limit = fem.Constant(scene.mesh, 0.08)
-    law = Coulomb((0.1, 0.12), limit=limit, adhesion=0.1 * limit, direction=GROOVES)
-    goals = [ContactForce((1.0, 0.0, 0.0)), ContactForce((0.0, 1.0, 0.0)), NormalForce()]
-    with scene.but(friction=law).problem(stiffness="cholesky") as problem:
-        solution = problem.solve(rtol=RTOL)
-        assert solution.counts.slip > 2
-        check(lambda: solved(problem), problem, lambda u: goals, [limit])
 
 
 def test_the_axes_of_an_ellipse_are_no_controls(comm):
