@@ -291,13 +291,13 @@ class StressEnergies:
         return np.asarray((data * self.derivative(data)).sum(axis=(1, 2)))
 
     def facet_stiffness(self) -> Array:
-        """Return the sums (n, d + 1) of the energies of unit tractions on each facet."""
-        d, n = self.cells.d, len(self._matrices)
-        k = np.arange(self.count)
-        blocks = self._matrices.reshape(n, -1, d, self.count + d + 1, d)[:, k, :, k]
-        metric = np.swapaxes(self._to_reference, 1, 2) @ self._to_reference
-        energies = np.einsum("knab,nab->nk", blocks, metric).reshape(n, d + 1, d).sum(axis=2)
-        return np.asarray(energies / np.square(self.cells.heights))
+        """Return matrices (n, d + 1, d * d, d * d): the energies of tractions on each facet."""
+        n, d, _ = self._to_reference.shape
+        turn = np.einsum("kl,nab->nkalb", np.eye(d), self._to_reference).reshape(n, d * d, d * d)
+        facets = [slice(j * d * d, (j + 1) * d * d) for j in range(d + 1)]
+        blocks = np.stack([self._matrices[:, facet, facet] for facet in facets], axis=1)
+        blocks = turn[:, None] @ blocks @ np.swapaxes(turn, 1, 2)[:, None]
+        return np.asarray(blocks / np.square(self.cells.heights)[:, :, None, None])
 
 
 def stress_data(cells: Simplices, stress: Array) -> Array:

@@ -156,26 +156,23 @@ class ContactSurface:
             has a multiplier, or is prescribed and on a facet with multipliers (nodes,).
         """
         V, on, d = self._owned.V, rows.operators, self._owned.cells.d
-        count = V.dofmap.index_map.size_local
         stress = multipliers * dual.jump.stress_scale
         origin = (dual.response.offset - dual.jump.gap) * dual.jump.length_scale
-        pressure, friction = np.zeros((count, 1)), np.zeros((count, d))
-        pressure[on.nodes[on.normal_node], 0] = stress[rows.normal]
-        friction[on.nodes] = -on.tangential_vectors(stress[rows.tangential])
-        radius = np.zeros(len(on.nodes)) if self.bonded else bounds[rows.nodes]
-        origins = on.tangential_vectors(origin[rows.tangential])
-        data = np.zeros((count, 2 * d + 2))
-        data[on.nodes] = np.column_stack([on.normals, origins, radius, on.distance])
+        # components of multipliers that prescribed displacements replace stay unknown
         rubs = np.bincount(on.tangent_node, minlength=len(on.nodes)) == d - 1
         rubs |= isinstance(self.pair.friction, Frictionless)
-        # components of multipliers that prescribed displacements replace are means of neighbours'
-        pressure, _ = _with_means(V, nodes, pressure, on.nodes[on.normal_node])
-        friction, _ = _with_means(V, nodes, friction, on.nodes[rubs])
-        data, touching = _with_means(V, nodes, data, on.nodes)
-        paired = np.zeros((count, 1))
-        paired[on.nodes] = 1.0
-        touching &= (spread(V, paired)[:, 0] > 0.0) | self._prescribed.all(axis=1)
-        normals, self._origins, radius, distance = np.split(data, [d, 2 * d, 2 * d + 1], axis=1)
+        data = np.full((V.dofmap.index_map.size_local, 3 * d + 3), np.nan)
+        data[on.nodes[on.normal_node], 0] = stress[rows.normal]
+        data[on.nodes[rubs], 1 : d + 1] = -on.tangential_vectors(stress[rows.tangential])[rubs]
+        radius = np.zeros(len(on.nodes)) if self.bonded else bounds[rows.nodes]
+        origins = on.tangential_vectors(origin[rows.tangential])
+        data[on.nodes, d + 1 :] = np.column_stack([on.normals, origins, radius, on.distance])
+        paired = spread(V, np.isfinite(data[:, -1:]).astype(np.float64))[:, 0] > 0.0
+        data, touching = _with_means(V, nodes, data)
+        touching &= paired | self._prescribed.all(axis=1)
+        pressure, friction, normals, self._origins, radius, distance = np.split(
+            data, np.cumsum([1, d, d, d, 1]), axis=1
+        )
         friction -= (friction * normals).sum(axis=1, keepdims=True) * normals
         if not self.bonded:
             pressure = np.maximum(pressure, 0.0)
@@ -245,25 +242,33 @@ class ContactSurface:
 
     def _opposite(self, tractions: Array) -> tuple[Indices, Indices, Array]:
         """Return the primary side's cells, numbers of facets, and tractions. Collective."""
-        V = self._owned.V
-        assert self._partners is not None
-        sent = np.column_stack([-tractions[self.nodes], np.ones(len(self.nodes))])
-        sums = spread(V, self._partners.summed(sent, V.dofmap.index_map.size_local))
+        sums = self._carried(np.column_stack([tractions, np.ones(len(tractions))])[self.nodes])
         cell, facet, nodes = self._tagged("primary")
-        keep = (sums[nodes, -1] > 0.0).all(axis=1)
-        if V.mesh.comm.allreduce(int(keep.sum()) - len(self.cell)):
+        keep = (sums[nodes, -1] < 0.0).all(axis=1)
+        if self._owned.V.mesh.comm.allreduce(int(keep.sum()) - len(self.cell)):
             raise self._no_match()
         return cell[keep], facet[keep], sums[nodes[keep], :-1]
 
+    def _carried(self, values: Array) -> Array:
+        """Return values (nodes, k) of `nodes` there, and their opposites at partners. Collective.
+
+        This is the transpose of the jump.
+        """
+        V = self._owned.V
+        result = np.zeros((V.dofmap.index_map.size_local, values.shape[1]))
+        result[self.nodes] = values
+        if self._partners is not None:
+            result -= self._partners.summed(values, len(result))
+        return spread(V, result)
+
     def _jumps(self, v: fem.Function) -> Array:
         """Return jumps (nodes, d) of a displacement at the nodes of this rank. Collective."""
-        V = self._owned.V
         values: Array = v.x.array.reshape(-1, self._owned.cells.d)
         if self._partners is None:
             return values
-        owned = np.zeros_like(values[: V.dofmap.index_map.size_local])
+        owned = np.zeros_like(values[: self._owned.V.dofmap.index_map.size_local])
         owned[self.nodes] = values[self.nodes] - self._partners.spread(values)
-        return spread(V, owned)
+        return spread(self._owned.V, owned)
 
     def coefficients(self, v: fem.Function) -> Array:
         """Return Bernstein's coefficients (m, k, d) of jumps on the secondary facets. Collective.
@@ -311,21 +316,19 @@ class ContactSurface:
         """
         V, d, own = self._owned.V, self._owned.cells.d, self.nodes
         values = v.x.array.reshape(-1, d)
-        count = V.dofmap.index_map.size_local
         softness = self._owned.cells.heights[self.cell, self.facet] / stiffness[self.cell]
         softness = np.repeat(softness[:, None, None], d, axis=1)
         closed = summed_at_nodes(V.dofmap.index_map, self._corners, softness)[:, 0] * self._pressure
         opening = self._gaps - (self._jumps(v) * self._normals).sum(axis=1)
         pressed = (self._pressure > 0.0) & (opening < closed)
-        normals = self._normals[own]
-        for primary in (False, True)[: 1 if self._partners is None else 2]:
-            excess = self._excess(self._jumps(v)[own], normals, self._gaps[own], pressed[own])
-            if primary and self._partners is not None:  # what prescribed nodes leave
-                sent = self._partners.summed(np.hstack([excess, normals]), count)
-                values[:count] += self._allowed(slice(count), sent[:, :d], sent[:, d:])
-            else:
-                values[own] -= self._allowed(own, excess, normals)
-            v.x.scatter_forward()
+        normals, gaps = self._normals[own], self._gaps[own]
+        excess = self._excess(self._jumps(v)[own], normals, gaps, pressed[own])
+        values[own] -= self._allowed(own, excess, normals)
+        v.x.scatter_forward()
+        if self._partners is not None:  # their nodes take what prescribed nodes leave
+            excess = self._excess(self._jumps(v)[own], normals, gaps, pressed[own])
+            moves = self._carried(np.hstack([excess, normals]))
+            values -= self._allowed(slice(None), moves[:, :d], moves[:, d:])
         if V.element.basix_element.degree > 1:
             i, j = np.triu_indices(d, 1)
             middles = self.coefficients(v)[:, d:]
@@ -370,24 +373,24 @@ class ContactSurface:
         return areas * complementarity, areas * lack, float((-openings).max(initial=0.0))
 
 
-def _with_means(V: Any, nodes: Indices, values: Array, present: LocalNumbers) -> tuple[Array, Mask]:
-    """Return values (nodes, k), completed by means over neighbours. Collective.
+def _with_means(V: Any, nodes: Indices, values: Array) -> tuple[Array, Mask]:
+    """Return values at the nodes of this rank, where NaN is replaced by means. Collective.
 
     Args:
         V: the space of the displacement.
-        nodes: (m, d) the nodes of facets; neighbours are on the same facet.
+        nodes: (m, d) the nodes of facets, whose values have part in the means of the others.
         values: (owned nodes, k).
-        present: the owned nodes that have values.
 
     Returns:
-        the values, and whether a node, or a neighbour, has them (nodes,).
+        the values (nodes, k), zero where no mean exists, and whether a node has all but the first
+        entries: those of the last column (nodes,).
     """
-    given = np.zeros((len(values), values.shape[1] + 1))
-    given[present] = np.column_stack([values[present], np.ones(len(present))])
-    table = spread(V, given)
-    sums = table[nodes].sum(axis=1, keepdims=True)
-    means = sums / np.maximum(sums[:, :, -1:], 1.0)
-    around = summed_at_nodes(V.dofmap.index_map, nodes, np.repeat(means, nodes.shape[1], axis=1))
-    around[:, :-1] /= np.maximum(around[:, -1:], 1.0)
-    result = np.where(table[:, -1:] > 0.0, table, around)
-    return result[:, :-1], result[:, -1] > 0.0
+    present = np.isfinite(values)
+    table = spread(V, np.hstack([np.where(present, values, 0.0), present]))
+    sums, counts = np.split(table[nodes].sum(axis=1, keepdims=True), 2, axis=2)
+    means = np.concatenate([sums / np.maximum(counts, 1.0), counts > 0.0], axis=2)
+    means = np.repeat(means, nodes.shape[1], axis=1)
+    around = summed_at_nodes(V.dofmap.index_map, nodes, means)
+    (result, given), (sums, counts) = (np.split(array, 2, axis=1) for array in (table, around))
+    result = np.where(given > 0.0, result, sums / np.maximum(counts, 1.0))
+    return result, (given + counts)[:, -1] > 0.0

@@ -34,33 +34,30 @@ class Stars:
 
         Args:
             owned: the cells.
-            stiffness: (n, d + 1) energies of unit tractions on each facet.
+            stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
             free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
         """
-        mesh = owned.V.mesh
-        self._size, d = len(free), owned.cells.d
+        mesh, d = owned.V.mesh, owned.cells.d
+        self._size = len(free)
         numbers = mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
         self._copies, owner = Copies.around_vertices(owned)
         data = owned.cells.points, owned.vertices, numbers.reshape(owned.facets.shape), owner
         points, vertices, numbers, owner = map(self._copies.spread, data)
         stiffness, free = map(self._copies.spread, (stiffness, free))
         self._cells, self._owned = Simplices(points), owner == mesh.comm.rank
-        _, uses, facets, self._counts = np.unique(
-            numbers, return_index=True, return_inverse=True, return_counts=True
-        )
-        self._facets: Indices = facets.reshape(numbers.shape)
-        self._signs = np.full((*numbers.shape, 1, 1), -1.0)
-        self._signs.flat[uses] = 1.0
-        loose = self._on_facets(free.astype(np.float64)) > 0.0
-        softness = loose / self._on_facets(stiffness)[:, None]
+        _, uses, facets = np.unique(numbers, return_index=True, return_inverse=True)
+        facets = facets.reshape(numbers.shape)
+        signs = np.full(numbers.shape, -1.0)
+        signs.flat[uses] = 1.0
+        shape = numbers.size, len(uses)
+        self._sides = csr_array((signs.ravel(), facets.ravel(), np.arange(shape[0] + 1)), shape)
 
         self._cell, self._corner = cell, corner = np.nonzero(self._owned)
         sides = opposite(d)[corner]  # (rows, d) the facets at the vertex
-        keys = self._facets[cell[:, None], sides]
-        keys = vertices[cell, corner][:, None] * len(self._counts) + keys
+        keys = vertices[cell, corner][:, None] * shape[1] + facets[cell[:, None], sides]
         keys, uses, unknown = np.unique(keys, return_index=True, return_inverse=True)
-        self._unknowns = keys % len(self._counts)  # the facet of each
-        self._softness = np.tile(softness[self._unknowns], d)
+        self._on_cells = csr_array(self._sides.tocsc()[:, keys % shape[1]])
+        self._softness = self._softnesses(stiffness, free)[keys % shape[1]]
         # work of tractions on the rigid motions about the vertex: the same for both cells
         row, side = np.divmod(uses, d)
         cells, facet = cell[row], sides[row, side]
@@ -68,16 +65,25 @@ class Stars:
         work = mean_products(d, 2) @ rigid_motions(arms)
         work *= self._cells.areas[cells, facet, None, None, None]
         self._work = work.reshape(len(keys), -1, d * d)
-        signs = self._signs[cell[:, None], sides].ravel()
-        starts = np.arange(0, len(signs) + 1, d)
-        shape = len(cell), len(keys)
-        self._incidence = csr_array((signs, unknown.ravel(), starts), shape=shape)
+        starts = np.arange(0, unknown.size + 1, d)
+        values = signs[cell[:, None], sides].ravel(), unknown.ravel(), starts
+        self._incidence = csr_array(values, (len(cell), len(keys)))
         with errors_on_all_ranks(mesh.comm):
             self._factor = self._factored()
 
+    def _softnesses(self, stiffness: Array, free: Mask) -> Array:
+        """Return the inverse stiffnesses (facets, d * d, d * d) of tractions that are free."""
+        sums = abs(self._sides).T @ stiffness.reshape(self._sides.shape[0], -1)
+        sums = sums.reshape(-1, *stiffness.shape[2:])
+        loose = abs(self._sides).T @ free.reshape(self._sides.shape[0], -1) > 0.0
+        unknown = np.tile(loose, free.shape[2]).astype(np.float64)
+        unknown = unknown[:, :, None] * unknown[:, None]
+        diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(sums.shape[1])
+        return np.asarray(unknown * np.linalg.inv(unknown * sums + (1.0 - unknown) * diagonal))
+
     def _factored(self) -> PETSc.PC:
         """Return the factors of the equations of all stars: a graph's, with blocks as weights."""
-        weights = (self._work * self._softness[:, None]) @ np.swapaxes(self._work, 1, 2)
+        weights = self._work @ self._softness @ np.swapaxes(self._work, 1, 2)
         count, size = self._incidence.shape[0], weights.shape[1]
         diagonal = abs(self._incidence) @ weights.reshape(len(weights), -1)
         entries = diagonal[:, :: size + 1]
@@ -110,20 +116,12 @@ class Stars:
         )
         self._factor.apply(right, result)
         differences = self._incidence.T @ supports
-        return np.asarray(self._softness * (differences[:, None] @ self._work)[:, 0])
+        return np.asarray((differences[:, None] @ self._work @ self._softness)[:, 0])
 
-    def _on_facets(self, values: Array) -> Array:
-        """Return sums (facets, ...) of values of both cells."""
-        result = np.zeros((len(self._counts), *values.shape[2:]))
-        np.add.at(result, self._facets, values)
-        return result
-
-    def _on_cells(self, unknowns: Array) -> Array:
-        """Return the sums over stars (n, d + 1, d, d) of tractions on copies of cells."""
+    def _summed(self, tractions: Array) -> Array:
+        """Return the sums (n, d + 1, d, d) of tractions on the sides of copies. Collective."""
         d = self._cells.d
-        result = np.zeros((len(self._counts), d, d))
-        np.add.at(result, self._unknowns, unknowns.reshape(-1, d, d))
-        return np.asarray(self._signs * result[self._facets])
+        return self._copies.summed(tractions.reshape(-1, d + 1, d, d), self._size)
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return tractions without resultants that decrease a quadratic function. Collective.
@@ -134,12 +132,12 @@ class Stars:
         Args:
             gradient: (n, d + 1, d, d) minus its derivative by the tractions on the cells.
         """
-        gradient = self._signs * self._copies.spread(gradient)
-        forces = self._on_facets(gradient)[self._unknowns].reshape(self._softness.shape)
-        tractions = self._softness * forces
+        gradient = self._copies.spread(gradient).reshape(self._sides.shape[0], -1)
+        forces = self._on_cells.T @ gradient
+        tractions = (self._softness @ forces[:, :, None])[:, :, 0]
         resultants = (self._work @ tractions[:, :, None])[:, :, 0]
         tractions -= self._balancing(self._incidence @ resultants)
-        return self._copies.summed(self._on_cells(tractions), self._size)
+        return self._summed(self._on_cells @ tractions)
 
     def equilibrated(self, traction: Array, force: Array) -> Array:
         """Return tractions (n, d + 1, d, d) in equilibrium. Collective.
@@ -154,14 +152,14 @@ class Stars:
                 balance. Their sums around vertices are those of the given tractions.
         """
         traction, force = map(self._copies.spread, (traction, force))
-        means = self._on_facets(self._signs * traction) / self._counts[:, None, None]
-        traction = self._signs * means[self._facets]
+        shape, d = traction.shape, self._cells.d
+        counts = abs(self._sides).sum(axis=0)
+        means = self._sides.T @ traction.reshape(self._sides.shape[0], -1) / counts[:, None]
+        traction = (self._sides @ means).reshape(shape)
         missing = (force - self._cells.facet_forces(traction))[self._cell, self._corner]
         # a force at the vertex itself has no moment about it
-        d = self._cells.d
         missing = np.pad(missing, ((0, 0), (0, d * (d - 1) // 2)))
-        corrections = self._balancing(missing)
         # the traction at a vertex counts on the rank that owns the vertex
         traction *= self._owned[:, opposite(d), None]
-        result = traction + self._on_cells(corrections)
-        return self._copies.summed(result, self._size)
+        corrections = self._on_cells @ self._balancing(missing)
+        return self._summed(traction.reshape(corrections.shape) + corrections)
