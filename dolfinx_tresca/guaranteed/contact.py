@@ -13,7 +13,6 @@ from dolfinx_tresca._base.arrays import (
     LEAST_DIVISOR,
     Array,
     Indices,
-    LocalNumbers,
     Mask,
 )
 from dolfinx_tresca._base.parallel import (
