@@ -112,19 +112,6 @@ def bearing(occ):
     occ.cut([(2, occ.addDisk(0, 0, 0, 14, 14))], [(2, occ.addDisk(0, 0, 0, 10, 10))])
 
 
-def lattice(occ):
-    for layer in range(5):
-        for k in range(4):
-            if layer % 2:
-                occ.addBox(0, 12 * k, 4 * layer, 40, 4, 4)
-            else:
-                occ.addBox(12 * k, 0, 4 * layer, 4, 40, 4)
-
-
-def level(z: float) -> tuple[Where, None]:
-    return plane(0, 0, 1, z)
-
-
 ROOT2 = np.sqrt(0.5)
 ROLLERS = [(8 * np.cos(0.5 * np.pi * k), 8 * np.sin(0.5 * np.pi * k)) for k in range(4)]
 ASSEMBLIES = {
@@ -176,23 +163,7 @@ ASSEMBLIES = {
         (0.0, 0.0, -0.02),
         {"body 1": 5, "body 2": 3},
     ),
-    "lattice of 20 parts": Assembly(
-        lattice,
-        {
-            **{1 + bar: (bar, level(4 * (bar // 4))) for bar in range(20)},
-            **{21 + bar: (bar, level(4 + 4 * (bar // 4))) for bar in range(20)},
-        },
-        [(21 + 4 * n + i, 5 + 4 * n + k) for n in range(4) for i in range(4) for k in range(4)],
-        lambda p: p[2] < 0.1,
-        lambda p: p[2] > 19.9,
-        (0.0, 0.0, -0.01),
-        12,
-    ),
 }
-
-
-#: It takes 40 seconds.
-SLOW = ("lattice of 20 parts",)
 
 
 def write(shapes, path):
@@ -250,9 +221,7 @@ def tags_by_hand(tagged, assembly):
 
 
 @pytest.mark.parallel(name=["press fit", "ball in a groove"])
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in ASSEMBLIES]
-)
+@pytest.mark.parametrize("name", ASSEMBLIES)
 def test_forces_are_those_of_tags_by_hand(comm, tmp_path, name):
     assembly = ASSEMBLIES[name]
     tagged = read(comm, tmp_path, assembly.shapes, size=assembly.size)
