@@ -283,18 +283,6 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
     return problem
 
 
-def cones_over(lam: FeasibleSet, coefficient: float) -> FrictionCones:
-    """Cones with the radii of the discs plus a coefficient times the pressure of their nodes.
-
-    Disc i belongs to normal multiplier i, if there is one.
-    """
-    count = len(lam.radius)
-    normal_of = np.full(count, -1)
-    normal_of[: len(lam.normal)] = lam.normal[:count]
-    coefficients, infinite = np.full(count, coefficient), np.full(count, np.inf)
-    return FrictionCones(**vars(lam), normal_of=normal_of, coefficient=coefficients, limit=infinite)
-
-
 def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float) -> DenseProblem:
     """A problem with the bounds F p and one coefficient F at all nodes."""
     problem = random_cone_problem(seed, nodes, decades, coefficient)

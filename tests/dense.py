@@ -7,9 +7,8 @@ import numpy as np
 from conic import conic_minimum
 from hypothesis import strategies as st
 
-from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from scenes.dense import DenseProblem, OneRank, random_problem
+from scenes.dense import DenseProblem, random_problem
 
 
 @st.composite
@@ -23,45 +22,25 @@ def problems(draw: st.DrawFn, most_nodes: int = 12, most_decades: float = 3.0) -
 
 
 def clarabel_minimum(
-    A: np.ndarray,
-    b: np.ndarray,
-    lam: FeasibleSet,
-    tolerance: float = 1e-10,
-    constraints: EqualityConstraints | None = None,
+    A: np.ndarray, b: np.ndarray, lam: FeasibleSet, tolerance: float = 1e-10
 ) -> np.ndarray:
-    """The minimiser of q over Lambda by an interior-point method with second-order cones.
-
-    With constraints: that of q + c'S c / 2, with G'lambda + S c = e.
-    """
-    if constraints is None:
-        constraints = EqualityConstraints.none(np.arange(lam.size), OneRank())
-    # the solver's absolute tolerances are for numbers of size 1
-    size = np.linalg.norm(np.append(b, constraints.values))
-    rows, right, cones = [], [], []
-    k, G, S = len(constraints), constraints.columns.toarray(), constraints.softness.toarray()
-    A = np.block([[A, np.zeros_like(G)], [np.zeros_like(G.T), S]])
-    b = np.append(b, np.zeros(k))
-
-    def add(block: np.ndarray, rhs: np.ndarray, cone: object, soft: np.ndarray | None = None):
-        rows.append(np.hstack([block, np.zeros((len(block), k)) if soft is None else soft]))
-        right.append(rhs)
-        cones.append(cone)
-
-    identity = np.eye(lam.size)
-    if k:
-        add(G.T, constraints.values / size, clarabel.ZeroConeT(k), soft=S)
-    add(
-        -identity[lam.normal], np.zeros(len(lam.normal)), clarabel.NonnegativeConeT(len(lam.normal))
-    )
+    """The minimiser of q over Lambda by an interior-point method with second-order cones."""
+    size = np.linalg.norm(b)  # the solver's absolute tolerances are for numbers of size 1
+    identity, normal = np.eye(lam.size), len(lam.normal)
+    rows, right = [-identity[lam.normal]], [np.zeros(normal)]
+    cones: list[object] = [clarabel.NonnegativeConeT(normal)]
     for node, g in enumerate(lam.radius):
         own = lam.tangential[lam.node == node]
         if len(own) == 0:
             continue
         if g == 0.0:
-            add(identity[own], np.zeros(len(own)), clarabel.ZeroConeT(len(own)))
+            rows.append(identity[own])
+            right.append(np.zeros(len(own)))
+            cones.append(clarabel.ZeroConeT(len(own)))
         else:
-            block = np.vstack([np.zeros(lam.size), -identity[own]])
-            add(block, np.r_[g / size, np.zeros(len(own))], clarabel.SecondOrderConeT(len(own) + 1))
+            rows.append(np.vstack([np.zeros(lam.size), -identity[own]]))
+            right.append(np.r_[g / size, np.zeros(len(own))])
+            cones.append(clarabel.SecondOrderConeT(len(own) + 1))
     solution = conic_minimum(A, -b / size, rows, right, cones, tolerance)
     assert str(solution.status) in ("Solved", "AlmostSolved"), solution.status
-    return size * np.array(solution.x)[: lam.size]
+    return size * np.array(solution.x)

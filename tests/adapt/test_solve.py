@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
-from test_refinement import half_disc, nodes_of
 
-import dolfinx
 import ufl
 from dolfinx import fem
 
@@ -30,9 +30,11 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca.adapt.solve import MOST_LOCAL
+from scenes.blocks import ABOVE, BELOW, LEFT, block
 from scenes.elasticity import elasticity, fixed
+from scenes.patches import LOWER, UPPER
 from scenes.pressed_blocks import on_blocks, pressed_blocks
-from scenes.scene import EPS
+from scenes.two_bricks import on_bricks, two_bricks
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa
 
@@ -64,26 +66,9 @@ def cantilever(tagged, degree=1, options=None):
 
 def sheet(comm, n=4):
     """The unit square with names for its sides."""
-    mesh = dolfinx.mesh.create_unit_square(comm, n, n)
-    sides = {"bottom": (1, 0.0), "top": (1, 1.0), "left": (0, 0.0)}
-    facets, values = [], []
-    for tag, (axis, at) in enumerate(sides.values(), start=1):
-        facets.append(
-            dolfinx.mesh.locate_entities_boundary(
-                mesh, 1, lambda x, axis=axis, at=at: np.abs(x[axis] - at) < 1e-9
-            )
-        )
-        values.append(np.full(len(facets[-1]), tag, dtype=np.int32))
-    order = np.argsort(np.concatenate(facets))
-    none = np.zeros(0, dtype=np.int32)
-    return TaggedMesh(
-        mesh,
-        dolfinx.mesh.meshtags(mesh, 2, none, none),
-        dolfinx.mesh.meshtags(
-            mesh, 1, np.concatenate(facets)[order], np.concatenate(values)[order]
-        ),
-        {name: tag for tag, name in enumerate(sides, start=1)},
-    )
+    scene = block(comm, (n, n))
+    names = {"bottom": BELOW, "top": ABOVE, "left": LEFT}
+    return TaggedMesh(scene.mesh, None, scene.facet_tags, names)
 
 
 def decay(result):
@@ -118,49 +103,6 @@ def on_circle(x):
     """The circle of radius 1 around (0, 1)."""
     centre = np.array([[0.0], [1.0], [0.0]])
     return centre + (x - centre) / np.linalg.norm(x - centre, axis=0)
-
-
-def test_hertz_line_contact(comm):
-    """A cylinder on a rigid floor: half width, peak pressure and force belong together."""
-
-    def build(tagged):
-        V, a, L = forms(tagged, 1)
-        floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
-        pair = ContactPair(tagged.facet_tags, tagged.tags["contact"], floor, Frictionless())
-        bcs = [held(tagged, V, "symmetry", 0), held(tagged, V, "cut", 1, -0.01)]
-        return ContactProblem(a, L, [pair], bcs=bcs)
-
-    result = solve_adaptively(build, half_disc(comm), 0.06, snap={"contact": on_circle})
-    result.raise_if_failed()
-    points = nodes_of(result.tagged_mesh, "contact")
-    off = np.abs(np.linalg.norm(points - [0, 1, 0], axis=1) - 1.0)
-    assert off.max(initial=0.0) <= 32 * EPS  # of coordinates up to 2
-    force = 2.0 * result.solution.normal_force
-    modulus = YOUNG / (1 - POISSON**2)
-    half_width = np.sqrt(4 * force / (np.pi * modulus))
-    # errors of the pressure are about those of the energy norm
-    peak = 2 * force / (np.pi * half_width)
-    assert result.solution.peak_pressure == pytest.approx(peak, rel=0.06)
-
-
-def two_bricks(tagged, degree=1):
-    """The scene of the demo, with one material."""
-    V, a, L = forms(tagged, degree, load=1.0, onto=["upper_top", "upper_free_end"])
-    tags = tagged.tags
-    pair = ContactPair(
-        tagged.facet_tags, tags["upper_contact"], tags["lower_contact"], Tresca(1e-3)
-    )
-    bcs = [held(tagged, V, "upper_fixed"), held(tagged, V, "lower_fixed")]
-    return ContactProblem(a, L, [pair], bcs=bcs)
-
-
-@pytest.mark.parallel
-def test_two_bricks(comm):
-    """Nodes of both sides match on the first mesh only."""
-    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
-    result = solve_adaptively(two_bricks, bricks, 0.4)
-    result.raise_if_failed()
-    assert len(result.levels) >= 3
 
 
 @pytest.mark.parallel
@@ -384,3 +326,37 @@ def test_meshes_for_a_number(comm):
         exact = problem.goal_error(goal).value
     # 3.4 if nodes of unequal distances had the weight of the patch at themselves
     assert abs(result.goal_error.value - exact) <= 1.5 * result.goal_error.error
+
+
+@pytest.mark.parallel
+def test_a_stiff_side_is_as_fine_as_the_soft_one_it_holds(comm):
+    """It has next to no errors of its own; two facets held seventeen before."""
+    narrow, lower = pressed_blocks(comm, 4, narrow=True).tagged_mesh, 0.01
+    result = solve_adaptively(
+        lambda tagged: on_blocks(tagged, lower=lower).problem(), narrow, 1e-3, max_levels=6
+    )
+    last = on_blocks(result.tagged_mesh, lower=lower)
+    owned = last.mesh.topology.index_map(1).size_local
+    stiff, soft = (
+        comm.allreduce(int((last.facet_tags.find(tag) < owned).sum())) for tag in (UPPER, LOWER)
+    )
+    assert soft >= 10
+    assert stiff >= soft / 3
+
+
+@pytest.mark.parallel
+def test_iterative_solves_mark_the_same_cells(comm):
+    """What they leave is another thing on each number of ranks; also in a second load step."""
+
+    def build(tagged):
+        return on_bricks(tagged).problem(stiffness="multigrid")
+
+    def unknowns(ranks) -> list[list[int]]:
+        coarse, last, found = two_bricks(ranks, 4).tagged_mesh, None, []
+        for _ in range(2):
+            step = solve_adaptively(build, coarse, 0.01, max_levels=3, after=last)
+            found.append([level.free_dofs for level in step.levels])
+            last = step.solution
+        return found
+
+    assert unknowns(comm) == unknowns(MPI.COMM_SELF)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from logged import logged
 
-import ufl
 from dolfinx import fem, mesh
 
 from dolfinx_tresca import (
@@ -26,6 +25,7 @@ from dolfinx_tresca import (
 )
 from scenes.blocks import ABOVE, BELOW, LEFT, block
 from scenes.elasticity import elasticity
+from scenes.revolution import ring_elasticity
 from scenes.rubber_block import rubber_block
 
 pytestmark = pytest.mark.parallel
@@ -113,22 +113,11 @@ def test_force_and_moment_are_in_equilibrium(comm, dim):
 
 def test_the_force_of_a_whole_ring(comm):
     """A round bar of radius 1 with Poisson's ratio 0: its stress is the force over its area."""
-    bar = mesh.create_rectangle(comm, [[0, 0], [1, 2]], [3, 5])
-    top = mesh.locate_entities_boundary(bar, 1, lambda x: x[1] > 2 - 1e-9)
-    tags = mesh.meshtags(bar, 1, top, np.full(len(top), 1, dtype=np.int32))
-    V = fem.functionspace(bar, ("Lagrange", 1, (2,)))
-    u, v, r = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(bar)[0]
-    strains = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) + u[0] * v[0] / r**2
-    clamped = fem.locate_dofs_geometrical(V, lambda x: x[1] < 1e-9)
     plate = RigidPlane(point=(0, 2), normal=(0, -1))
     plate.held_by(force=(0, -3.0))
-    problem = ContactProblem(
-        1000.0 * strains * 2 * np.pi * r * ufl.dx,
-        None,
-        [ContactPair(tags, 1, plate, Frictionless())],
-        [fem.dirichletbc(np.zeros(2), clamped, V)],
-        axisymmetric=True,
-    )
+    scene = under(comm, plate, (3, 5), size=(1.0, 2.0), friction=Frictionless())
+    a = ring_elasticity(scene.V, 1000.0, 0.0)
+    problem = scene.problem(a=a, L=None, axisymmetric=True)
     solution = problem.solve(rtol=RTOL)
     assert solution.normal_force == pytest.approx(3.0, rel=ACCURACY)
     sinks = solution.surface.obstacle.motion.translation

@@ -14,7 +14,6 @@ from logged import logged
 from dolfinx import fem
 
 from dolfinx_tresca import RigidSphere
-from dolfinx_tresca.pairing.group import straightened
 from scenes.blocks import BELOW, block
 from scenes.patches import patch
 
@@ -91,26 +90,6 @@ def test_displaced_surfaces_have_no_warnings_of_the_mesh(comm, caplog):
         caplog.clear()
         problem.update_geometry(u)
     assert logged(caplog) == ""
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("kind", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
-def test_straightened_displacements(comm, kind):
-    """They are those that the mesh's geometry can take: interpolations of degree 1."""
-    V = patch(comm, kind, 2, upper=(UPPER, 1), lower=(LOWER, 1)).V
-    dim = V.mesh.geometry.dim
-    u, straight = fem.Function(V), fem.Function(V)
-    linear = fem.Function(fem.functionspace(V.mesh, ("Lagrange", 1, (dim,))))
-    u.interpolate(lambda x: np.array([np.sin(3.0 * x[i] + x[1]) for i in range(dim)]))
-    linear.interpolate(u)
-    straight.interpolate(linear)
-    for function in (u, straight):
-        function.x.scatter_forward()
-    values, expected = (function.x.array.reshape(-1, dim) for function in (u, straight))
-    assert np.abs(values - expected).max() > 1e-3
-    assert np.allclose(straightened(V, values), expected, rtol=0.0, atol=1e-14)
-    V = linear.function_space
-    assert straightened(V, values) is values
 
 
 def gap_at(problem, u: fem.Function) -> np.ndarray:

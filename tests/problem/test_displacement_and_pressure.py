@@ -11,7 +11,7 @@ import pytest
 
 import basix.ufl
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 
 from dolfinx_tresca import (
     MESHES,
@@ -31,6 +31,7 @@ from dolfinx_tresca import (
     read_gmsh,
     solve_adaptively,
 )
+from scenes.blocks import ABOVE, BELOW, LEFT, block
 from scenes.elasticity import fixed, lame_constants
 from scenes.pressures import rubber_with_pressure
 from scenes.rubber_block import MU, neo_hookean, rubber_block
@@ -266,23 +267,22 @@ def test_what_is_refused(comm):
 @pytest.mark.parallel()
 def test_unstable_elements_are_named(comm):
     """A ball pressed into a thin layer of degree 2, until Newton's method fails."""
-    domain = mesh.create_rectangle(
-        comm, [(0.0, 0.0), (10.0, 1.0)], (20, 2), mesh.CellType.quadrilateral
+    ball = RigidSphere((0.0, 9.0), 8.0)
+    scene = block(
+        comm,
+        (20, 2),
+        size=(10.0, 1.0),
+        degree=2,
+        boxes=True,
+        obstacles=[(ABOVE, ball)],
+        friction=Frictionless(),
     )
-    domain.topology.create_connectivity(1, 2)
-    upper, lower, middle = (
-        mesh.locate_entities_boundary(domain, 1, lambda x, k=k, at=at: np.isclose(x[k], at))
-        for k, at in ((1, 1.0), (1, 0.0), (0, 0.0))
-    )
-    upper.sort()
-    tags = mesh.meshtags(domain, 1, upper, np.ones(len(upper), np.int32))
-    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
-    u, ball = fem.Function(V), RigidSphere((0.0, 9.0), 8.0)
+    V, tags = scene.V, scene.facet_tags
+    u = fem.Function(V)
     energy = neo_hookean(u, *lame_constants(1.0, 0.49)) * ufl.dx(degree=4)
     F = ufl.derivative(energy, u, ufl.TestFunction(V))
-    pair = ContactPair(tags, 1, ball, Frictionless())
-    bcs = [fixed(V, lower), fixed(V, middle, component=0)]
-    with NonlinearContactProblem(F, u, [pair], bcs) as problem:
+    bcs = [fixed(V, tags.find(BELOW)), fixed(V, tags.find(LEFT), component=0)]
+    with NonlinearContactProblem(F, u, scene.pairs, bcs) as problem:
         for depth in (0.2, 0.4, 0.6, 0.8, 0.95):
             ball.move_to((0.0, -depth))
             solution = problem.solve(newton=NewtonOptions(max_halvings=1))

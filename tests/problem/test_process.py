@@ -15,9 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    ContactError,
     ContactStatus,
-    ConvergenceError,
     Coulomb,
     InputError,
     NewtonOptions,
@@ -26,7 +24,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from scenes.blocks import BELOW
-from scenes.rubber_block import RubberBlock, rubber_block, uniaxial_stress
+from scenes.rubber_block import RubberBlock, rubber_block
 
 #: Accuracy of Newton's method, and of contact.
 RTOL = 1e-9
@@ -63,10 +61,11 @@ def walk(scene: RubberBlock, problem, path=PATH):
 
 
 @pytest.mark.parallel
-def test_another_run_goes_on(comm, folder: Path) -> None:
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_another_run_goes_on(comm, folder: Path, sliding: str) -> None:
     """As if it had not been interrupted, u included; on one rank, too."""
     path, given = folder / "state.npz", {"degree": 2, "friction": Coulomb(0.1)}
-    scene = rubbed(comm, **given)
+    scene = rubbed(comm, **given).but(sliding=sliding)
     with problem_of(scene) as problem:
         walk(scene, problem, PATH[:-1])
         problem.save_state(path, step=1)
@@ -75,7 +74,7 @@ def test_another_run_goes_on(comm, folder: Path) -> None:
     expected = numbers(last)
     assert expected[-1] > expected[-2] > 0.0
     for ranks in (comm, MPI.COMM_SELF)[: comm.size]:
-        scene = rubbed(ranks, **given)
+        scene = rubbed(ranks, **given).but(sliding=sliding)
         with problem_of(scene) as problem:
             assert problem.load_state(path) == 1
             if ranks is comm:
@@ -257,34 +256,3 @@ def test_what_is_changed_in_place_counts(comm) -> None:
         np.testing.assert_allclose(numbers(problem.solve()), 2.0 * soft, atol=SAME * RTOL)
         F.value = 0.0
         assert problem.solve().tangential_force == 0.0
-
-
-def test_no_step_without_equilibrium(comm) -> None:
-    """Neither after a load that nothing bears, nor after going back to a state."""
-    scene = rubber_block(comm, (2, 2))
-    with scene.problem(newton=NewtonOptions(max_halvings=1)) as problem:
-        scene.push.value = np.float64(-0.3)
-        problem.solve()
-        scene.push.value = np.float64(-1.2)
-        assert problem.solve().status is ContactStatus.NO_EQUILIBRIUM
-        with pytest.raises(ConvergenceError, match=r"NO_EQUILIBRIUM.*raise_if_failed"):
-            problem.accept()
-        problem.accept(unconverged=True)
-        with pytest.raises(ContactError, match="no solution to accept"):
-            problem.accept()
-        scene.push.value = np.float64(-0.4)
-        assert problem.solve().normal_force == pytest.approx(-uniaxial_stress(0.6, 2), rel=1e-5)
-
-
-def test_after_destroy_the_error_says_so(comm, folder: Path) -> None:
-    scene = rubbed(comm)
-    problem = problem_of(scene)
-    problem.destroy()
-    for use in (
-        problem.solve,
-        problem.update_geometry,
-        lambda: problem.set_slip_origin(scene.u),
-        lambda: problem.operators,
-    ):
-        with pytest.raises(ContactError, match="destroyed"):
-            use()

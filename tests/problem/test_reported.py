@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
 from dolfinx_tresca import Coulomb, Frictionless
-from scenes.bent_sheet import plastic_sheet
-from scenes.disc_spring import HEIGHT, disc_spring
 from scenes.reported import ROLLER_WIDTH, billet, curved_beams, hopping_block, pipe, roller
 
 
@@ -72,51 +68,3 @@ def test_a_billet_folds_onto_the_die(comm, friction, force, within):
     """With friction the force is 4 % above the reported one; 36 x 42 cells leave 2 %."""
     forces, _ = forces_and_steps(billet(comm, friction, (12, 14)), 0.1 * np.arange(1, 91))
     assert 1e-6 * abs(forces[-1, 1]) == pytest.approx(force, rel=within)
-
-
-def goes_on(comm, folder, scene, places):
-    """Check that a process goes on from a file that all ranks wrote, on each rank alone.
-
-    Args:
-        comm: communicator of the first run.
-        folder: folder for the file.
-        scene: function from a communicator to a problem, a function that moves it, and Functions of
-            the material's history.
-        places: places of the process; the file is written in the middle.
-    """
-    half, state = len(places) // 2, folder / "state.npz"
-    problem, move, history = scene(comm)
-    with problem:
-        for number, place in enumerate(places):
-            move(place)
-            solution = problem.solve()
-            problem.accept()
-            if number == half - 1:
-                problem.save_state(state, material=history)
-    problem, move, history = scene(MPI.COMM_SELF)
-    with problem:
-        problem.load_state(state, material=history)
-        for place in places[half:]:
-            move(place)
-            repeated = problem.solve()
-            problem.accept()
-    expected, force = (s.pair_resultants[0].force for s in (solution, repeated))
-    assert force == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.parallel
-def test_a_disc_spring_goes_on_on_other_ranks(comm, folder):
-    def scene(ranks):
-        problem, plate = disc_spring(ranks, Coulomb(0.15), "finite")
-        return problem, lambda depth: plate.move_to((0.0, -depth)), []
-
-    goes_on(comm, folder, scene, [0.1, 0.2, 0.3, HEIGHT])
-
-
-@pytest.mark.parallel
-def test_a_sheet_in_a_die_goes_on_on_other_ranks(comm, folder):
-    def scene(ranks):
-        sheet = plastic_sheet(ranks, (30, 2))
-        return sheet.problem, lambda stroke: sheet.punch.move_to((0.0, -stroke)), sheet.history
-
-    goes_on(comm, folder, scene, [1.0, 2.0, 3.0, 4.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactPair,
@@ -15,6 +15,7 @@ from dolfinx_tresca import (
     RigidPlane,
     RigidSphere,
 )
+from scenes.blocks import ABOVE, BELOW, LEFT, RIGHT, block
 from scenes.elasticity import fixed
 from scenes.rubber_block import neo_hookean
 
@@ -26,24 +27,12 @@ SPAN, THICK, RISE, RADIUS = 20.0, 0.5, 1.5, 5.0
 
 
 def arch(comm):
-    """Return the space of a clamped arch, tags of its upper and lower face, and its ends."""
-    corners = [(-SPAN / 2.0, 0.0), (SPAN / 2.0, THICK)]
-    domain = mesh.create_rectangle(comm, corners, (40, 2), mesh.CellType.quadrilateral)
-    domain.topology.create_connectivity(1, 2)
-    above, below, ends = (
-        np.sort(
-            mesh.locate_entities_boundary(
-                domain, 1, lambda x, k=k, at=at: abs(abs(x[k]) - at) < 1e-9
-            )
-        )
-        for k, at in ((1, THICK), (1, 0.0), (0, SPAN / 2.0))
-    )
-    facets, order = np.unique(np.concatenate([above, below]), return_index=True)
-    values = np.repeat(np.array([1, 2], np.int32), [len(above), len(below)])[order]
-    tags = mesh.meshtags(domain, 1, facets, values)
-    x = domain.geometry.x
+    """Return the space of a clamped arch, tags of its faces, and the facets of its ends."""
+    scene = block(comm, (40, 2), size=(SPAN, THICK), degree=2, boxes=True)
+    tags, x = scene.facet_tags, scene.mesh.geometry.x
+    x[:, 0] -= SPAN / 2.0
     x[:, 1] += RISE / 2.0 * (1.0 + np.cos(2.0 * np.pi * x[:, 0] / SPAN))
-    return fem.functionspace(domain, ("Lagrange", 2, (2,))), tags, ends
+    return scene.V, tags, np.sort(np.concatenate([tags.find(LEFT), tags.find(RIGHT)]))
 
 
 @pytest.mark.parallel(sliding=["finite"])
@@ -59,7 +48,7 @@ def test_a_greatest_force_under_a_ball_is_no_failure(comm, sliding):
     energy = neo_hookean(u, 100.0, 150.0) * ufl.dx(degree=4)
     form = fem.form(energy)
     ball = RigidSphere((0.0, RISE + THICK + RADIUS), RADIUS)
-    pair = ContactPair(tags, 1, ball, Frictionless(), sliding=sliding)
+    pair = ContactPair(tags, ABOVE, ball, Frictionless(), sliding=sliding)
     F = ufl.derivative(energy, u, ufl.TestFunction(V))
     forces, stored, steps = [0.0], [0.0], []
     with NonlinearContactProblem(F, u, [pair], [fixed(V, ends)]) as problem:
@@ -88,7 +77,7 @@ def test_an_arch_that_snaps_through_says_so(comm, caplog):
     u, load = fem.Function(V), fem.Constant(V.mesh, 0.0)
     elastic = neo_hookean(u, 100.0, 150.0) * ufl.dx(degree=4)
     plane = RigidPlane((0.0, -1.2), (0.0, 1.0))
-    pair = ContactPair(tags, 2, plane, Frictionless())
+    pair = ContactPair(tags, BELOW, plane, Frictionless())
     F = ufl.derivative(elastic + load * u[1] * ufl.dx, u, ufl.TestFunction(V))
     form, weight = fem.form(elastic), fem.form(u[1] * ufl.dx)
     jumps = []

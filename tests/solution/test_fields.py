@@ -21,7 +21,6 @@ from dolfinx_tresca import (
 from dolfinx_tresca.output.io import STATE_COLOURS
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.solution.forces import Resultant
-from scenes.blocks import BELOW, RIGHT, block, floor
 from scenes.nodal import nodal
 from scenes.patches import patch
 from scenes.scene import EPS
@@ -110,37 +109,6 @@ def test_each_state_has_a_name_and_a_colour() -> None:
     colours = np.reshape(preset["IndexedColors"], (-1, 3))
     assert len(set(names)) == len(np.unique(colours, axis=0)) == len(ContactState)
     assert colours.min() >= 0.0 and colours.max() <= 1.0
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_supports_take_the_load(comm, dim, degree):
-    """A block in a corner: what floor and wall do to it balances the load, with its moments."""
-    wall = RigidPlane((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
-    load = np.array([0.3, 0.02, -1.0])
-    model = block(
-        comm,
-        (3, 2, 3)[:dim],
-        degree=degree,
-        load=load,
-        friction=Tresca(0.1),
-        obstacles=[(BELOW, floor(dim)), (RIGHT, wall)],
-    )
-    load = load[[0, 2]] if dim == 2 else load
-    with model.problem() as problem:
-        solution = problem.solve(rtol=1e-9)
-    for point in (np.zeros(dim), np.arange(3.0, 3.0 + dim)):
-        below, beside = solution.resultants(point)
-        (body,) = solution.body_resultants
-        middle = np.array([0.5, 0.5, 1.0])[-dim:]  # of the upper face, on which the load is even
-        applied = Resultant(load, np.zeros(3 if dim == 3 else 1), middle).about(point)
-        np.testing.assert_allclose(below.force + beside.force, -load, atol=1e-8)
-        np.testing.assert_allclose(below.moment + beside.moment, -applied.moment, atol=1e-7)
-        np.testing.assert_allclose(body.about(point).moment, -applied.moment, atol=1e-7)
-        # each presses from its side
-        assert below.force[-1] > 0.5 > 0.0 > beside.force[0]
-    assert solution.normal_force == pytest.approx(below.force[-1] - beside.force[0], abs=0.1 * 2.0)
 
 
 def test_moments_about_other_points():

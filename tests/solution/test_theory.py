@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import re
 
@@ -10,133 +9,19 @@ import numpy as np
 import pytest
 from logged import logged
 
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    ContactPair,
-    ContactProblem,
     ContactStatus,
-    ConvergenceError,
     Coulomb,
     Frictionless,
-    OutsideTheoryError,
     RigidSphere,
-    read_gmsh,
 )
 from scenes.blocks import ABOVE, BELOW, block
-from scenes.elasticity import elasticity, fixed, no_load
+from scenes.elasticity import fixed
 from scenes.patches import BOTTOM, TOP, patch
 
-#: Of a pin in a ring, that are meshed apart: the coefficient of friction, the radius of the hole
-#: and the length of the ring [mm].
-FRICTION, RADIUS, LENGTH = 0.15, 10.0, 12.0
-
-PIN_IN_RING = f"""
-SetFactory("OpenCASCADE");
-Cylinder(1) = {{0, 0, 0, 0, 0, 20, {RADIUS + 0.02}}};
-Cylinder(2) = {{0, 0, 4, 0, 0, {LENGTH}, 18}};
-Cylinder(3) = {{0, 0, 4, 0, 0, {LENGTH}, {RADIUS}}};
-BooleanDifference{{ Volume{{2}}; Delete; }}{{ Volume{{3}}; Delete; }}
-inner[] = Surface In BoundingBox{{-10.01, -10.01, 3.9, 10.01, 10.01, 16.1}};
-whole[] = Surface In BoundingBox{{-18.1, -18.1, 3.9, 18.1, 18.1, 16.1}};
-outer[] = {{}};
-For i In {{0 : #whole[] - 1}}
-  box[] = BoundingBox Surface{{whole[i]}};
-  If (box[5] - box[2] > 1 && box[3] > 17)
-    outer[] += whole[i];
-  EndIf
-EndFor
-Physical Volume("pin") = {{1}};
-Physical Volume("ring") = {{2}};
-Physical Surface("hole") = {{inner[]}};
-Physical Surface("outside") = {{outer[]}};
-Physical Surface("side") = {{1}};
-Mesh.MeshSizeMax = 5;
-Mesh.MeshSizeFromCurvature = 20;
-"""
-
-
-def read_pin_in_ring(comm, folder):
-    """Return the mesh of the pin in the ring."""
-    path = folder / "pin.geo"
-    if comm.rank == 0:
-        path.write_text(PIN_IN_RING)
-    comm.barrier()
-    return read_gmsh(path, comm)
-
-
-def pin_without_friction(comm, folder) -> tuple[ContactProblem, fem.Constant]:
-    """Return the problem and the displacement [mm] that is prescribed on the axis of the pin."""
-    fit = read_pin_in_ring(comm, folder)
-    V = fem.functionspace(fit.mesh, ("Lagrange", 1, (3,)))
-    pull = fem.Constant(fit.mesh, np.zeros(3))
-    ends = fem.locate_dofs_geometrical(
-        V, lambda x: np.isclose(x[2], 0.0) & (np.hypot(x[0], x[1]) < RADIUS / 2.0)
-    )
-    held = [fem.dirichletbc(pull, ends, V), fixed(V, fit.facet_tags.find(fit.tags["outside"]))]
-    pair = ContactPair(
-        fit.facet_tags, fit.tags["hole"], fit.tags["side"], Frictionless(), name="the fit"
-    )
-    return ContactProblem(elasticity(V, 2e5), no_load(V), [pair], held), pull
-
-
-def pin_in_ring(comm, folder, *, twist: bool) -> tuple[ContactProblem, fem.Constant, float]:
-    """Return the problem, its load, and about the load [N or N mm] that friction can carry.
-
-    Nothing but friction holds the pin against the load, a force along the axis or a torque.
-    """
-    fit = read_pin_in_ring(comm, folder)
-    V = fem.functionspace(fit.mesh, ("Lagrange", 1, (3,)))
-    load, v, x = fem.Constant(fit.mesh, 0.0), ufl.TestFunction(V), ufl.SpatialCoordinate(fit.mesh)
-    dx = ufl.Measure("dx", domain=fit.mesh, subdomain_data=fit.cell_tags)(fit.tags["pin"])
-    density = fem.Constant(fit.mesh, 1.0)
-    if twist:
-        work, size = -x[1] * v[0] + x[0] * v[1], x[0] ** 2 + x[1] ** 2
-    else:
-        work, size = v[2], density
-    whole = comm.allreduce(fem.assemble_scalar(fem.form(size * dx)))
-    outside = fixed(V, fit.facet_tags.find(fit.tags["outside"]))
-    pair = ContactPair(
-        fit.facet_tags, fit.tags["hole"], fit.tags["side"], Coulomb(FRICTION), name="the fit"
-    )
-    problem = ContactProblem(elasticity(V, 2e5), load / whole * work * dx, [pair], [outside])
-    fitted = problem.solve()
-    fitted.raise_if_failed()
-    problem.accept()
-    return problem, load, FRICTION * fitted.normal_force * (RADIUS if twist else 1.0)
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("twist", [False, True])
-def test_beyond_friction(comm, folder, caplog, twist):
-    """Nothing holds a pin that is pulled too hard; one that is turned leaves linear theory.
-
-    Contact normals are those of a cylinder, without a part along the axis. Below the limit of
-    friction the pin hardly moves, and nothing is said.
-    """
-    problem, load, limit = pin_in_ring(comm, folder, twist=twist)
-    with problem:
-        caplog.clear()
-        for share in (0.5, 0.8):
-            load.value = share * limit
-            assert problem.solve().status is ContactStatus.CONVERGED
-        assert not any(record.levelno >= logging.WARNING for record in caplog.records)
-        for share in (1.1, 2.0):
-            load.value = share * limit
-            solution = problem.solve()
-            # normals of other directions than the cylinder's, if rounding leaves any, are told
-            wedged = solution.status is ContactStatus.OUTSIDE_THEORY
-            assert wedged or (not twist and solution.status is ContactStatus.NO_FIXED_POINT)
-            said = ["(pin), between"] if twist else ["pressed nodes have slid", "along z"]
-            assert any(text in solution.sliding for text in said)
-            assert solution.sliding in solution.failure
-            with pytest.raises(ConvergenceError) as caught:
-                solution.raise_if_failed()
-            assert isinstance(caught.value, OutsideTheoryError) == wedged
-            with pytest.raises(ConvergenceError, match=solution.status.name):
-                problem.accept()
-        problem.accept(unconverged=True)
+FRICTION = 0.15
 
 
 def warnings(caplog) -> int:
@@ -281,51 +166,6 @@ def test_a_block_leaves_the_rim_of_another_one(comm, caplog, kind, again, outwar
     else:
         assert off is None
         assert "of the contact force" not in logged(caplog)
-
-
-@pytest.mark.parallel
-def test_a_pin_without_friction_is_pulled_out_of_its_hole(comm, folder, caplog):
-    """The hole is 12 mm long, and 4 mm from the end of the pin: after 20 mm they have parted."""
-    problem, pull = pin_without_friction(comm, folder)
-    caplog.clear()
-    with problem:
-        pull.value[2] = 0.05
-        assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
-        assert not warnings(caplog)
-        pull.value[2] = 20.0
-        solution = problem.solve(rtol=1e-6)
-    assert solution.status is ContactStatus.OUTSIDE_THEORY
-    assert "contact pair the fit: pressed nodes have slid by 20" in solution.sliding
-    assert "100 % of the contact force is at nodes" in solution.sliding
-
-
-@pytest.mark.parallel
-def test_plate_on_three_balls(comm):
-    """A load between the balls is carried, one beyond them tips the plate far from its place.
-
-    Nodes beside the top of a ball then carry the plate, since small sliding keeps the gaps that
-    they had.
-    """
-    size, balls = (20.0, 20.0, 1.0), ((4.0, 4.0), (16.0, 4.0), (10.0, 16.0))
-    scene = block(
-        comm,
-        (5, 5, 1),
-        size=size,
-        boxes=True,
-        young=2e5,
-        obstacles=[(BELOW, RigidSphere((*centre, -10.0), 10.0)) for centre in balls],
-        friction=Coulomb(0.3),
-    )
-    x, v = ufl.SpatialCoordinate(scene.mesh), ufl.TestFunction(scene.V)
-    edge = fem.Constant(scene.mesh, 12.0)
-    load = ufl.conditional(ufl.lt(x[1], edge), 1.0, 0.0) / edge
-    L = -load * v[2] * ufl.Measure("ds", scene.mesh, subdomain_data=scene.facet_tags)(ABOVE)
-    with dataclasses.replace(scene, L=L).problem() as problem:
-        assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
-        edge.value = 2.0
-        solution = problem.solve(rtol=1e-6)
-    # what carries the tipped plate is a fixed point that the iteration may miss
-    assert solution.status in (ContactStatus.OUTSIDE_THEORY, ContactStatus.NO_FIXED_POINT)
 
 
 @pytest.mark.parallel

@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.solvers.products import LASTING_ERROR, ProductStore
 from scenes.dense import DenseProblem, random_problem, run
-from scenes.scene import EPS
 
 
 @dataclass
@@ -57,21 +55,6 @@ def test_the_residual_is_reached_in_truth(problem, seed):
     check_residual(problem, seed)
 
 
-def test_rough_pairs_are_no_more_than_there_are_unknowns():
-    """What errors leave of a vector along known pairs is not new, however well it is resolved."""
-    problem = random_problem(5, 4, 2.0)
-    size = len(problem.b)
-    for seed in range(20):
-        rough = noisy(problem, seed)
-        store = ProductStore(problem, problem.diagonal)
-        for x in np.random.default_rng(seed).standard_normal((5 * size, size)):
-            r, error = rough.gradient(x, 0.2 * float(np.sqrt(x @ problem.A @ x)))
-            store.add(x, r + problem.b, error)
-            assert len(store) <= size
-            orthogonal = np.tril(store.W.T @ store.Y, -1)
-            assert np.abs(orthogonal).max(initial=0.0) <= 1e3 * EPS
-
-
 @dataclass
 class RoughLoadProblem(NoisyProblem):
     """b is off by so much, and gradients are not."""
@@ -113,19 +96,3 @@ def test_the_residual_is_reached_in_truth_by_many():
             seed, int(rng.integers(1, 13)), rng.uniform(0.0, 3.0), rng.choice([0.1, 1.0, 10.0])
         )
         check_residual(problem, seed)
-
-
-def test_vague_pairs_serve_one_solve_only():
-    """A rough solve leaves nothing that would mislead the next one, which is exact."""
-    problem = random_problem(7, 20, 3.0)
-    inexact = noisy(problem, 0)
-    run(inexact, rtol=1e-2)
-    store = inexact.store
-    vague = store.errors > LASTING_ERROR
-    assert vague.any()
-    kept = store.W[:, ~vague].copy()
-    store.drop_inaccurate_pairs()
-    assert np.array_equal(store.W, kept)
-    cold = run(problem).iterations
-    problem.store = store
-    assert run(problem, keep=True).iterations <= cold

@@ -1,4 +1,4 @@
-"""All five algorithms: minimisers, KKT conditions, honesty of the status, invariance."""
+"""All five algorithms: minimisers, honesty of the status, invariance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus, SolverOptions
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.paper import adaptive_precision
 from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
 
@@ -22,52 +24,16 @@ def scale_of(problem: DenseProblem, rho: float) -> float:
     return float(np.linalg.norm(brute_projection(problem.feasible_set, rho * problem.b)) / rho)
 
 
-def check_kkt(problem: DenseProblem, x: np.ndarray, rho: float, rtol: float) -> None:
-    """Check (38.2) and (38.3) node by node, u_nu - d = -r_nu and u_tau = -r_tau.
-
-    A natural residual of delta lets multipliers err by rho delta, and jumps by delta.
-    """
-    lam = problem.feasible_set
-    r = problem.A @ x - problem.b
-    delta = 1.1 * rtol * scale_of(problem, rho) + 100 * EPS * np.linalg.norm(problem.b)
-    assert (x[lam.normal] >= 0.0).all()
-    assert (r[lam.normal] >= -delta).all()
-    assert (np.minimum(x[lam.normal] / rho, r[lam.normal]) <= delta).all()
-    for node, g in enumerate(lam.radius):
-        rows = lam.tangential[lam.node == node]
-        traction, jump = x[rows], -r[rows]
-        size = np.linalg.norm(traction)
-        assert size <= g * (1 + 10 * EPS)
-        if size < g - rho * delta:
-            assert np.linalg.norm(jump) <= delta
-        elif g > 2 * rho * delta:
-            direction = traction / size
-            along = direction @ jump
-            assert along >= -2 * delta
-            sideways = np.linalg.norm(jump - along * direction)
-            assert sideways <= 2 * delta * (1 + rho * np.linalg.norm(jump) / g)
-
-
-@settings(max_examples=60)
-@given(problems(most_decades=2.0), st.sampled_from(GUARANTEED))
-def test_methods_with_a_guarantee_converge_to_a_kkt_point(problem, method):
-    found = run(problem, method, rtol=RTOL, max_iterations=5000)
-    assert found.status is ContactStatus.CONVERGED
-    assert problem.natural_residual(found.multipliers, found.rho) <= RTOL * 1.01
-    check_kkt(problem, found.multipliers, found.rho, RTOL)
-
-
 @settings(max_examples=60)
 @given(problems(most_decades=2.0), st.sampled_from(["imssn", "mssn", "ssn"]), st.floats(0.3, 10.0))
 def test_methods_without_a_guarantee_never_claim_what_is_not_so(problem, method, rho_sigma):
-    """CONVERGED exactly where the recomputed residual says so, and then the answer is right."""
+    """CONVERGED exactly where the recomputed residual says so."""
     found = run(problem, method, rtol=RTOL, max_iterations=40, rho_sigma=rho_sigma)
     actual = problem.natural_residual(found.multipliers, found.rho)
     rounding = 1e4 * EPS
     assert actual == pytest.approx(found.residuals[-1], rel=1e-3, abs=rounding)
     if found.status is ContactStatus.CONVERGED:
         assert actual <= RTOL * 1.01
-        check_kkt(problem, found.multipliers, found.rho, RTOL)
     else:
         assert found.status in (ContactStatus.MAX_ITERATIONS, ContactStatus.STAGNATED)
         assert actual > RTOL * 0.99
@@ -87,6 +53,7 @@ def test_methods_agree_where_they_converge_and_with_clarabel(problem):
         if found.status is ContactStatus.CONVERGED:
             converged.append(method)
             x = found.multipliers
+            assert problem.natural_residual(x, found.rho) <= 1.01 * RTOL
             # interior-point tolerance 1e-10 and the projection after it; then our residual
             tolerance = 1e-8 * max(abs(problem.q(x)), problem.b @ problem.b)
             delta = RTOL * scale_of(problem, found.rho)
@@ -145,30 +112,22 @@ def test_units_of_load_change_nothing(method, stiffness, load):
         assert np.allclose(second.multipliers / unit, first.multipliers, rtol=100 * EPS)
 
 
-def test_projected_newton_keeps_every_product():
-    """All that was paid for is in the store pairs, or held nothing new."""
-    problem = random_problem(9, 8, 1.0)
-    run(problem)
-    store = problem.store
-    assume_new = np.linalg.matrix_rank(np.array(problem.arguments), tol=1e-8)
-    assert len(store) <= problem.products
-    for x in problem.arguments:
-        rest = x - store.W @ (store.Y.T @ x)
-        # NEW = 1e-10 in energy, 1e-5 in the norm, times the root of the condition number
-        assert np.linalg.norm(rest) <= 1e-4 * np.linalg.norm(x)
-    assert len(store) >= assume_new - 1
-
-
-@pytest.mark.parametrize("rtol", [None, 0.5, 1e-2])
-def test_no_residual_is_too_loose_for_the_default(rtol):
-    """Whatever is asked of the residual, the default's criteria hold at the end."""
-    asked, mesh = SolverOptions(), 0.05
-    for seed in range(4):
-        problem = random_problem(seed, 15, 2.0)
-        solution = run(problem, rtol=rtol)
-        x, r = solution.multipliers, solution.gradient
-        assert solution.status is ContactStatus.CONVERGED
-        # with a bound below 1e-4 the mesh may not have been asked
-        error = problem.energy_bound(x, r, 0.0) / problem.energy_norm(x, r)
-        assert error <= asked.mesh_part * mesh
-        assert problem.local_error(x, r) <= asked.local_accuracy
+@settings(max_examples=50)
+@given(
+    st.lists(st.floats(1e-12, 1e3), min_size=2, max_size=12),
+    st.floats(0.01, 0.99),
+    st.floats(0.01, 0.99),
+)
+def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
+    """tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), tol^0 = r_tol / c_fact, times err^0."""
+    problem = random_problem(1, 4, 1.0)
+    options = SolverOptions(r_tol=r_tol, c_fact=c_fact)
+    residual = NaturalResidual(problem, 1.0)
+    history = History(problem, options, lambda iteration: False, residual)
+    scale = np.linalg.norm(brute_projection(problem.feasible_set, problem.b))
+    precision = adaptive_precision(history, options)
+    tol = r_tol / c_fact
+    for error in errors:
+        history.errors.append(error * scale)
+        tol = min(r_tol * error / errors[0], c_fact * tol)
+        assert precision() == pytest.approx(tol * errors[0] * scale, rel=100 * EPS)

@@ -10,7 +10,6 @@ from dense import problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_tresca import ContactStatus
 from scenes.dense import DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
 
@@ -66,21 +65,6 @@ def test_projected_newton_decreases_q_at_the_rate_of_the_theorem(problem, rho_si
     found = run(problem, start=start_of(problem, seed), rho_sigma=rho_sigma, rtol=1e-10)
     smallest = np.linalg.eigvalsh(problem.A)[0]
     check_rate(problem, found.q, max(0.0, 1.0 - found.rho * smallest))
-
-
-@pytest.mark.parametrize("rho_sigma", [1.0, 1.9])
-def test_statement_iii_distance_falls_r_linearly(rho_sigma):
-    """|lambda^k - lambda*| <= C eta^(k/2) along a whole GIMSSN run."""
-    problem = random_problem(7, 8, 1.5)
-    values = np.linalg.eigvalsh(problem.A)
-    best = run(problem, rtol=1e-12).multipliers
-    for limit in range(1, 30):
-        found = run(problem, "gimssn", rho_sigma=rho_sigma, max_iterations=limit, rtol=1e-12)
-        C = np.sqrt(2 * (0.0 - problem.q(best)) / values[0])
-        bound = C * eta(found.rho, values[0], values[-1]) ** (found.iterations / 2)
-        assert np.linalg.norm(found.multipliers - best) <= bound + 1e-9 * np.linalg.norm(best)
-        if found.status is ContactStatus.CONVERGED:
-            break
 
 
 @pytest.mark.parametrize("method", ["gimssn", "projected_newton"])

@@ -121,14 +121,3 @@ def test_fields_of_every_kind_changed_in_place(comm, law):
         constant.value = 0.5
         wanted = number.solve(rtol=RTOL).tangential_force
         assert changed.solve(rtol=RTOL).tangential_force == pytest.approx(wanted, rel=CLOSE)
-
-
-def test_onset_of_friction_in_contact(comm):
-    """Tractions are at most min(10 p, g), and zero where nodes are open."""
-    scene = rubbing(comm, "triangle")
-    with scene.but(friction=Coulomb(10.0, limit=BOUND * YOUNG)).problem() as problem:
-        solution = problem.solve(rtol=RTOL)
-    (traction, pressure) = (solution.surface.traction.x.array, solution.surface.pressure.x.array)
-    norm = np.linalg.norm(traction.reshape(len(pressure), -1), axis=1)
-    assert (norm[pressure == 0.0] == 0.0).all()
-    assert (norm <= np.minimum(10.0 * pressure, BOUND * YOUNG) * (1 + 1e-9)).all()

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
+from dolfinx_tresca import Coulomb
+from scenes.blocks import block
 from scenes.elasticity import elasticity
 
 RTOL = 1e-8
@@ -37,12 +38,9 @@ def memory() -> int:
 )
 def test_energy_counts_and_memory_do_not_grow(steps, theta):
     """A block that is thrown on a floor gains no energy, and steps cost the same to the end."""
-    size = ([0.0, 0.0], [0.2, 0.1])
-    block = mesh.create_rectangle(MPI.COMM_SELF, size, (8, 4), mesh.CellType.quadrilateral)
-    bottom = mesh.locate_entities_boundary(block, 1, lambda x: np.isclose(x[1], 0.0))
-    tags = mesh.meshtags(block, 1, bottom, np.full(len(bottom), 1, dtype=np.int32))
-    V = fem.functionspace(block, ("Lagrange", 1, (2,)))
-    u, v, down = fem.Function(V), fem.Function(V), fem.Constant(block, (0.0, -9.81))
+    scene = block(MPI.COMM_SELF, (8, 4), size=(0.2, 0.1), boxes=True, friction=Coulomb(0.3))
+    V = scene.V
+    u, v, down = fem.Function(V), fem.Function(V), fem.Constant(scene.mesh, (0.0, -9.81))
     u.interpolate(lambda x: np.vstack([0 * x[0], 0 * x[0] + 1e-3]))
     v.interpolate(lambda x: np.vstack([0 * x[0] + 1.0, -0.2 - 2 * x[0]]))
 
@@ -57,9 +55,8 @@ def test_energy_counts_and_memory_do_not_grow(steps, theta):
     a = inertia * mass(trial, test) + theta * stiffness
     L = inertia * mass(u + TAU * v, test) - (1 - theta) * ufl.action(stiffness, u)
     L += mass(down, test)
-    pair = ContactPair(tags, 1, RigidPlane(point=(0, 0), normal=(0, 1)), Coulomb(0.3))
     energies, products, touching = [fem.assemble_scalar(energy)], [], []
-    with ContactProblem(a, L, [pair]) as problem:
+    with scene.problem(a=a, L=L, bcs=[]) as problem:
         problem.set_slip_origin(u)
         for step in range(steps):
             solution = problem.solve(rtol=RTOL)

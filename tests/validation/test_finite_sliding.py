@@ -328,51 +328,12 @@ def test_gaps_where_nothing_touches(comm):
     assert np.abs(error).max() <= GEOMETRY * START
 
 
-#: What updates of the geometry have left of a change of the force when they end.
-SETTLED = 1e-5
-
-
 def pushed(comm, push, shift=0.0, friction=None, height=0.5, n=(10, 4)):
     """Return a block over a ball, the ball's centre, shifted the other way, and the motion."""
     centre = np.array([0.5 - shift, -RADIUS])
     ball = RigidSphere(centre, RADIUS)
     scene, motion = block_over(comm, n, height, ball, friction or Frictionless(), (push, -DOWN))
     return scene.problem(), centre, motion
-
-
-def own_geometry(problem, most=10):
-    """Return the solution whose geometry is its own."""
-    force = np.zeros(2)
-    for _ in range(most):
-        solution = problem.solve(rtol=RTOL)
-        solution.raise_if_failed()
-        change = solution.pair_resultants[0].force - force
-        force = force + change
-        if np.linalg.norm(change) < SETTLED * np.linalg.norm(force):
-            return solution
-        problem.update_geometry(solution.u)
-    raise AssertionError(f"still changes by {change}")
-
-
-def test_pushed_over_a_ball(comm):
-    """After updates forces are those of a ball that was pushed, and gaps are those of the ball."""
-    problem, centre, _ = pushed(comm, PUSH)
-    with problem:
-        small = problem.solve(rtol=RTOL)
-        large = own_geometry(problem)
-    other, *_ = pushed(comm, 0.0, shift=PUSH)
-    with other:
-        wanted = own_geometry(other)
-    force, right = (one.pair_resultants[0].force for one in (large, wanted))
-    assert np.allclose(force, right, rtol=0.0, atol=10 * SETTLED * np.linalg.norm(right))
-    assert np.linalg.norm(small.pair_resultants[0].force - right) > 0.2 * np.linalg.norm(right)
-    surface = large.surface
-    space = surface.gap.function_space
-    at = space.tabulate_dof_coordinates()
-    at[:, :2] += surface.displacement.x.array.reshape(-1, 2)
-    distance = np.linalg.norm(at[:, :2] - centre, axis=1) - RADIUS
-    assert np.abs(surface.gap.x.array - distance).max(initial=0.0) < 1e-4 * DOWN
-    assert large.u.function_space.mesh.geometry.x.min(initial=0.0) == 0.0  # the mesh is at rest
 
 
 def moved_aside(scene, x):

@@ -20,7 +20,6 @@ from dolfinx_tresca import (
     ContactSolution,
     ContactStatus,
     ConvergenceError,
-    Coulomb,
     InputError,
     Tresca,
 )
@@ -30,7 +29,7 @@ from scenes.nodal import nodal, surface_nodes_of
 from scenes.patches import BOTTOM, TOP
 from scenes.rubbing import moved_end, rubbing
 from scenes.scene import Scene
-from scenes.two_bricks import ENDS, two_bricks
+from scenes.two_bricks import two_bricks
 
 #: Requested residual, and what it and rounding leave of other figures, over their size.
 RTOL, DIGITS = 1e-10, 1e-7
@@ -271,16 +270,3 @@ def test_a_step_costs_few_products(comm, accepts):
                 problem.accept()
     assert max(products[1:]) <= 8
     assert np.mean(products[1:]) <= 5.0
-
-
-@pytest.mark.parametrize("end", ENDS)
-def test_coulomb_costs_what_tresca_does(comm, end):
-    """Coulomb's law costs at most 1.3 times the products of Tresca's, whatever the friction."""
-    scene = two_bricks(comm, 8, end=end)
-    with scene.problem() as problem:
-        tresca = problem.solve(rtol=1e-6).products
-    for coefficient in (0.1, 1.0):
-        with scene.but(friction=Coulomb(coefficient)).problem() as problem:
-            solution = problem.solve(rtol=1e-6)
-            assert solution.status is ContactStatus.CONVERGED
-            assert solution.products <= 1.3 * tresca

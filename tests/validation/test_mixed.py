@@ -6,14 +6,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scipy.linalg import null_space
-from scipy.optimize import lsq_linear
 
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, Frictionless, RigidPlane, StiffnessError, Tresca
-from scenes.assembled import on_one_rank
-from scenes.blocks import ABOVE, BELOW, BOUND, LEFT, RIGHT, YOUNG, block
+from scenes.blocks import ABOVE, BELOW, LEFT, RIGHT, YOUNG, block
 from scenes.pressures import strain_energy, with_mean_pressure, with_pressure
 from scenes.rubbing import rubbing
 
@@ -123,40 +120,3 @@ def test_a_body_that_is_closed_in(comm):
     modulus = YOUNG * (1 - poisson) / ((1 + poisson) * (1 - 2 * poisson))
     assert found.peak_pressure == pytest.approx(1e-3 * modulus, rel=ACCURACY)
     assert found.normal_force == pytest.approx(1e-3 * modulus, rel=ACCURACY)
-
-
-def test_an_independent_solver(comm):
-    """Multipliers of an incompressible body are those of bounded least squares."""
-
-    def moved(x):
-        return np.array([4e-4 + 0 * x[0], -2e-3 * (1 - 2.2 * x[0])])
-
-    scene = block(comm, (4, 1), degree=2, load=(0, 0, 0), held=(ABOVE,), moved=moved)
-    mixed = with_pressure(scene, YOUNG, 0.5)
-    with mixed.problem() as problem:
-        found = problem.solve(rtol=TIGHT)
-        contact, free = problem.operators[0], ~problem.prescribed
-        part = np.zeros(len(free), dtype=bool)
-        part[mixed.V.sub(0).collapse()[1]] = True
-        matrices = (problem.stiffness, contact.N, contact.T)
-        K, N, T = (on_one_rank(M).toarray()[:, free] for M in matrices)
-        K, f, part = K[free], problem.load.array[free], part[free]
-        jumps = np.vstack([N, T])[:, part]
-        areas = contact.weights[np.r_[contact.normal_node, contact.tangent_node]]
-    constraints, pressures = K[~part][:, part], f[~part]
-    some = np.linalg.lstsq(constraints, pressures, rcond=None)[0]
-    Z = null_space(constraints)
-    elastic = K[part][:, part]
-    factor = np.linalg.cholesky(Z.T @ elastic @ Z)
-    unit = np.linalg.solve(factor, (jumps @ Z).T)  # A = unit'unit
-    b = jumps @ some + unit.T @ np.linalg.solve(factor, Z.T @ (f[part] - elastic @ some))
-    normal = np.arange(len(jumps)) < len(N)
-    limit = np.where(normal, np.inf, BOUND * areas)
-    root = np.linalg.cholesky(unit.T @ unit)
-    forces = lsq_linear(
-        root.T, np.linalg.solve(root, b), (np.where(normal, 0.0, -limit), limit), tol=1e-14
-    ).x
-    assert 0 < found.counts.contact < found.counts.nodes
-    assert 0 < found.counts.slip < found.counts.nodes
-    size = found.peak_pressure
-    assert np.abs(found.multipliers - forces / areas).max() <= 1e-5 * size

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import (
@@ -222,3 +223,46 @@ def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
     power = np.einsum("na,na->n", s, t)
     assert np.abs(power - sliding).max() <= 1e-6 * sliding.max()
     assert sliding.max() > 0.0
+
+
+@pytest.mark.parametrize("ratio", [0.25, 0.0])
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])
+def test_where_one_tangent_is_prescribed_the_bound_is_the_semi_diameter(direction, ratio):
+    """A block that cannot move along y is dragged along x: the bound is the ellipse's along x."""
+    law = Tresca((BLOCK_BOUND, ratio * BLOCK_BOUND), direction=direction)
+    model = block(
+        MPI.COMM_SELF, held=(ABOVE,), moved=lambda x: pushed(x, (2e-2, 0.0)), friction=law
+    )
+    across = model.V.sub(1)
+    everywhere = dolfinx.mesh.locate_entities(model.mesh, 3, lambda x: x[0] > -1.0)
+    model.mesh.topology.create_connectivity(3, 3)
+    dofs = fem.locate_dofs_topological(across, 3, everywhere)
+    model.bcs.append(fem.dirichletbc(dolfinx.default_scalar_type(0.0), dofs, across))
+    x = axes_of(direction)[:, 0] / [1.0, ratio or 1e-100]
+    semi_diameter = BLOCK_BOUND / np.linalg.norm(x)
+    _, fields = surface_nodes_of(solved(model))
+    assert np.abs(fields["slip"][:, 0]).min() > 0.0
+    traction = np.abs(fields["traction"][:, 0])
+    assert np.abs(traction - semi_diameter).max() <= 64 * EPS * BLOCK_BOUND
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(
+    ("direction", "text"),
+    [
+        ((0.0, 0.0, 2.0), "is normal to the surface: found .0, 0, 2. at "),
+        ((0.0, 0.0, 0.0), "is zero: found"),
+        ((np.nan, 0.0, 1.0), "is not finite: found .nan, 0, 1. at"),
+    ],
+)
+def test_a_direction_without_a_tangential_part_is_an_error(comm, direction, text):
+    """The direction is wrong at a single node, whose position the error names."""
+
+    def wrong_at_a_corner(x):
+        corner = np.isclose(x.T, (1.0, 1.0, 0.0)).all(axis=1)
+        return np.where(corner, np.reshape(direction, (3, 1)), [[1.0], [0.0], [0.0]])
+
+    law = Tresca((1.0, 0.5), direction=wrong_at_a_corner)
+    with block(comm, held=(ABOVE,), friction=law).problem() as problem:
+        with pytest.raises(InputError, match=f"{text}.*1, 1, 0.*normal .0, 0, -1.*at 1 of"):
+            problem.solve()

@@ -1,4 +1,4 @@
-"""Scenes whose forces follow from statics: a wedge, a belt round a drum, strips, an exact touch."""
+"""Scenes whose forces follow from statics: a wedge, and a belt round a drum."""
 
 from __future__ import annotations
 
@@ -12,19 +12,12 @@ import pytest
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    Bonded,
-    ContactPair,
-    ContactProblem,
-    ContactStatus,
     Coulomb,
     RigidPlane,
     RigidSphere,
 )
 from scenes.blocks import LEFT, RIGHT, YOUNG, block
-from scenes.boxes import Body, boxes
-from scenes.elasticity import elasticity, fixed, no_load
 from scenes.scene import Scene
-from scenes.strips import FRICTION, LENGTH, PRESSURE, two_strips
 
 #: Half of the angle of the wedge, the force that drives it in, and the requested residual.
 SLOPE, FORCE, RTOL = np.arctan(0.1), 10.0, 1e-8
@@ -126,61 +119,3 @@ def test_slip_spreads_over_a_belt():
     assert abs(logarithms[0] + exponent) < tolerance
     assert (np.diff(logarithms) > 0.0).all()
     assert abs(logarithms[-1] - exponent) < tolerance
-
-
-@pytest.mark.parallel(cells=[100])
-@pytest.mark.parametrize(("cells", "degree"), [(100, 2), (400, 1)])
-def test_strips_that_stick(comm, cells, degree):
-    """Strips that stick have the pressures of bonded ones, and of the load.
-
-    Slender bodies bend a million times as much as their surfaces are pressed in, so that pressures
-    have larger errors than the residual.
-    """
-    found = []
-    for law in (Coulomb(FRICTION), Bonded()):
-        with two_strips(comm, cells, degree, law).problem() as problem:
-            solution = problem.solve(rtol=1e-11)
-        solution.raise_if_failed()
-        found.append((solution.normal_force, solution.pressure.x.array.copy()))
-        far = solution.surface.points[:, 0] > 0.5 * LENGTH
-        near = solution.surface.weights > 0.0
-        assert solution.surface.pressure.x.array[far & near] == pytest.approx(PRESSURE, 1e-2)
-    assert found[0][0] == pytest.approx(found[1][0], rel=1e-4)
-    assert np.abs(found[0][1] - found[1][1]).max(initial=0.0) <= 5e-3 * PRESSURE
-
-
-#: Distance of the blocks, and how far one is pressed in.
-GAP, DEPTH = 0.5, 1e-3
-
-
-@pytest.mark.parametrize("sliding", ["small", "finite"])
-@pytest.mark.parametrize("number", [1, 2])
-def test_an_exact_touch_has_converged(comm, number, sliding):
-    """Forces of blocks that just touch are zero to rounding."""
-    angle = 0.35
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    bodies = [
-        Body((8, 4), [(0.0, 1.0), (0.0, 0.5)]),
-        Body((8, 4), [(0.0, 1.0), (0.5 + GAP, 1.0 + GAP)]),
-    ]
-    made = boxes(comm, "triangle", bodies, turn=turn)
-    tags = made.tags(
-        (1, [0], lambda x: np.isclose(x[:, 1], 0.5)),
-        (2, [1], lambda x: np.isclose(x[:, 1], 0.5 + GAP)),
-        (3, [0], lambda x: np.isclose(x[:, 1], 0.0)),
-        (4, [1], lambda x: np.isclose(x[:, 1], 1.0 + GAP)),
-    )
-    push = fem.Constant(made.mesh, np.zeros(2))
-    bcs = [fixed(made.V, tags.find(3)), fixed(made.V, tags.find(4), push)]
-    sides = (1, 2) if number == 2 else ([1, 2], [1, 2])
-    pair = ContactPair(tags, *sides, Coulomb(0.3), sliding=sliding)
-    forces = []
-    with ContactProblem(elasticity(made.V, 1.0, 0.3), no_load(made.V), [pair], bcs) as problem:
-        for depth in (0.0, DEPTH, 0.0):
-            push.value[:] = -(GAP + depth) * turn[:, 1]
-            solution = problem.solve()
-            assert solution.status is ContactStatus.CONVERGED
-            problem.accept()
-            forces.append(solution.normal_force)
-    assert forces[1] > 0.5 * DEPTH
-    assert max(forces[0], forces[2]) <= 1e-8 * forces[1]

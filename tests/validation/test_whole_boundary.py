@@ -195,29 +195,6 @@ def test_a_ring_on_a_ring(comm, kind, fit):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_legs_of_a_u(comm, kind):
-    """Legs of one body with all their facets meet with their inner faces only."""
-    dim = dim_of(kind)
-
-    def is_u(x: np.ndarray) -> np.ndarray:
-        return (x[:, 0] < 0.2) | (x[:, 0] > 0.8) | (x[:, dim - 1] < 1 / 3)
-
-    body = Body((5, 3), box(dim, 0.0, 1.0), keep=is_u)
-    u = boxes(comm, kind, [body], turn=rotation(4, dim))
-
-    def leg(left: bool):
-        return lambda x: (x[:, dim - 1] > 1 / 3 + 1e-9) & ((x[:, 0] < 0.5) == left)
-
-    inner = [lambda x, v=v: near(0, v)(x) & (x[:, dim - 1] > 1 / 3 + 1e-9) for v in (0.2, 0.8)]
-    clean = u.tags((SECONDARY, [0], inner[0]), (PRIMARY, [0], inner[1]))
-    whole = u.tags((SECONDARY, [0], leg(True)), (PRIMARY, [0], leg(False)))
-    pairs = [ContactPair(tags, SECONDARY, PRIMARY, Tresca(0.1)) for tags in (clean, whole)]
-    results = [u.operators(pair) for pair in pairs]
-    same(comm, *results, ROUNDING)
-    assert np.abs(results[0].gap - 0.6).max(initial=0.0) <= ROUNDING
-
-
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("shift", "match"), [(1e-11, True), (1e-6, False)])
 def test_nodes_match_to_rounding_or_not_at_all(comm, kind, shift, match):
     """Meshes that are shifted by rounding match; others are refused by the pairing of nodes."""
