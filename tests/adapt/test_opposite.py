@@ -11,7 +11,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import InputError, solve_adaptively
-from dolfinx_tresca.adapt.judgement import refinement_indicators
+from dolfinx_tresca.adapt.solve import refinement_indicators
 from scenes.patches import LOWER, LOWER_BLOCK, UPPER, UPPER_BLOCK, patch
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 from scenes.scene import EPS
