@@ -25,8 +25,7 @@ from dolfinx_tresca.errors import (
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import io, plot
 from dolfinx_tresca.output.grid import Field
-from dolfinx_tresca.output.report import page
-from dolfinx_tresca.output.summary import contact_rows, error_rows
+from dolfinx_tresca.output.summary import contact_rows, error_rows, page
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solution.forces import BoltForce, Resultant

@@ -19,10 +19,6 @@ from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection, project_points
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
-#: A linear map close to the identity, after which no two edges of a cell are equally long unless
-#: they are parallel.
-STRETCH = np.eye(3) + 1e-6 * np.triu(np.exp(np.arange(9.0).reshape(3, 3) / np.pi))
-
 
 @dataclass(frozen=True)
 class BisectedCells:
@@ -51,7 +47,7 @@ class BisectedCells:
         DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
         on the skeleton): angles stay away from zero after any number of bisections. Among edges of
         equal length, DOLFINx cuts the first one in the numbering of a rank, which depends on the
-        partition: the mesh is stretched meanwhile (`STRETCH`), in the same way for any partition.
+        partition: the mesh is stretched meanwhile, in the same way for any partition.
 
         Args:
             mesh: mesh of simplices.
@@ -63,7 +59,9 @@ class BisectedCells:
         mesh.topology.create_connectivity(1, dim)
         cells = np.flatnonzero(marked).astype(np.int32)
         option = dolfinx.mesh.RefinementOption.parent_cell_and_facet
-        x, stretch = mesh.geometry.x, STRETCH[:dim, :dim]
+        # close to the identity; afterwards only parallel edges of a cell are equally long
+        stretch = np.eye(3) + 1e-6 * np.triu(np.exp(np.arange(9.0).reshape(3, 3) / np.pi))
+        x, stretch = mesh.geometry.x, stretch[:dim, :dim]
         before = x.copy()
         try:
             x[:, :dim] = x[:, :dim] @ stretch
@@ -90,12 +88,6 @@ class BisectedCells:
         """Return the signed volumes (n,), times d!, for nodes at given points (nodes, 3)."""
         sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, : self.mesh.topology.dim]))
-
-    def on_any_rank(self, nodes: Mask) -> Mask:
-        """Return whether nodes (nodes,) are true on any rank that has them. Collective."""
-        every = np.arange(len(nodes))
-        sums = summed_at_nodes(self.mesh.geometry.index_map(), every, nodes[:, None].astype(float))
-        return np.asarray(sums[:, 0] > 0.0)
 
     def inherited_facets(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
         """Return the nodes (m, d) and tags (m,) of the facets of the cells that inherit a tag.
@@ -204,7 +196,8 @@ def snapped(
         flat = np.sign(volumes) * cells.volumes(points) < 0.1 * np.abs(volumes)
         more = held.copy()
         more[cells.nodes[flat]] = True
-        more = cells.on_any_rank(more)
+        every = np.arange(len(more))
+        more = summed_at_nodes(index_map, every, more[:, None].astype(float))[:, 0] > 0.0
         if reduce_array(comm, (more & ~held).sum()) == 0:
             break
         held = more

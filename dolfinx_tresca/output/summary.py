@@ -1,9 +1,14 @@
-"""The rows of `print(problem)`, and of the errors and the contact in `print(solution)`."""
+"""Tables: of `print(problem)` and `print(solution)`, and in a report, a page without network."""
 
 from __future__ import annotations
 
+import base64
+import io
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -11,14 +16,15 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import UNBROKEN, reduce_array
+from dolfinx_tresca._base.parallel import RECENT_WARNINGS, UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.environment import environment
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.table import Row, abridged
+from dolfinx_tresca.table import Row, abridged, as_html
 from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
@@ -219,4 +225,83 @@ def contact_rows(
     apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
     energies = [number(energy, "energy", apart) for energy in (primal, dual)]
     rows.append(("energy", f"{energies[0]} primal, {energies[1]} dual"))
+    return rows
+
+
+HEAD = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Contact</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"><style>
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: auto; padding: 1rem; }
+th, td { text-align: left; vertical-align: top; padding: 0.1rem 1rem 0.1rem 0; }
+div { overflow-x: auto; } img { width: 100%; min-width: 36rem; }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 0.8rem; }
+</style></head>"""
+
+
+def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
+    """Return the page as text. Not collective.
+
+    Args:
+        solution: the `ContactSolution`.
+        steps: the solutions of earlier load steps.
+        picture: `PIL.Image.Image` of the solution.
+    """
+    image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
+    picture.save(image, format="PNG")
+    encoded = base64.b64encode(image.getvalue()).decode()
+    forces = forces_between_bodies(solution, solution.units)
+    sections = {
+        "Result": as_html(solution._rows()),
+        "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
+        "Forces between bodies": as_html(forces) if forces else "",
+        "Load steps": as_html(_rows_of_steps([*steps, solution])) if steps else "",
+        "Problem": as_html(solution.problem_rows),
+    }
+    texts = {
+        "Warnings": "\n\n".join(RECENT_WARNINGS),
+        "Versions": environment(),
+        "Script": script.read_text(encoding="utf-8") if script.is_file() else "",
+    }
+    sections |= {title: f"<pre>{escape(text)}</pre>" for title, text in texts.items() if text}
+    body = [f"<h2>{title}</h2>\n<div>{html}</div>" for title, html in sections.items() if html]
+    title = f"<body><h1>Contact: {solution.status.value}</h1>"
+    return "\n".join([HEAD, title, *body, "</body></html>\n"])
+
+
+def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
+    """Return a row for each load step, with the bolts and supports of the last one."""
+    bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
+    rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
+    for number, step in enumerate(solutions, start=1):
+        values = [step.normal_force, step.peak_pressure, step.total_dissipation]
+        values += [step.bolts[name].force for name in bolts]
+        reactions = [step.reactions.get(name) for name in supports]
+        texts = [vector(r.force, step.local_error) if r else "" for r in reactions]
+        rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *texts])
+    return rows
+
+
+def forces_between_bodies(results: Evaluation, units: Units | None) -> list[list[str]]:
+    """Return a row for each two bodies that push each other, and for obstacles; the largest first.
+
+    Forces below a thousandth of the largest one are left out.
+
+    Args:
+        results: the solution.
+        units: names of units.
+    """
+    names = [*results.body_names, "rigid obstacles"]
+    forces = {bodies: resultant.force for bodies, resultant in results.between_bodies.items()}
+    by_obstacles = [np.array(resultant.force) for resultant in results.body_resultants]
+    for (i, j), force in forces.items():
+        by_obstacles[i] -= force
+        by_obstacles[j] += force
+    forces |= {(body, len(names) - 1): force for body, force in enumerate(by_obstacles)}
+    sizes = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
+    dim = 3 if results.axisymmetric else results.u.function_space.mesh.geometry.dim
+    rows = []
+    for (i, j), size in sorted(sizes.items(), key=lambda item: -item[1]):
+        if size > 1e-3 * max(sizes.values()):
+            text = vector(forces[i, j], results.local_error)
+            rows.append([names[i], f"by {names[j]}", with_unit(text, units, "force", dim)])
     return rows

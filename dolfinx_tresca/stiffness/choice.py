@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.scene.user_fields import check_word
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -250,10 +251,6 @@ StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 #: the time.
 CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
-#: Largest number by which the limit for one solve is multiplied for many solves. Each further solve
-#: adds a half; factors of larger bodies take too much memory.
-MOST_FACTOR = 5.0
-
 
 def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
     """Check the arguments of `choose`. Not collective.
@@ -272,9 +269,7 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
         raise InputError(
             f"expected_solves must be a positive integer, found {shown(expected_solves)}."
         )
-    methods = get_args(StiffnessMethod)
-    if not isinstance(method, str) or method not in methods:
-        raise InputError(f"stiffness must be one of {', '.join(methods)}, found {shown(method)}.")
+    check_word("stiffness", method, get_args(StiffnessMethod))
     if method == "multigrid" and saddle:
         raise InputError(
             "stiffness='multigrid' needs a positive definite K, and K of a mixed space is "
@@ -312,7 +307,8 @@ def choose(
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
-    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), MOST_FACTOR))
+    # each further solve adds a half, until factors would take too much memory
+    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), 5.0))
     chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, in_space
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
@@ -118,10 +118,7 @@ class BodyFrames:
 
     def _vectors(self, u: Array) -> Array:
         """Return nodal values (nodes * d,) as vectors (nodes, 3)."""
-        dim = self.V.mesh.geometry.dim
-        result = np.zeros((len(u) // dim, 3))
-        result[:, :dim] = u.reshape(-1, dim)
-        return result
+        return in_space(u.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
         """Return the mean (bodies, 3) of positions of guides, and their moments. Collective.

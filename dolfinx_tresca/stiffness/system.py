@@ -23,8 +23,8 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.forms import (
+    Component,
     check_hoop_stiffness,
     check_meridian,
     check_signs,

@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import pytest
 
 from dolfinx_tresca import Coulomb, InputError, Preload, RigidPlane, Units
-from dolfinx_tresca.output.report import forces_between_bodies
+from dolfinx_tresca.output.summary import forces_between_bodies
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.patches import patch
 
