@@ -80,11 +80,9 @@ def refine(
         >>> cells.size_global, refined.mesh.topology.index_map(3).size_global
         (24, 192)
     """
-    check_type(tagged_mesh)
-    with errors_on_all_ranks(tagged_mesh.mesh.comm):
-        check_tagged_mesh(tagged_mesh)
-        check_fraction(fraction)
-        checked_snap(tagged_mesh, snap)
+    check_tagged_mesh(tagged_mesh)
+    check_fraction(fraction)
+    checked_snap(tagged_mesh, snap)
     return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction), snap)
 
 
@@ -179,27 +177,20 @@ def check_fraction(fraction: float) -> None:
         raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
 
 
-def check_type(tagged_mesh: Any) -> None:
-    """Check that an argument is a mesh with tags. Not collective.
+def check_tagged_mesh(tagged_mesh: Any) -> None:
+    """Check that cells can be bisected, and that the tags belong to cells and to facets.
+
+    Not collective.
 
     Raises:
-        InputError: the argument is something else.
+        InputError: the argument is not a mesh with tags, the cells cannot be bisected, or tags are
+            of entities of another dimension.
     """
     if not isinstance(tagged_mesh, TaggedMesh):
         raise InputError(
             "tagged_mesh must be a TaggedMesh, such as read_gmsh(...) or TaggedMesh(mesh, "
             f"cell_tags, facet_tags, names), found {shown(tagged_mesh)}."
         )
-
-
-def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
-    """Check that cells can be bisected, and that the tags belong to cells and to facets.
-
-    Not collective.
-
-    Raises:
-        InputError: the cells cannot be bisected, or tags are of entities of another dimension.
-    """
     mesh = tagged_mesh.mesh
     dim = mesh.topology.dim
     kind = dolfinx.mesh.to_string(mesh.topology.cell_type)

@@ -35,7 +35,6 @@ from dolfinx_tresca.adapt.refinement import (
     bisected,
     check_fraction,
     check_tagged_mesh,
-    check_type,
     checked_cell_errors,
     distributed,
     is_same,
@@ -372,15 +371,13 @@ def solve_adaptively(
         >>> result.error <= 0.1
         True
     """
-    check_type(tagged_mesh)
+    check_tagged_mesh(tagged_mesh)
     comm = tagged_mesh.mesh.comm
-    with errors_on_all_ranks(comm):
-        _check(build, accuracy, after)
-        most_dofs = checked_limit("max_dofs", max_dofs)
-        most_levels = checked_limit("max_levels", max_levels)
-        check_fraction(fraction)
-        check_tagged_mesh(tagged_mesh)
-        checked_snap(tagged_mesh, snap)
+    _check(build, accuracy, after)
+    most_dofs = checked_limit("max_dofs", max_dofs)
+    most_levels = checked_limit("max_levels", max_levels)
+    check_fraction(fraction)
+    checked_snap(tagged_mesh, snap)
     observe = agreed_observer(comm, observer, "a Level, such as print")
     levels: list[Level] = []
     while True:

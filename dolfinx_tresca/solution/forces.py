@@ -201,8 +201,7 @@ class Forms:
 
     def compiled(self, form: Any) -> fem.Form:
         """Return a compiled form. Collective."""
-        maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
-        return fem.form(form, **maps)
+        return fem.form(form, entity_maps=self.entity_maps)
 
 
 @dataclass(frozen=True)

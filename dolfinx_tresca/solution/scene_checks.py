@@ -203,7 +203,7 @@ def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
     Args:
         places: positions at the start [length].
         start: the motion of the obstacle at the start.
-        end: its motion at the end.
+        end: motion of the obstacle at the end.
     """
     points = in_space(places).T
     return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
@@ -287,7 +287,10 @@ def hint_at_scene(
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
         if pair.obstacle is None:
-            primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
+            facets = pair.facet_tags.find(pair.primary)
+            nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
+            nodes = nodes[nodes < V.dofmap.index_map.size_local]
+            primary = _bodies_at(bodies, nodes, comm)
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
             if alike and not pair.touches_itself:
@@ -392,13 +395,6 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
             -weakening,
             level=logging.WARNING,
         )
-
-
-def _nodes_of(V: Any, pair: ContactPair) -> Any:
-    """Return the nodes of the primary side that this rank owns. Collective."""
-    facets = pair.facet_tags.find(pair.primary)
-    nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-    return nodes[nodes < V.dofmap.index_map.size_local]
 
 
 def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:

@@ -38,7 +38,7 @@ from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 
 
-def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> Any:
+def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) -> Any:
     """Return a compiled form. Collective.
 
     Compiled forms, matrices and None are returned unchanged.
@@ -47,8 +47,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         name: name of the form in errors.
         form: UFL form, compiled form, matrix or None.
         mesh: mesh of the problem.
-        maps: a dict with the argument `entity_maps` of `fem.form` under this name; empty: there are
-            no entity maps.
+        entity_maps: entity maps of Functions on other meshes in the form.
 
     Raises:
         InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
@@ -59,7 +58,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         return form
     for coefficient in form.coefficients():
         own_mesh = coefficient.function_space.mesh
-        if own_mesh != mesh and not maps_mesh(maps.get("entity_maps", []), own_mesh):
+        if own_mesh != mesh and not maps_mesh(entity_maps or [], own_mesh):
             raise InputError(
                 f"the form {name} holds the Function '{coefficient.name}' on another mesh than the "
                 "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
@@ -79,7 +78,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
                 'Give ufl.Measure("ds", subdomain_data=...) those of this mesh.'
             )
     try:
-        return fem.form(form, **maps)
+        return fem.form(form, entity_maps=entity_maps)
     except Exception as error:  # UFL, FFCx and DOLFINx raise any error, on all ranks
         # such as DOLFINx's assertion if some integrals over cells have tags and others have none
         why = (

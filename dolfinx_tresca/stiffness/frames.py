@@ -155,7 +155,8 @@ class BodyFrames:
         for body in np.flatnonzero(self.has_frame):
             M, e = moments[body], self.axis[body]
             if e.any():
-                turned = float(e @ _axial(M)), float(np.trace(M) - e @ M @ e)
+                axial = [M[k, j] - M[j, k] for j, k in ((1, 2), (2, 0), (0, 1))]  # sum of X x x
+                turned = float(e @ axial), float(np.trace(M) - e @ M @ e)
                 rotation[body] = Rotation.from_rotvec(np.arctan2(*turned) * e).as_matrix()
             else:
                 left, _, right = np.linalg.svd(M)
@@ -251,11 +252,6 @@ class BodyFrames:
         shape = owned * dim, self.V.dofmap.index_map.size_global * dim
         rows = csr_array((blocks.ravel(), columns.ravel(), ends), shape)
         return B.matMult(sparse_matrix(rows, B.getSizes()[1], B.comm))
-
-
-def _axial(moments: Array) -> Array:
-    """Return the sum (3,) of X x x for moments (3, 3), the sum of x X'."""
-    return np.array([moments[k, j] - moments[j, k] for j, k in ((1, 2), (2, 0), (0, 1))])
 
 
 def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:
