@@ -29,7 +29,7 @@ from cost import linear
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
 
 from dolfinx_tresca import ContactProblem, TaggedMesh, solve_adaptively
-from dolfinx_tresca.adapt.snapping import Snap
+from dolfinx_tresca.adapt.cells import Snap
 from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.scene import Scene
 from scenes.two_bricks import on_bricks, two_bricks

@@ -20,7 +20,7 @@
 #
 # **Loop.** Solve; estimate the error of each cell from the jumps of the strain to its neighbours;
 # mark the fewest cells that together have 0.7 of the squared error (Doerfler's marking); bisect
-# their longest edges.
+# their edges.
 #
 # It takes ten seconds and 600 MB. A number after the name of this script sets another accuracy, in
 # percent.

@@ -1,10 +1,13 @@
 """Contact of elastic bodies with Coulomb or Tresca friction, for FEniCSx (DOLFINx)."""
 
 import dolfinx_tresca._base.requirements  # first: it loads MPI before DOLFINx
-from dolfinx_tresca.adapt.judgement import refinement_indicators
-from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import refine
-from dolfinx_tresca.adapt.solve import solve_adaptively
+from dolfinx_tresca.adapt.solve import (
+    AdaptiveSolution,
+    Level,
+    refinement_indicators,
+    solve_adaptively,
+)
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape

@@ -32,11 +32,12 @@ def environment() -> str:
     """Return a table of the versions of all software and of missing packages. Not collective."""
     versions = [(name, _version(name)) for name in PACKAGES]
     package = sys.modules["dolfinx_tresca"]
+    folders = [str(Path(str(module.__file__)).parent) for module in (package, dolfinx)]
     rows: list[Row] = [
-        ("package", f"dolfinx_tresca {package.__version__}, {_folder(package)}"),
+        ("package", f"dolfinx_tresca {package.__version__}, {folders[0]}"),
         ("Python", f"{sys.version.split()[0]}, {sys.executable}"),
         ("machine", f"{platform.platform()}, {os.cpu_count()} processors"),
-        ("DOLFINx", f"{dolfinx.__version__}, {_folder(dolfinx)}"),
+        ("DOLFINx", f"{dolfinx.__version__}, {folders[1]}"),
         ("PETSc", _petsc()),
         ("MPI", MPI.Get_library_version().splitlines()[0].strip("\0 ")),
         ("BLAS", _blas()),
@@ -45,11 +46,6 @@ def environment() -> str:
         ("not installed", ", ".join(name for name, version in versions if not version) or "none"),
     ]
     return as_text(rows)
-
-
-def _folder(module: object) -> str:
-    """Return the folder that a package was imported from."""
-    return str(Path(str(getattr(module, "__file__", ""))).parent)
 
 
 def _version(name: str) -> str | None:

@@ -339,9 +339,9 @@ class ContactSolution(Evaluation, Tabulated):
         """Write a report: one HTML page, which needs neither a server nor a network. Collective.
 
         It has the table and the picture of the solution, with the pairs that have the largest
-        forces, at most 8, the forces between bodies as a graph, the load steps, the table of the
-        problem, the last warnings, the versions of all software, and the script. The first rank
-        needs pyvista and matplotlib, as for `plot`.
+        forces, at most 8; tables of the forces between bodies, the load steps and the problem; the
+        last warnings, the versions of all software, and the script. The first rank needs pyvista
+        and matplotlib, as for `plot`.
 
         Args:
             path: the `.html` file; the first rank's path counts.

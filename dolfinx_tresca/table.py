@@ -12,8 +12,6 @@ from dolfinx_tresca._base.parallel import fill
 #: A name, indented if it belongs to the row above, and its value.
 Row: TypeAlias = tuple[str, str]
 
-_NAME = 14
-
 #: Largest number of rows of a list. Of a longer list the first rows are shown, and the number of
 #: the remaining rows.
 LISTED_ROWS = 8
@@ -43,7 +41,7 @@ def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
 
 def as_text(rows: Sequence[Row]) -> str:
     """Return a table as text: each row is a line, or several lines if its value is long."""
-    return "\n".join(fill(value, f"{name:<{_NAME}} ", " " * (_NAME + 1)) for name, value in rows)
+    return "\n".join(fill(value, f"{name:<14} ", 15 * " ") for name, value in rows)
 
 
 def as_html(rows: Sequence[Sequence[str]]) -> str:

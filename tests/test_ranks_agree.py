@@ -182,7 +182,7 @@ def misshapen(_: np.ndarray) -> np.ndarray:
     return np.zeros((7, 3))
 
 
-FLOOR = plane(0.0)._signed_distance
+FLOOR = plane(0.0).signed_distance
 
 
 def nonlinear(scene: SimpleNamespace, **changes: Any) -> NonlinearContactProblem:

@@ -17,7 +17,11 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import real
-from dolfinx_tresca._base.parallel import mark_raised_on_all_ranks, picklable, raised_on_all_ranks
+from dolfinx_tresca._base.parallel import (
+    errors_on_all_ranks,
+    mark_raised_on_all_ranks,
+    raised_on_all_ranks,
+)
 from dolfinx_tresca.errors import InputError
 
 _P = ParamSpec("_P")
@@ -141,52 +145,47 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     Raises:
         BaseException: the exception of the function; see `errors_on_all_ranks`.
     """
+    results: list[_T] = []
     error: BaseException | None = None
     try:
-        result = function()
+        results.append(function())
     except (Exception, KeyboardInterrupt, SystemExit) as caught:
-        if raised_on_all_ranks(caught):
+        if comm.size == 1 or raised_on_all_ranks(caught):
             raise
         error = caught
+
+    def no_values() -> dict[str, Any]:
+        if error is not None:
+            raise error
+        return {}
+
     if comm.size > 1:
-        check_agreement(comm, f"the end of {name}", dict, error)
-    if error is not None:
-        raise error
-    return result
+        check_agreement(comm, f"the end of {name}", no_values)
+    return results[0]
 
 
 def check_agreement(
     comm: MPI.Comm,
     where: str,
     values: Callable[[], Mapping[str, Any]],
-    error: BaseException | None = None,
 ) -> None:
     """Check that the ranks are in the same call and give it equal values. Collective.
 
     Args:
         comm: the communicator.
         where: the name of the call.
-        values: function that returns name -> value; each value must be equal on all ranks.
-        error: an exception of this rank, which is raised on all ranks; None if there is none.
+        values: function that returns name -> value; each value must be equal on all ranks. An
+            exception that it raises on one rank is raised on all ranks.
 
     Raises:
         BaseException: the exception of the lowest rank that has an exception.
         InputError: the ranks are in different calls, or a value differs between them.
     """
     comm = _comm_of_group(comm)
-    texts: dict[str, str] = {}
-    if error is None:
-        try:
-            texts = dict(_described("", values()))
-        except Exception as caught:
-            error = caught
+    with errors_on_all_ranks(comm):
+        texts = dict(_described("", values()))
     digest = hashlib.blake2b(repr((where, texts)).encode(), digest_size=16).digest()
-    digests = comm.allgather(None if error is not None else digest)
-    if None in digests:
-        root = digests.index(None)
-        received = comm.bcast(picklable(error) if comm.rank == root else None, root=root)
-        raise mark_raised_on_all_ranks(error if error is not None else received)
-    if len(set(digests)) > 1:
+    if len(set(comm.allgather(digest))) > 1:
         raise mark_raised_on_all_ranks(_difference(comm.allgather((where, texts))))
 
 

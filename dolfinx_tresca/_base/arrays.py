@@ -47,6 +47,12 @@ def cross(a: Array, b: Array) -> Array:
     return result
 
 
+def in_space(vectors: Array) -> Array:
+    """Return vectors (..., 2) or (..., 3) as vectors (..., 3), whose third component is 0 in 2D."""
+    added = [(0, 0)] * (vectors.ndim - 1) + [(0, 3 - vectors.shape[-1])]
+    return np.pad(vectors, added)
+
+
 def dense(matrix: Matrix) -> Array:
     """Return a matrix as a dense array."""
     return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()

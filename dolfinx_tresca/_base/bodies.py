@@ -20,10 +20,6 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import exchange, gather_rows, reduce_array
 
-#: Number of bodies that a message names, at most, of those that move together with another body.
-#: With twice the number, messages about walls of bricks are twice as long.
-MOST_COMPANIONS = 6
-
 
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
@@ -186,8 +182,9 @@ class Bodies:
         text = f"body {index + 1} of {self.number}{tags[index]}, between "
         text += f"{_point(box[:3], size)} and {_point(box[3:], size)}"
         if companions:
-            names = ", ".join(f"{k + 1}{tags[k]}" for k in companions[:MOST_COMPANIONS])
-            more = len(companions) - MOST_COMPANIONS
+            named = companions[:6]  # of walls of bricks there are many
+            names = ", ".join(f"{k + 1}{tags[k]}" for k in named)
+            more = len(companions) - len(named)
             text += f", together with {'bodies' if len(companions) > 1 else 'body'} {names}"
             text += f" and {more} more" * (more > 0)
         return text

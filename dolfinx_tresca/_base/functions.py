@@ -63,8 +63,7 @@ def assembled(form: ufl.Form, space: Any, entity_maps: EntityMaps | None = None)
         entity_maps: entity maps of Functions on other meshes in the form.
     """
     result = fem.Function(space)
-    maps = {} if entity_maps is None else {"entity_maps": entity_maps}
-    fem.assemble_vector(result.x.array, fem.form(form, **maps))
+    fem.assemble_vector(result.x.array, fem.form(form, entity_maps=entity_maps))
     result.x.scatter_reverse(dolfinx.la.InsertMode.add)
     result.x.scatter_forward()
     return result

@@ -27,9 +27,6 @@ from dolfinx import common
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.errors import InputError, shown
 
-#: Greatest number of characters in a line; longer words are not broken.
-LINE_WIDTH = 100
-
 #: A space at which lines are not broken, such as a space between the components of a vector.
 UNBROKEN = "\N{NO-BREAK SPACE}"
 
@@ -38,7 +35,7 @@ def fill(text: str, start: str = "", further: str = "  ") -> str:
     """Break a text into lines; `start` precedes the first line, and `further` each further line."""
     lines = textwrap.fill(
         text,
-        LINE_WIDTH,
+        100,
         initial_indent=start,
         subsequent_indent=further,
         break_long_words=False,

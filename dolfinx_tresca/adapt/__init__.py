@@ -9,5 +9,5 @@ exact geometry to the new mesh, and distributes it over the ranks.
 Symbols: eta, the estimated error of a cell, is `cell_errors`; theta of Doerfler's marking is
 `fraction`.
 
-Read first: `solve.solve_adaptively`, `judgement.judged`, `refinement.refine`.
+Read first: `solve.solve_adaptively`, `solve.judged`, `refinement.refine`.
 """

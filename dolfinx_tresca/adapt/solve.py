@@ -1,18 +1,27 @@
-"""Adaptive solution: from a coarse mesh to the requested accuracy."""
+"""Adaptive solution: from a coarse mesh to the requested accuracy.
+
+A mesh is judged and refined by its error: of the energy, or of a goal.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
 from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
     each_warning_once,
@@ -20,24 +29,252 @@ from dolfinx_tresca._base.parallel import (
     log,
     reduce_array,
 )
-from dolfinx_tresca.adapt.judgement import judged
-from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
+from dolfinx_tresca._base.tolerances import FORCING
+from dolfinx_tresca.adapt.cells import Snap, checked_snap
 from dolfinx_tresca.adapt.refinement import (
     bisected,
     check_fraction,
     check_tagged_mesh,
-    check_type,
+    checked_cell_errors,
     distributed,
     is_same,
 )
-from dolfinx_tresca.adapt.snapping import Snap, checked_snap
-from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.derivatives.goals import GoalError
+from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.process import ContactProcess
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
+from dolfinx_tresca.table import Row, Tabulated
+
+
+@dataclass(frozen=True)
+class Level:
+    """One of the meshes, and the solution on it.
+
+    Attributes:
+        number: number of the mesh; the first is 0.
+        tagged_mesh: the mesh.
+        solution: the solution on the mesh.
+        free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
+        error: estimate of the mesh's error: in the energy norm, relative to the solution's norm,
+            or, with a goal, the relative error of the goal; infinite if unknown. A goal that does
+            not depend on the displacement, such as the pressure on a patch that is open on this
+            mesh, tells nothing about the mesh: then it is the error in the energy norm.
+        cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
+        products: number of applications of A in all solves on the mesh, adjoint ones included.
+        seconds: time for building, solving and refining on the slowest rank.
+        goal_error: the goal and its error; None without a goal.
+    """
+
+    number: int
+    tagged_mesh: TaggedMesh
+    solution: ContactSolution
+    free_dofs: int
+    error: float
+    cell_errors: fem.Function | None
+    products: int
+    seconds: float
+    goal_error: GoalError | None = None
+
+    def __str__(self) -> str:
+        return (
+            f"level {self.number}: {self.free_dofs} unknowns, error about {self.error:.1e}, "
+            f"{self.products} products, {self.seconds:.1f} s"
+        )
+
+    def __repr__(self) -> str:
+        return f"<Level: {self}>"
+
+
+@dataclass(frozen=True)
+class AdaptiveSolution(Tabulated):
+    """The solutions on all meshes, and the reason why no finer mesh followed.
+
+    Attributes:
+        status: the reason why no finer mesh followed.
+        accuracy: the requested accuracy.
+        levels: all meshes with their solutions, from coarse to fine.
+    """
+
+    status: AdaptiveStatus
+    accuracy: float
+    levels: tuple[Level, ...]
+
+    @property
+    def solution(self) -> ContactSolution:
+        """The solution on the last mesh."""
+        return self.levels[-1].solution
+
+    @property
+    def tagged_mesh(self) -> TaggedMesh:
+        """The last mesh."""
+        return self.levels[-1].tagged_mesh
+
+    @property
+    def goal_error(self) -> GoalError | None:
+        """The goal and its error on the last mesh, if there is a goal."""
+        return self.levels[-1].goal_error
+
+    @property
+    def error(self) -> float:
+        """Estimate of the relative error, in energy or of the goal, on the last mesh."""
+        return self.levels[-1].error
+
+    def raise_if_failed(self) -> None:
+        """Check that the accuracy was reached. Not collective.
+
+        Raises:
+            ConvergenceError: the accuracy was not reached.
+        """
+        self.solution.raise_if_failed()
+        if self.status is not AdaptiveStatus.REACHED:
+            raise ConvergenceError(
+                f"{self.status.value} after {len(self.levels)} mesh(es) with up to "
+                f"{self.levels[-1].free_dofs} unknowns: the error is about {self.error:.1e}, "
+                f"requested {self.accuracy:.1e}. Allow more, request less, or take elements of "
+                "degree 2."
+            )
+
+    def _rows(self) -> list[Row]:
+        seconds = sum(level.seconds for level in self.levels)
+        number = self.goal_error
+        measured = "solution's norm" if number is None else f"number, {number.value:.6g}"
+        return [
+            ("status", f"{self.status.name}: {self.status.value}"),
+            ("mesh error", f"about {self.error:.1e} of the {measured}"),
+            ("requested", f"{self.accuracy:.1e}"),
+            ("seconds", f"{seconds:.1f}"),
+            ("level", "unknowns     error  products   seconds"),
+            *(
+                (
+                    f"  {level.number}",
+                    f"{level.free_dofs:8}  {level.error:8.1e}  {level.products:8}  "
+                    f"{level.seconds:8.1f}",
+                )
+                for level in self.levels
+            ),
+        ]
+
+    def __repr__(self) -> str:
+        return (
+            f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} mesh(es), "
+            f"{self.levels[-1].free_dofs} unknowns, mesh error {self.error:.1e}>"
+        )
+
+
+def judged(
+    number: int,
+    tagged_mesh: TaggedMesh,
+    problem: ContactProblem,
+    solution: ContactSolution,
+    goal: Goal | None,
+) -> Level:
+    """Estimate the error of the mesh of a solution; this may solve again. Collective.
+
+    Args:
+        number: number of the mesh.
+        tagged_mesh: the mesh.
+        problem: the problem that was solved.
+        solution: the last solution of the problem, solved to the default accuracy.
+        goal: the number whose error counts; None: the energy error counts.
+
+    Returns:
+        the mesh with its solution, which is accurate enough for the goal; without seconds.
+    """
+    products, goal_error = solution.products, None
+    if goal is not None and solution.status is ContactStatus.CONVERGED:
+        goal_error = problem.goal_error(goal)
+        products += goal_error.products
+        wanted = FORCING * goal_error.error
+        if wanted < goal_error.iteration_error < math.inf:  # infinite if rows of B are dependent
+            # errors of the iteration are of first order in a goal, but of second in the energy
+            ratio = wanted / goal_error.iteration_error
+            accuracy = max(ratio * solution.energy_error_bound, 1e-10)
+            solution = problem.solve(accuracy=accuracy)
+            goal_error = problem.goal_error(goal)
+            products += solution.products + goal_error.products
+    if goal_error is None or goal_error.adjoint.x.petsc_vec.norm() == 0.0:
+        # without a goal; or its patch is open, and tells nothing about the mesh
+        error, cell_errors = solution.discretisation_error, solution.cell_errors
+    else:
+        error, cell_errors = goal_error.relative_error, goal_error.cell_errors
+    if cell_errors is not None:
+        cell_errors = refinement_indicators(problem, cell_errors)
+    return Level(
+        number=number,
+        tagged_mesh=tagged_mesh,
+        solution=solution,
+        free_dofs=problem.free_dofs,
+        error=math.inf if error is None else error,
+        cell_errors=cell_errors,
+        products=products,
+        seconds=0.0,
+        goal_error=goal_error,
+    )
+
+
+@collective(comm_of("problem", "cell_errors"))
+def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
+    """Return cell errors, passing on primary errors to opposite secondary cells. Collective.
+
+    `solve_adaptively` refines by these errors, and scripts should too.
+
+    Secondary nodes carry the multipliers: between two secondary nodes nothing keeps the primary
+    surface from penetrating and gaping, which causes no strain. If the secondary side is the
+    stiffer one, its own errors are small; if its cells stay coarse for that reason, finer cells on
+    the soft side soon no longer reduce the error. So the squared error of a secondary cell is at
+    least the sum of the squared errors of all opposite cells: secondary cells with many opposite
+    cells are refined first.
+
+    Args:
+        problem: the problem, not yet destroyed.
+        cell_errors: error of each cell, of degree 0 [energy^(1/2), or any other unit]:
+            `ContactSolution.cell_errors` or `GoalError.cell_errors`.
+
+    Returns:
+        a function of the same unit, for `refine`.
+
+    Raises:
+        ContactError: the problem was destroyed.
+        InputError: the errors are not a function of degree 0 on the problem's mesh, or are
+            negative.
+
+    Example:
+        With the cube of `ContactProblem`, whose floor has no errors:
+
+        >>> from dolfinx_tresca import refinement_indicators
+        >>> errors = problem.solve().cell_errors
+        >>> np.array_equal(refinement_indicators(problem, errors).x.array, errors.x.array)
+        True
+    """
+    if not isinstance(problem, ContactProblem):
+        raise InputError(f"problem must be a ContactProblem, found {shown(problem)}.")
+    mesh, operators = problem.mesh, problem.operators
+    with errors_on_all_ranks(problem.comm):
+        checked_cell_errors(mesh, cell_errors)
+        if not isinstance(cell_errors, fem.Function):
+            raise InputError(f"cell_errors must be a function, found {shown(cell_errors)}.")
+    result = cell_errors.copy()
+    nodes, cells = fem.functionspace(mesh, ("Lagrange", 1)), cell_errors.function_space
+    node, cell = ufl.TestFunction(nodes), ufl.TestFunction(cells)
+    for pair, operator in zip(problem.pairs, operators, strict=True):
+        if pair.obstacle is not None:
+            continue
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)
+        density, areas = (
+            assembled(factor * node * ds(pair.primary), nodes)
+            for factor in (cell_errors**2 / ufl.FacetArea(mesh), 1.0)
+        )
+        np.divide(density.x.array, areas.x.array, out=density.x.array, where=areas.x.array > 0.0)
+        opposite = assembled(operator.transfer(density) * cell * ds(pair.secondary), cells)
+        # `opposite` is negative where the projection of `transfer` overshoots
+        squares = np.maximum(np.square(result.x.array), opposite.x.array)
+        result.x.array[:] = np.sqrt(squares)
+    return result
+
 
 #: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
@@ -45,22 +282,6 @@ Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 #: Function that every rank calls with each level; if it returns True on any rank, this level is the
 #: last one.
 LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
-
-#: `SolverOptions.mesh_part` and `local_accuracy` of solutions that only choose the cells to refine.
-ROUGH_PART = 0.3
-
-#: `SolverOptions.mesh_part` of solutions that only choose the cells to refine, if solves with K are
-#: iterative: then the preconditioner depends on the number of ranks, and so do the error of the
-#: iteration and the marked cells. (Of two bricks with multigrid, squared errors of cells on 1 and 2
-#: ranks differed by 8e-2 with `ROUGH_PART`, by 1e-2 with 0.003 and by 5e-5 with the part below,
-#: which takes half as many products again. The widest gap of `NEARLY` is about 1e-2 there.)
-REPRODUCIBLE_PART = 3e-5
-
-#: `local_accuracy` on the last mesh, relative to the mesh's error, and its largest value. (On two
-#: bricks with an error of 16 %, peak pressure, greatest slip and forces agreed with the discrete
-#: solution to 0.5 %, for 14 products; with the default of 3e-3 they agreed to 0.1 %, for 20
-#: products.)
-LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 
 @collective(comm_of("tagged_mesh"), ignored=("observer",))
@@ -82,10 +303,8 @@ def solve_adaptively(
 
     The cells with the largest errors are cut, and the problem is solved on the new mesh, until the
     estimated error is small enough. On each mesh the iteration ends with an error below the error
-    of the mesh. On the last mesh the options
-    of the problem decide when the iteration ends, except that `local_accuracy` is at least 0.3
-    times the error of the mesh, or 0.1 if 0.1 is less: a smaller value would cost products and
-    improve nothing. If the options set `rtol`, this last solve uses the options unchanged.
+    of the mesh. If the options of the problem request another accuracy, the problem on the last
+    mesh is solved again with these options.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
@@ -152,15 +371,13 @@ def solve_adaptively(
         >>> result.error <= 0.1
         True
     """
-    check_type(tagged_mesh)
+    check_tagged_mesh(tagged_mesh)
     comm = tagged_mesh.mesh.comm
-    with errors_on_all_ranks(comm):
-        _check(build, accuracy, after)
-        most_dofs = checked_limit("max_dofs", max_dofs)
-        most_levels = checked_limit("max_levels", max_levels)
-        check_fraction(fraction)
-        check_tagged_mesh(tagged_mesh)
-        checked_snap(tagged_mesh, snap)
+    _check(build, accuracy, after)
+    most_dofs = checked_limit("max_dofs", max_dofs)
+    most_levels = checked_limit("max_levels", max_levels)
+    check_fraction(fraction)
+    checked_snap(tagged_mesh, snap)
     observe = agreed_observer(comm, observer, "a Level, such as print")
     levels: list[Level] = []
     while True:
@@ -174,12 +391,14 @@ def solve_adaptively(
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
             if after is not None:
                 problem.continue_from(after)
-            # the marked cells shall be the same on any number of ranks
-            solution = problem.solve(
-                accuracy="balanced",
-                mesh_part=ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART,
-                local_accuracy=max(ROUGH_PART, options.local_accuracy),
-            )
+            mesh_part = options.mesh_part
+            if not problem.solves_exactly:
+                # The preconditioner depends on the number of ranks, and so do the error of the
+                # iteration and the cells to refine. (Of two bricks with multigrid, squared errors
+                # of cells on 1 and 2 ranks differed by 8e-2 with the part 0.3, by 1e-2 with 0.003
+                # and by 5e-5 with 3e-5; the widest gap of `NEARLY` is about 1e-2 there.)
+                mesh_part = min(mesh_part, 3e-5)
+            solution = problem.solve(accuracy="balanced", mesh_part=mesh_part)
             level = judged(len(levels), tagged_mesh, problem, solution, goal)
             level = replace(level, seconds=_seconds(comm, start))
             log(comm, "%s", level)
@@ -200,11 +419,9 @@ def solve_adaptively(
                     status = AdaptiveStatus.MAX_DOFS
                 else:
                     tagged_mesh = distributed(tagged_mesh, cells, snap)
-            if status not in (None, AdaptiveStatus.FAILED):  # now with the options of the problem
-                local = options.local_accuracy
-                if options.balanced:
-                    local = max(local, min(LOCAL_PART * level.error, MOST_LOCAL))
-                solution = problem.solve(local_accuracy=local)
+            is_end = status not in (None, AdaptiveStatus.FAILED)
+            if is_end and level.solution.options != options:
+                solution = problem.solve()
                 products = level.products + solution.products
                 level = replace(level, solution=solution, products=products)
         levels.append(replace(level, seconds=_seconds(comm, start)))

@@ -47,11 +47,6 @@ from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern, norm
 
-#: Relative error of the multipliers of a tangent or adjoint in the energy norm, for derivatives.
-#: `ACCURACY` is for a K that is factored; `ITERATIVE_ACCURACY` is for an iterative solver for K,
-#: whose products have this relative error.
-ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
-
 #: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
 #: the relative error of the adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
@@ -90,8 +85,11 @@ class LinearisedContact:
 
     @property
     def accuracy(self) -> float:
-        """Relative error of derivatives, which depends on the solver for K. Not collective."""
-        return ACCURACY if self.dual.operator.exact else ITERATIVE_ACCURACY
+        """Relative error of the multipliers of derivatives, in the energy norm. Not collective.
+
+        Products of an iterative solver for K have this error.
+        """
+        return 1e-10 if self.dual.operator.exact else 1e-5
 
     @cached_property
     def gradient(self) -> Array:

@@ -76,7 +76,7 @@ class DiscretisationError:
     estimate 1.5 times the error, in place of 1.0.
 
     Penetration between the few nodes of a stiff secondary surface causes no strain and is not
-    estimated. It is large only if the soft side alone is refined, which `adapt/judgement.py`
+    estimated. It is large only if the soft side alone is refined, which `adapt/solve.py`
     prevents.
     """
 

@@ -30,9 +30,6 @@ ROOT = 0  #: the rank that gets the grids
 #: Fields that users may add to the volume.
 Field: TypeAlias = "fem.Function | MeshTags"
 
-#: Largest number of characters in the name of a block that is named after a pair.
-NAME_LENGTH = 60
-
 #: Mesh -> number of each cell's body; kept, since finding bodies takes longer than writing a step.
 _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
@@ -179,7 +176,7 @@ def _unused_name(name: str, taken: Container[str], number: int) -> str:
         taken: names of other blocks.
         number: number of the pair, which is appended if the name is taken.
     """
-    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or f"block_{number}"
+    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
     while result in taken:
         result += f"_{number}"
     return result

@@ -29,11 +29,6 @@ CURVE_COLOUR = "#c8102e"  #: colour of a contact curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
 OPEN_COLOUR = "#e2e2e2"  #: colour of open surfaces
 
-#: A range of colours ends below its largest value if this value is more than `PEAK` times the value
-#: at the percentile `PEAK_PERCENTILE`: otherwise most values would have one colour. With twice
-#: `PEAK` the colours of the two bricks end at the pressure of their edge.
-PEAK, PEAK_PERCENTILE = 2.5, 85.0
-
 
 @dataclass(frozen=True)
 class Contact:
@@ -121,8 +116,8 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     number, below a few values that are much larger than the others.
     """
     least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
-    most = float(np.percentile(values, PEAK_PERCENTILE)) if clip and len(values) else 0.0
-    if 0.0 < PEAK * most < largest:
+    most = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
+    if 0.0 < 2.5 * most < largest:  # otherwise most values would have one colour
         step = 0.5 * 10.0 ** math.floor(math.log10(most))
         return 0.0, step * math.ceil(most / step - 1e-9), largest
     far = 0.5 * largest < least < (1.0 - 1e-6) * largest

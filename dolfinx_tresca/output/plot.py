@@ -28,9 +28,6 @@ from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
-WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height for one pair; for each of several
-STYLE = {"font.size": 9.0}  #: for matplotlib
-SPLIT = 0.42  #: fraction of the width for the bodies
 
 #: The environment variable by which VTK 9.5 and later choose the kind of window.
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
@@ -117,7 +114,7 @@ def plot(
             ) from error
         picture = io.BytesIO()
         kind = suffix[1:]
-        with matplotlib.style.context(["default", STYLE]), display_for_pictures():
+        with matplotlib.style.context(["default", {"font.size": 9.0}]), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
             figure.savefig(picture, format=kind, dpi=views.DPI)
         if name is None:
@@ -138,8 +135,8 @@ def compose(
     from matplotlib.figure import Figure
 
     count = len(contacts)
-    figure = Figure(figsize=(WIDTH, ROW * count if count > 1 else HEIGHT), facecolor="white")
-    halves: Any = figure.subfigures(1, 2, width_ratios=(SPLIT, 1.0 - SPLIT))
+    figure = Figure(figsize=(8.8, 3.1 * count if count > 1 else 3.9), facecolor="white")  # inches
+    halves: Any = figure.subfigures(1, 2, width_ratios=(0.42, 0.58))
     left, right = halves
     if count > 2:
         left = left.subfigures(2, 1, height_ratios=(2, count - 2), squeeze=False)[0, 0]

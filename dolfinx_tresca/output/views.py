@@ -29,13 +29,7 @@ OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
 
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
 INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
-MARGIN = 0.08  #: margin round bodies in which obstacles are drawn, divided by the bodies' length
 SAMPLES = 300_000  #: approximate number of points at which the distance of an obstacle is computed
-ARROWS = 350  #: approximate number of slip arrows; twice as many lie on each other
-COARSE = 150  #: arrows and marks become no larger on a surface with fewer nodes than this
-#: Least cosine between the normal of a facet and the contact normal: facets with less are at the
-#: side of a body. With twice this value the edges of rounded surfaces would be left out.
-FACING = 0.15
 
 
 @contextmanager
@@ -211,7 +205,7 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
 
     dim = 2 if flat else 3
     length = float(np.linalg.norm(np.ptp(points, axis=0)))
-    margin = MARGIN * length * (np.arange(3) < dim)
+    margin = 0.08 * length * (np.arange(3) < dim)
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     spacing = float(np.prod((high - low)[:dim]) / SAMPLES) ** (1.0 / dim)
     counts = np.ceil((high - low) / spacing).astype(int) + 1
@@ -272,7 +266,8 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
     length, stress = (units.length, units.stress) if units else ("", "")
     surface = with_normals(contact.grid.to_pyvista())
     contact_normals = surface.point_data_to_cell_data()["normal"]
-    facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > FACING
+    # less than this cosine is at the side of a body; edges of rounded surfaces have more
+    facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > 0.15
     surface = with_normals(surface.extract_cells(facing))
     normal, up = direction(surface)
     lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
@@ -282,7 +277,8 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
     light: dict[str, Any] = {"smooth_shading": True, "ambient": 0.65, "diffuse": 0.4}
     if np.abs(surface.cell_data["Normals"] @ normal).min() > 0.98:  # flat: colours as in the bar
         light = {"lighting": False}
-    spacing = math.sqrt(surface.area / np.clip(surface.n_points, COARSE, ARROWS))
+    least, most = 150, 350  # nodes for which arrows have their largest and least size
+    spacing = math.sqrt(surface.area / np.clip(surface.n_points, least, most))
     closed, opened = surface.clip_scalar(scalars="pressed", value=0.5, invert=False, both=True)
     legend = [handle("open", OPEN_COLOUR, "s", markersize=8.0)] if opened.n_points else []
     with view_in(panel, normal, up) as plotter:
@@ -297,7 +293,7 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
         if largest > 0.0:
             # shorter arrows on open parts, which may have moved by far more
             values["slip"] *= np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
-            apart = 0.9 * spacing / surface.length if surface.n_points > ARROWS else None
+            apart = 0.9 * spacing / surface.length if surface.n_points > most else None
             scale = {"scale": "slip", "factor": 1.3 * spacing / largest, "tolerance": apart}
             arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
             colours = {"scalars": "pressed", "cmap": ["#707070", "black"], "clim": (0.0, 1.0)}
@@ -306,7 +302,7 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
         if (values["sticks"] > 0.0).any():
             places = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
-            size = 0.17 * math.sqrt(surface.area / max(surface.n_points, COARSE))
+            size = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
             disc = pyvista.Disc(inner=0.0, outer=size, normal=normal, c_res=20)
             discs = places.glyph(geom=disc, orient=False, scale=False)
             plotter.add_mesh(discs, color="black", lighting=False)

@@ -40,8 +40,8 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Forms, Resultant, Supports
-from dolfinx_tresca.solution.transfer import slip_from
 from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 

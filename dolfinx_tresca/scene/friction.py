@@ -113,11 +113,6 @@ DIRECTION_NAMES = ("along the direction", "across the direction")
 #: A coefficient of friction that is negative by less than this counts as zero.
 COEFFICIENT_ROUNDING = 1e-12
 
-#: Coefficient with which the iteration begins if the coefficient is a function of pressure and slip
-#: that are not yet known. It should exceed all values of the function: then no initial traction is
-#: cut off, and loads count as impossible only if no friction can bear them.
-UNKNOWN_COEFFICIENT = 100.0
-
 
 @dataclass(frozen=True)
 class BoundTerms:
@@ -329,7 +324,9 @@ class Coulomb(DryFriction):
         """The slip bound as a function of the pressure."""
         limit = math.inf if self.limit is None else self.limit
         curve = self.curve
-        fixed = cast(Bound, self.coefficient) if curve is None else UNKNOWN_COEFFICIENT
+        # The iteration begins with a coefficient that should exceed all values of the curve: then
+        # no traction is cut off, and loads count as impossible only if no friction can bear them.
+        fixed = cast(Bound, self.coefficient) if curve is None else 100.0
         return BoundTerms(self.adhesion, fixed, limit, self.direction, curve)
 
     def __str__(self) -> str:

@@ -23,19 +23,6 @@ from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 #: Function from points (3, n) near a surface to the nearest points (3, n) on the surface [length].
 Projection: TypeAlias = Callable[[Array], Array]
 
-#: Number of sample points along each parameter of a surface in the test for flatness, and the
-#: height of the samples over a plane, relative to their distances, that counts as rounding.
-FLATNESS_SAMPLES, FLAT_HEIGHT = 5, 1e-9
-
-#: A node belongs to the edge of a surface if its distance from the edge is at most this multiple of
-#: its distance from the surface. Other nodes are about a facet's size away from the edge, which is
-#: much more than their distance from the surface.
-EDGE_REACH = 3.0
-
-#: Least part of the nodes that must be on the surface before the nodes are moved onto it. After a
-#: refinement the old nodes are on the surface, at least about a fourth of all nodes.
-LEAST_ON_SURFACE = 0.1
-
 #: Distance of nodes from the surface from which the mesh was made, relative to the size of a facet,
 #: up to which they are on it. CAD files are accurate to about 1e-7 of their unit of length.
 ON_SURFACE = 1e-5
@@ -45,10 +32,6 @@ PROJECTION_ROUNDING = 1e-8
 
 #: Gmsh's type of an entity that is a surface of its built-in kernel.
 BUILT_IN_SURFACE = "Surface"
-
-#: Number of sample points along each parameter from which the search for the nearest point starts,
-#: and limit on its steps. On the surfaces of the package's meshes the search takes three steps.
-SEARCH_SAMPLES, SEARCH_STEPS = 32, 20
 
 
 @dataclass(frozen=True)
@@ -173,23 +156,6 @@ class GmshGeometry:
             }
 
     @contextmanager
-    def pieces(self) -> Iterator[dict[int, list[Projection]]]:
-        """Open the file in Gmsh and yield tag -> projections onto each surface with this tag.
-
-        Not collective.
-
-        Raises:
-            InputError: the file does not use the value of a parameter any more.
-            MeshError: the file does not exist any more, or Gmsh cannot read it.
-        """
-        with self._model() as model:
-            dim = model.getDimension() - 1
-            yield {
-                tag: [partial(_nearest, model, (dim, entity)) for entity in entities]
-                for tag, entities in self.curved.items()
-            }
-
-    @contextmanager
     def _model(self) -> Iterator[Any]:
         """Yield the file's model of Gmsh."""
         with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
@@ -225,12 +191,21 @@ def check_geometry(geometry: Geometry | None) -> None:
 
 @contextmanager
 def open_pieces(geometry: Geometry) -> Iterator[Mapping[int, Sequence[Projection]]]:
-    """Yield tag -> projections onto the pieces of its surface, see `GmshGeometry.pieces`."""
-    if isinstance(geometry, GmshGeometry):
-        with geometry.pieces() as pieces:
-            yield pieces
-    else:
+    """Yield tag -> projections onto each piece of its surface. Not collective.
+
+    Raises:
+        InputError: the file of Gmsh's geometry does not use the value of a parameter any more.
+        MeshError: the file does not exist any more, or Gmsh cannot read it.
+    """
+    if not isinstance(geometry, GmshGeometry):
         yield {tag: [projection] for tag, projection in geometry.items()}
+        return
+    with geometry._model() as model:
+        dim = model.getDimension() - 1
+        yield {
+            tag: [partial(_nearest, model, (dim, entity)) for entity in entities]
+            for tag, entities in geometry.curved.items()
+        }
 
 
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
@@ -265,9 +240,9 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     """Return whether a surface is a plane, or a curve is a straight line."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
-    points = _points_at(model, dim, entity, _grid(model, dim, entity, FLATNESS_SAMPLES))
+    points = _points_at(model, dim, entity, _grid(model, dim, entity, number=5))
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(sizes[dim] <= FLAT_HEIGHT * sizes[0])
+    return bool(sizes[dim] <= 1e-9 * sizes[0])  # less is rounding
 
 
 def _grid(model: Any, dim: int, entity: int, number: int) -> Array:
@@ -293,10 +268,11 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
     if dim > 1:
         edges = model.getBoundary(surfaces, oriented=False)
         on_edge, away = _nearest_points(model, edges, points)
-        place = np.where(away <= EDGE_REACH * distance, on_edge, place)
+        # other nodes are about a facet's size away from the edge, much more than from the surface
+        place = np.where(away <= 3.0 * distance, on_edge, place)
     # nodes that are on the surface keep their coordinates to the last digit
     on_surface = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
-    if on_surface.mean() < LEAST_ON_SURFACE:
+    if on_surface.mean() < 0.1:  # after a refinement the old nodes, at least about a fourth, are
         raise InputError(
             "nodes are not on the surfaces of the geometry from which Gmsh made the mesh: the mesh "
             "was moved or scaled. Give the curved surfaces as snap={tag: function}, or snap={}."
@@ -332,12 +308,12 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     up to 1e-3 of the size of the surface.
     """
     low, high = model.getParametrizationBounds(2, surface)
-    grid = _grid(model, 2, surface, SEARCH_SAMPLES)
+    grid = _grid(model, 2, surface, number=32)
     locate = partial(_points_at, model, 2, surface)
     samples = locate(grid)
     rounding = PROJECTION_ROUNDING * np.ptp(samples, axis=0).max()
     parameters = grid[cKDTree(samples).query(points.T)[1]]
-    for _ in range(SEARCH_STEPS):
+    for _ in range(20):  # on the surfaces of the package's meshes it takes three steps
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
         step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)

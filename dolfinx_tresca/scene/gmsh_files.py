@@ -15,7 +15,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.user_fields import checked_positive
+from dolfinx_tresca.scene.user_fields import check_word, checked_positive
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.
 CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs")
@@ -24,21 +24,11 @@ SUFFIXES = (".geo", ".msh", *CAD_SUFFIXES)
 #: Units of length of coordinates from STEP and IGES files -> the kernel's name.
 UNITS = {"mm": "MM", "cm": "CM", "m": "M", "um": "UM", "km": "KM", "in": "INCH", "ft": "FT"}
 
-#: Number of cells along the edge of a cube, in 2D a square, that is as large as the body.
-CELLS_PER_EDGE = 6
-
 #: Number of cells round a full turn of a curved surface.
 CELLS_PER_TURN = 24
 
-#: Size of cells near another body, relative to the size in the body, and distances from the other
-#: body between which cells grow from the one to the other, relative to the size in the body.
-NEAR_SIZE, NEAR_DISTANCE, FAR_DISTANCE = 0.5, 0.5, 3.0
-
 #: What the kernel of Gmsh writes into STEP files in place of names.
 NO_NAME = "Open CASCADE STEP translator"
-
-#: Height of plane models over their plane, relative to their size (boxes of OpenCASCADE are loose).
-PLANE_HEIGHT = 1e-5
 
 
 @contextmanager
@@ -128,8 +118,7 @@ def open_file(
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"read_gmsh reads {', '.join(SUFFIXES)} files, found '{path}'.")
-    if unit not in UNITS:
-        raise InputError(f"unit must be one of {', '.join(UNITS)}, found {shown(unit)}.")
+    check_word("unit", unit, tuple(UNITS))
     if not path.is_file():
         raise MeshError(f"there is no file '{path}' (looked for from '{Path.cwd()}').")
     if suffix != ".geo" and parameters:
@@ -240,8 +229,8 @@ def name_groups(model: Any, name: str) -> None:
     Raises:
         MeshError: there is no body, a face is in no body, or two bodies share a face.
     """
-    dim, size = model.getDimension(), _box(model, -1, -1)
-    if dim < 2 or (dim == 2 and np.ptp(size[:, 2]) > PLANE_HEIGHT * np.ptp(size, axis=0).max()):
+    dim, size = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
+    if dim < 2 or (dim == 2 and size[2] > 1e-5 * size.max()):  # boxes of OpenCASCADE are loose
         raise MeshError(
             f"'{name}' has {len(model.getEntities(2))} faces and no solid: the faces do not close "
             "a body (an open shell). Close and sew them in the CAD program, and export solids."
@@ -319,13 +308,13 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
     for body, tag in groups.items():
         for entity in map(int, model.getEntitiesForPhysicalGroup(dim, tag)):
             content = model.occ.getMass(dim, entity)
-            sizes[entity] = float(given.get(body, content ** (1.0 / dim) / CELLS_PER_EDGE))
+            sizes[entity] = float(given.get(body, content ** (1.0 / dim) / 6.0))
             fields.append(field("Constant", {listed: [entity]}, VIn=sizes[entity]))
     for entity, near in _near_faces_of_others(model, dim, sizes).items():
         distance = field("Distance", {{3: "SurfacesList", 2: "CurvesList"}[dim]: near}, Sampling=20)
         cells = sizes[entity]
-        limits = {"SizeMin": NEAR_SIZE * cells, "SizeMax": cells}
-        limits |= {"DistMin": NEAR_DISTANCE * cells, "DistMax": FAR_DISTANCE * cells}
+        limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
+        limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
         growing = field("Threshold", {}, InField=distance, **limits)
         fields.append(field("Restrict", {listed: [entity]}, InField=growing))
     model.mesh.field.setAsBackgroundMesh(field("Min", {"FieldsList": fields}))

@@ -35,10 +35,6 @@ from dolfinx_tresca.scene.gmsh_files import (
     shapes_of,
 )
 
-#: Number of tags of a list that the name of merged tags has in full. A name of twice as many tags
-#: is wider than a table.
-MOST_NAMES = 3
-
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
 
 
@@ -67,9 +63,9 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 def abridged_names(tags: Sequence[int], facet_tags: MeshTags) -> str:
     """Return the names of a list of tags; of a long list the first names. Not collective."""
     names = facet_tags.names if isinstance(facet_tags, NamedTags) else {}
-    words = [names.get(tag, f"tag {tag}") for tag in tags[:MOST_NAMES]]
-    if len(tags) > MOST_NAMES:
-        words.append(f"{len(tags) - MOST_NAMES} more")
+    words = [names.get(tag, f"tag {tag}") for tag in tags[:3]]
+    if len(tags) > len(words):
+        words.append(f"{len(tags) - len(words)} more")
     return ", ".join(words)
 
 

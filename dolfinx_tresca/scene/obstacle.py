@@ -50,10 +50,17 @@ class RigidObstacle:
     `RigidPlane`, `RigidSphere` and `RigidCylinder` are common shapes. In 2D the third coordinate of
     points is 0, and the third component of normals must be 0.
 
-    An obstacle is moved by `move_to`, or by forces (`held_by`). Attributes of its shape cannot be
-    changed, but Constants on which its signed distance depends can be changed. Such a Constant is a
-    parameter of the scene, such as a position that is optimised: its change is not a motion, and
-    does not count as slip.
+    An obstacle is moved by `move_to`, or by forces (`held_by`). It has no attributes for its
+    dimensions, but Constants on which its signed distance depends can be changed. Such a Constant
+    is a parameter of the scene, such as a position that is optimised: its change is not a motion,
+    and does not count as slip.
+
+    Attributes:
+        signed_distance: signed distance from the obstacle at its original place.
+        constants: the listed Constants on which the signed distance depends.
+        centre: (3,) point about which the obstacle turns, at its original place [length].
+        motion: rigid motion of the obstacle from its original to its present place.
+        given_forces: the forces that hold the obstacle; None if it is where `move_to` has put it.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -70,7 +77,7 @@ class RigidObstacle:
     """
 
     # no other attributes can be set
-    __slots__ = ("_centre", "_constants", "_given", "_motion", "_name", "_signed_distance")
+    __slots__ = ("_name", "centre", "constants", "given_forces", "motion", "signed_distance")
 
     def __init__(
         self,
@@ -99,12 +106,12 @@ class RigidObstacle:
             )
         if not all(isinstance(constant, fem.Constant) for constant in constants):
             raise InputError(f"constants must be a list of fem.Constant, found {shown(constants)}.")
-        self._signed_distance = signed_distance
-        self._constants = tuple(constants)
+        self.signed_distance = signed_distance
+        self.constants = tuple(constants)
         self._name = str(name)
-        self._centre: Array = np.zeros(3)
-        self._motion = RigidMotion.none()
-        self._given: GivenForces | None = None
+        self.centre: Array = np.zeros(3)
+        self.motion = RigidMotion.none()
+        self.given_forces: GivenForces | None = None
 
     @staticmethod
     def from_file(path: str | PathLike[str], *, smooth: float = 30.0) -> RigidObstacle:
@@ -153,7 +160,7 @@ class RigidObstacle:
             return signed, (normal / np.linalg.norm(normal, axis=1)[:, None]).T
 
         obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
-        obstacle._centre = np.array(surface.center)
+        obstacle.centre = np.array(surface.center)
         return obstacle
 
     def __repr__(self) -> str:
@@ -164,39 +171,15 @@ class RigidObstacle:
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
-        values = [np.ravel(constant.value) for constant in self._constants]
-        given = self._given
+        values = [np.ravel(constant.value) for constant in self.constants]
+        given = self.given_forces
         held = None if given is None else [given.force(), given.moment(), given.free, given.about]
         return {
             "name": self._name,
-            "motion": self._motion.matrix,
+            "motion": self.motion.matrix,
             "constants": values,
             "given forces": held,
         }
-
-    @property
-    def constants(self) -> tuple[fem.Constant, ...]:
-        """The listed Constants on which the signed distance depends."""
-        return self._constants
-
-    @property
-    def signed_distance(self) -> SignedDistance:
-        """The function of the signed distance from the obstacle at its original place."""
-        return self._signed_distance
-
-    @property
-    def centre(self) -> Array:
-        """(3,) point about which the obstacle turns, at its original place [length]."""
-        return self._centre
-
-    @property
-    def motion(self) -> RigidMotion:
-        """The rigid motion of the obstacle from its original to its present place."""
-        return self._motion
-
-    @motion.setter
-    def motion(self, motion: RigidMotion) -> None:
-        self._motion = motion
 
     def move_to(
         self,
@@ -230,13 +213,8 @@ class RigidObstacle:
             >>> ball.move_to(translation=(pi / 2, 0, 0), rotation=(0, pi / 2, 0))
         """
         vector = _axial_vector("rotation", rotation)
-        centre = self._centre if about is None else _coordinates("about", about)
-        self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
-
-    @property
-    def given_forces(self) -> GivenForces | None:
-        """The forces that hold the obstacle; None if it is where `move_to` has put it."""
-        return self._given
+        centre = self.centre if about is None else _coordinates("about", about)
+        self.motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def held_by(
         self,
@@ -282,16 +260,16 @@ class RigidObstacle:
             _present(_coordinates, "force", force),
             _present(_axial_vector, "moment", moment),
             names,
-            self._centre if about is None else _coordinates("about", about),
+            self.centre if about is None else _coordinates("about", about),
         )
-        self._given = None if names == () else given
+        self.given_forces = None if names == () else given
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
         """Return unchecked distances and normals at points (3, n), for the present place."""
-        motion = self._motion
+        motion = self.motion
         if motion == RigidMotion.none():
-            return self._signed_distance(points)
-        distance, normal = self._signed_distance(motion.reversed_from(points))
+            return self.signed_distance(points)
+        distance, normal = self.signed_distance(motion.reversed_from(points))
         return distance, motion.rotation @ np.asarray(normal)
 
     def distance(self, points: Array) -> Array:
@@ -378,7 +356,7 @@ class RigidPlane(RigidObstacle):
             f"a rigid plane through {_vector_text(p())} with normal {_vector_text(n())}",
             _constants_of(point, normal),
         )
-        self._centre = p()
+        self.centre = p()
 
 
 class RigidSphere(RigidObstacle):
@@ -419,7 +397,7 @@ class RigidSphere(RigidObstacle):
             f"a rigid {kind} around {_vector_text(c())} of radius {r():g}",
             _constants_of(center, radius),
         )
-        self._centre = c()
+        self.centre = c()
 
 
 class RigidCylinder(RigidObstacle):
@@ -473,7 +451,7 @@ class RigidCylinder(RigidObstacle):
             f"along {_vector_text(a())} of radius {r():g}",
             _constants_of(point, axis, radius),
         )
-        self._centre = p()
+        self.centre = p()
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:

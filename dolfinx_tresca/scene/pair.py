@@ -19,7 +19,12 @@ from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field, checked_positive
+from dolfinx_tresca.scene.user_fields import (
+    ScalarField,
+    check_scalar_field,
+    check_word,
+    checked_positive,
+)
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
@@ -146,20 +151,12 @@ class ContactPair:
                 "friction must be a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or "
                 f"Bonded(), found {shown(self.friction)}."
             )
-        if not isinstance(self.pairing, str) or self.pairing not in get_args(Pairing):
-            raise InputError(
-                f"pairing must be one of {', '.join(get_args(Pairing))}, found "
-                f"{shown(self.pairing)}."
-            )
+        check_word("pairing", self.pairing, get_args(Pairing))
         if self.search_distance is not None:
             distance = checked_positive("search_distance", self.search_distance, math.inf)
             object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
-        if not isinstance(self.sliding, str) or self.sliding not in get_args(Sliding):
-            raise InputError(
-                f"sliding must be one of {', '.join(get_args(Sliding))}, found "
-                f"{shown(self.sliding)}."
-            )
+        check_word("sliding", self.sliding, get_args(Sliding))
         if isinstance(self.friction, Preload) and self.obstacle is not None:
             raise InputError(f"a preload needs two deformable sides, found {self.primary}.")
         if self.gap is not None:

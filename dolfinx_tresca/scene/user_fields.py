@@ -75,6 +75,16 @@ def checked_positive(name: str, value: Any, largest: float = LARGEST) -> float:
     return number
 
 
+def check_word(name: str, value: Any, choices: Sequence[str]) -> None:
+    """Check that a value is one of several words.
+
+    Raises:
+        InputError: it is none of them.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name} must be one of {', '.join(choices)}, found {shown(value)}.")
+
+
 _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
 

@@ -5,7 +5,7 @@
 - `Surface`: the mesh of a secondary side; `SurfaceFields`: the Functions on it.
 - `Resultant`: force and moment, of contact on a pair or body, or of a support: `Supports`.
 - `scene_checks`: hints at likely mistakes, and the *departures* of a solution from linear theory.
-- `transfer`: slips of a solution at the nodes of another mesh.
+- `slip_from`: slips of a solution at the nodes of another mesh.
 
 | symbol | name in the code | meaning |
 |---|---|---|

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, integer
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_values
@@ -67,12 +67,8 @@ def moments(arm: Array, force: Array) -> Array:
 
     In 2D moments are (..., 1), forces and arms (..., 2).
     """
-    dim = force.shape[-1]
-    arm, force = (
-        np.concatenate([v, np.zeros((*v.shape[:-1], 3 - dim))], axis=-1) for v in (arm, force)
-    )
-    turning = np.cross(arm, force).astype(np.float64)
-    return turning if dim == 3 else turning[..., 2:]
+    turning = np.cross(in_space(arm), in_space(force)).astype(np.float64)
+    return turning if force.shape[-1] == 3 else turning[..., 2:]
 
 
 def centre_of_forces(comm: Any, places: Array, forces: Array) -> Array:
@@ -205,17 +201,7 @@ class Forms:
 
     def compiled(self, form: Any) -> fem.Form:
         """Return a compiled form. Collective."""
-        maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
-        return fem.form(form, **maps)
-
-
-#: Largest force at free nodes, relative to the largest nodal force, with which loads are those of
-#: the solution. Solutions of the default accuracy are below a hundredth of this.
-BALANCED = 2e-2
-
-#: Force, relative to the internal forces of displacements of this size, that counts as rounding of
-#: the solution. Twice as much changes nothing: errors of loads are larger by orders.
-ROUNDED = 1e-10
+        return fem.form(form, entity_maps=self.entity_maps)
 
 
 @dataclass(frozen=True)
@@ -277,7 +263,8 @@ class Supports:
         sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~self.prescribed, slice(None))]
         sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
         unbalanced, *largest = reduce_array(comm, sizes, MPI.MAX)
-        if unbalanced > BALANCED * max(largest) and unbalanced > self._rounding(residual):
+        # solutions of the default accuracy leave less than a hundredth of this
+        if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding(residual):
             raise ContactError(
                 "loads, prescribed values or coefficients have changed since the solution, or it "
                 f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
@@ -342,7 +329,7 @@ class Supports:
         opposite.x.scatter_forward()
         forces = self._at_nodes(ufl.derivative(residual, u, opposite))
         largest = reduce_array(u.function_space.mesh.comm, np.abs(forces).max(initial=0.0), MPI.MAX)
-        return ROUNDED * float(largest)
+        return 1e-10 * float(largest)
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, Callable[[Any], Any] | None]:
         """Return the nodes that a support holds, and its springs. Collective.

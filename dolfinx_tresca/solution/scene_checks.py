@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -55,11 +55,6 @@ SLIP = Limit(0.2, 1.0)
 #: from it than the size of their own area. Forces act on both bodies where nothing touches; with
 #: doubled limits, twice as much of them, and a body leaves the other one before the theory ends.
 FORCE_BEYOND_PARTNER = Limit(0.2, 0.5)
-
-#: A body turns if its rotation [rad] is larger than this multiple of its displacement beyond the
-#: rigid motion, relative to its diagonal. A body that is sheared, with a ratio of about 1.5, turns
-#: on average, too. With twice the number, stout beams that bend do not count.
-TURNS = 2.0
 
 ADVICE_TO_BODIES = (
     "Look for a force that should be a prescribed displacement, for missing supports, and at the "
@@ -124,8 +119,7 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     """
     comm, dim, label = u.function_space.mesh.comm, u.function_space.mesh.geometry.dim, bodies.label
     size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
-    moved = np.zeros((len(label), 3))
-    moved[:, :dim] = u.x.array.reshape(-1, dim)[: len(label)] / size[label, None]
+    moved = in_space(u.x.array.reshape(-1, dim)[: len(label)]) / size[label, None]
     nodes = np.ones(len(label)), (label, np.arange(len(label)))
     incidence = csr_array(nodes, shape=(bodies.number, len(label)))
 
@@ -142,7 +136,8 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     strain = np.zeros(bodies.number)
     np.maximum.at(strain, label, np.linalg.norm(moved, axis=1))
     angle = np.linalg.norm(turn, axis=1)
-    angle[angle <= TURNS * reduce_array(comm, strain, MPI.MAX)] = 0.0
+    # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
+    angle[angle <= 2.0 * reduce_array(comm, strain, MPI.MAX)] = 0.0
     for values, limit in ((angle, ROTATION), (strain, DEFORMATION)):
         body = int(values.argmax())
         value, name = float(values[body]), bodies.describe(body)
@@ -193,16 +188,25 @@ def motions_of_pairs(
                 text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
                 text += f"theory allows {ROTATION.largest}"
                 yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
-            points = np.zeros((3, len(jumps)))
-            points[: jumps.shape[1]] = operators.places.T
-            carried = end.applied_to(start.reversed_from(points)) - points
-            jumps -= carried[: jumps.shape[1]].T
+            jumps -= _carried(operators.places, start, end)
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
         force = np.zeros(len(operators.nodes))
         rows = operators.normal_node
         force[rows] = operators.weights[rows] * np.maximum(tractions[normal_rows], 0.0)
         yield from _motions_of_pair(V, pair, operators, jumps, force, shape)
+
+
+def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
+    """Return the displacements (n, d) of points (n, d) that go with an obstacle. Not collective.
+
+    Args:
+        places: positions at the start [length].
+        start: the motion of the obstacle at the start.
+        end: motion of the obstacle at the end.
+    """
+    points = in_space(places).T
+    return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
 
 
 def _motions_of_pair(
@@ -252,9 +256,7 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
 
     An opposed primary facet is then not farther from the node than the size of the node's area.
     """
-    points, normals = np.zeros((2, len(jumps), 3))
-    points[:, : jumps.shape[1]] = operators.places + jumps
-    normals[:, : jumps.shape[1]] = operators.normals
+    points, normals = in_space(operators.places + jumps), in_space(operators.normals)
     reach = operators.sizes
     pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
     lists = cKDTree(pieces.centres).query_ball_point(points, reach + pieces.radii.max(initial=0))
@@ -285,7 +287,10 @@ def hint_at_scene(
         secondary = _bodies_at(bodies, paired.nodes, comm)
         thinnest = thickness[secondary].min(initial=np.inf)
         if pair.obstacle is None:
-            primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
+            facets = pair.facet_tags.find(pair.primary)
+            nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
+            nodes = nodes[nodes < V.dofmap.index_map.size_local]
+            primary = _bodies_at(bodies, nodes, comm)
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
             if alike and not pair.touches_itself:
@@ -327,11 +332,8 @@ def hint_at_overlap(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
         if pair.obstacle is not None and surface.obstacle is not None:
-            places = np.zeros((3, len(paired.places)))
-            places[: paired.places.shape[1]] = paired.places.T
-            before = pair.obstacle.motion.reversed_from(places)
-            moved = (surface.obstacle.motion.applied_to(before) - places).T
-            closing -= np.einsum("ni,ni->n", moved[:, : paired.normals.shape[1]], paired.normals)
+            moved = _carried(paired.places, pair.obstacle.motion, surface.obstacle.motion)
+            closing -= np.einsum("ni,ni->n", moved, paired.normals)
         depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
@@ -393,13 +395,6 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
             -weakening,
             level=logging.WARNING,
         )
-
-
-def _nodes_of(V: Any, pair: ContactPair) -> Any:
-    """Return the nodes of the primary side that this rank owns. Collective."""
-    facets = pair.facet_tags.find(pair.primary)
-    nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-    return nodes[nodes < V.dofmap.index_map.size_local]
 
 
 def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:

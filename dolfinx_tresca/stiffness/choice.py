@@ -16,33 +16,13 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.scene.user_fields import check_word
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
 #: the default of 20, as for a column of 300 bodies.
 SPARE_WORKSPACE = 200
-
-DEFAULTS = {
-    "ksp_type": "preonly",
-    "pc_type": "cholesky",
-    "pc_factor_mat_solver_type": "mumps",
-    # where options choose CHOLMOD: its default for small matrices, LDL', accepts negative pivots
-    "mat_cholmod_factor": "SUPERNODAL",
-    "mat_cholmod_print": 0,  # PETSc reports errors
-    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among the
-    # orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D bodies
-    "mat_mumps_icntl_7": 5,
-    "mat_mumps_icntl_14": SPARE_WORKSPACE,
-    "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
-}
-
-#: Options for saddle-point matrices: L D L' with pivots of size 1 and 2, whose signs are counted.
-SADDLE = {
-    **{name: value for name, value in DEFAULTS.items() if name != "mat_mumps_cntl_1"},
-    "mat_mumps_icntl_13": 1,  # the last front is not factored by ScaLAPACK, which counts no signs
-    "mat_mumps_icntl_24": 1,  # detect zero pivots
-}
 
 
 def cholesky(
@@ -98,59 +78,25 @@ def cholesky(
                 error.evidence = f"{negative - constraints} pivots of displacements are negative"
             raise error
 
-    defaults = DEFAULTS if constraints == 0 else SADDLE
-    return StiffnessSolver("cholesky", K, defaults, petsc_options, prefix, check=check)
-
-
-KRYLOV = {
-    "ksp_type": "cg",
-    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
-    "ksp_rtol": 1e-10,
-    "ksp_max_it": 500,
-    "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
-}
-
-#: Smoother on one rank, symmetric block Gauss-Seidel. Errors fall in the energy norm for any
-#: positive definite K: the preconditioner is positive definite without an estimate of eigenvalues.
-GAUSS_SEIDEL = {
-    "mg_levels_ksp_type": "richardson",
-    "mg_levels_pc_type": "sor",  # treats a node's degrees of freedom together
-    "mg_levels_ksp_max_it": 1,
-}
-
-#: Smoother on several ranks. Each rank applies the Gauss-Seidel method to its own rows,
-#: M = diag(M_i). The largest eigenvalue of M^-1 K may approach the number of ranks that meet at a
-#: node, and errors grow if this eigenvalue exceeds 2 (on three and more ranks the preconditioner
-#: was seen to be indefinite). Chebyshev's polynomial, made for this largest eigenvalue, avoids the
-#: growth.
-CHEBYSHEV = {
-    "mg_levels_ksp_type": "chebyshev",
-    "mg_levels_pc_type": "sor",
-    "mg_levels_ksp_max_it": 1,
-    # steps that estimate the largest eigenvalue: if the estimate is too low, the smoother is
-    # indefinite. With stiffnesses that differ by 1e5, ten steps were too few
-    "mg_levels_esteig_ksp_max_it": 30,
-}
-
-#: Options that name a smoother.
-SMOOTHERS = [
-    f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
-]
-
-#: Solver on the coarsest space: two cycles of GAMG. The cycles are cheap, since K of degree 1 has a
-#: fifteenth of the entries of K of degree 2; with one cycle a solve takes a third more iterations.
-COARSEST = {
-    "mg_coarse_ksp_type": "richardson",
-    "mg_coarse_ksp_max_it": 2,
-    "mg_coarse_ksp_norm_type": "none",
-}
-
-GAMG = {
-    "pc_type": "gamg",
-    "pc_gamg_type": "agg",
-    "pc_gamg_threshold": 0.01,
-    "pc_gamg_esteig_ksp_max_it": 5,
-}
+    options: dict[str, Any] = {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
+        # CHOLMOD's default for small matrices, LDL', accepts negative pivots
+        "mat_cholmod_factor": "SUPERNODAL",
+        "mat_cholmod_print": 0,  # PETSc reports errors
+        # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among
+        # the orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D
+        # bodies
+        "mat_mumps_icntl_7": 5,
+        "mat_mumps_icntl_14": SPARE_WORKSPACE,
+    }
+    if constraints == 0:  # no pivoting: K is positive definite, or the check above fails
+        options["mat_mumps_cntl_1"] = 0.0
+    else:  # L D L' with pivots of size 1 and 2, whose signs are counted
+        options["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
+        options["mat_mumps_icntl_24"] = 1  # detect zero pivots
+    return StiffnessSolver("cholesky", K, options, petsc_options, prefix, check=check)
 
 
 def multigrid(
@@ -165,7 +111,7 @@ def multigrid(
     For degree 2, errors are smoothed on V and on the space of degree 1 on the same mesh, and GAMG
     is applied to the matrix P'KP of the latter, with the interpolation P; for degree 1, GAMG is
     applied to K. If the options name a `pc_type`, GAMG or another, this preconditioner is applied
-    to K; if they name a smoother, `CHEBYSHEV` completes its options.
+    to K; if they name a smoother, Chebyshev's polynomials complete its options.
 
     Args:
         K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
@@ -186,13 +132,49 @@ def multigrid(
         in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
         return option in petsc_options or in_database
 
-    smoother = GAUSS_SEIDEL if K.comm.size == 1 and not any(map(named, SMOOTHERS)) else CHEBYSHEV
-    gamg = GAMG | smoother
+    krylov: dict[str, Any] = {
+        "ksp_type": "cg",
+        "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
+        "ksp_rtol": 1e-10,
+        "ksp_max_it": 500,
+        "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
+    }
+    gamg: dict[str, Any] = {
+        "pc_type": "gamg",
+        "pc_gamg_type": "agg",
+        "pc_gamg_threshold": 0.01,
+        "pc_gamg_esteig_ksp_max_it": 5,
+    }
+    smoother: dict[str, Any] = {"mg_levels_pc_type": "sor", "mg_levels_ksp_max_it": 1}
+    kinds = ("ksp", "pc")
+    names = [f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in kinds]
+    if K.comm.size == 1 and not any(map(named, names)):
+        # symmetric block Gauss-Seidel: errors fall in the energy norm for any positive definite K,
+        # and the preconditioner is positive definite without an estimate of eigenvalues
+        smoother["mg_levels_ksp_type"] = "richardson"
+    else:
+        # Each rank applies the Gauss-Seidel method to its own rows, M = diag(M_i). The largest
+        # eigenvalue of M^-1 K may approach the number of ranks that meet at a node, and errors grow
+        # if it exceeds 2 (on three and more ranks the preconditioner was seen to be indefinite).
+        # Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth. If its
+        # estimate is too low, the smoother is indefinite: with stiffnesses that differ by 1e5, ten
+        # steps of the estimate were too few.
+        smoother["mg_levels_ksp_type"] = "chebyshev"
+        smoother["mg_levels_esteig_ksp_max_it"] = 30
+    gamg |= smoother
     if V.element.basix_element.degree == 1 or named("pc_type"):
         _set_rigid_body_modes(K, V)
-        return StiffnessSolver("multigrid", K, KRYLOV | gamg, petsc_options, prefix)
-    levels = {"pc_type": "mg", **COARSEST, **smoother}
-    levels.update({f"mg_coarse_{name}": value for name, value in gamg.items()})
+        return StiffnessSolver("multigrid", K, krylov | gamg, petsc_options, prefix)
+    levels: dict[str, Any] = {
+        "pc_type": "mg",
+        # two cycles of GAMG on the coarsest space. They are cheap, since K of degree 1 has a
+        # fifteenth of the entries of K of degree 2; with one, a solve takes a third more iterations
+        "mg_coarse_ksp_type": "richardson",
+        "mg_coarse_ksp_max_it": 2,
+        "mg_coarse_ksp_norm_type": "none",
+        **smoother,
+    }
+    levels |= {f"mg_coarse_{name}": value for name, value in gamg.items()}
     below = {
         f"mg_coarse_{name}": value
         for name, value in petsc_options.items()
@@ -200,7 +182,7 @@ def multigrid(
     }
     prepare = partial(_add_degree_1, K=K, V=V, prescribed=prescribed)
     return StiffnessSolver(
-        "multigrid", K, KRYLOV | levels, below | dict(petsc_options), prefix, prepare
+        "multigrid", K, krylov | levels, below | dict(petsc_options), prefix, prepare
     )
 
 
@@ -269,10 +251,6 @@ StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 #: the time.
 CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
-#: Largest number by which the limit for one solve is multiplied for many solves. Each further solve
-#: adds a half; factors of larger bodies take too much memory.
-MOST_FACTOR = 5.0
-
 
 def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
     """Check the arguments of `choose`. Not collective.
@@ -291,9 +269,7 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
         raise InputError(
             f"expected_solves must be a positive integer, found {shown(expected_solves)}."
         )
-    methods = get_args(StiffnessMethod)
-    if not isinstance(method, str) or method not in methods:
-        raise InputError(f"stiffness must be one of {', '.join(methods)}, found {shown(method)}.")
+    check_word("stiffness", method, get_args(StiffnessMethod))
     if method == "multigrid" and saddle:
         raise InputError(
             "stiffness='multigrid' needs a positive definite K, and K of a mixed space is "
@@ -331,7 +307,8 @@ def choose(
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
-    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), MOST_FACTOR))
+    # each further solve adds a half, until factors would take too much memory
+    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), 5.0))
     chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "

@@ -1,8 +1,9 @@
-"""Checks of the user's forms and of the assembled matrix, and the space of the forms."""
+"""Checks of the forms and of the assembled matrix, the space of the forms, and its components."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -10,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 import basix
 import ufl
@@ -20,20 +22,23 @@ from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.classes import Argument, Grad
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import (
     EntityMaps,
+    collapse,
     contains,
     is_float64,
     maps_mesh,
     same_topology,
 )
+from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 
 
-def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> Any:
+def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) -> Any:
     """Return a compiled form. Collective.
 
     Compiled forms, matrices and None are returned unchanged.
@@ -42,8 +47,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         name: name of the form in errors.
         form: UFL form, compiled form, matrix or None.
         mesh: mesh of the problem.
-        maps: a dict with the argument `entity_maps` of `fem.form` under this name; empty: there are
-            no entity maps.
+        entity_maps: entity maps of Functions on other meshes in the form.
 
     Raises:
         InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
@@ -54,7 +58,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         return form
     for coefficient in form.coefficients():
         own_mesh = coefficient.function_space.mesh
-        if own_mesh != mesh and not maps_mesh(maps.get("entity_maps", []), own_mesh):
+        if own_mesh != mesh and not maps_mesh(entity_maps or [], own_mesh):
             raise InputError(
                 f"the form {name} holds the Function '{coefficient.name}' on another mesh than the "
                 "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
@@ -74,7 +78,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
                 'Give ufl.Measure("ds", subdomain_data=...) those of this mesh.'
             )
     try:
-        return fem.form(form, **maps)
+        return fem.form(form, entity_maps=entity_maps)
     except Exception as error:  # UFL, FFCx and DOLFINx raise any error, on all ranks
         # such as DOLFINx's assertion if some integrals over cells have tags and others have none
         why = (
@@ -258,6 +262,85 @@ def _suits(element: Any, dim: int) -> bool:
         and element.degree in (1, 2)
         and not element.discontinuous
     )
+
+
+class Component:
+    """One sub-space of a mixed space, in a numbering of its own.
+
+    A node on the border of two ranks may have one owner in the sub-space, and another owner in the
+    mixed space. So `of` needs ghost values.
+
+    Attributes:
+        V: the collapsed sub-space, on which Functions can be created.
+        mask: (owned degrees of freedom of the mixed space,) whether each is in the component.
+    """
+
+    def __init__(self, space: Any, index: int) -> None:
+        """Collapse the sub-space, which gives its degrees of freedom other numbers. Collective.
+
+        Args:
+            space: the mixed space.
+            index: index of the sub-space in the mixed space.
+        """
+        self._space, self._index = space, index
+        self.comm = space.mesh.comm
+        self.V, self._dofs = collapse(space.sub(index))
+        self._original = fem.Function(self.V)
+        own, whole = self.V.dofmap, space.dofmap.index_map
+        flags = fem.Function(space)
+        flags.x.array[self._dofs] = 1.0
+        self.mask: Mask = flags.x.array[: whole.size_local] > 0.0
+        owned = own.index_map.size_local * own.index_map_bs
+        entries = np.ones(owned), whole.local_to_global(self._dofs[:owned]), np.arange(owned + 1)
+        rows = csr_array(entries, shape=(owned, whole.size_global))
+        self._parts = sparse_matrix(rows, (whole.size_local, whole.size_global), space.mesh.comm)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._parts.destroy()
+
+    def extract(self, w: fem.Function) -> fem.Function:
+        """Return this component of a Function w on the mixed space. Not collective.
+
+        The ghost values of w must be up to date.
+        """
+        component = zero_like(self._original, w.name)
+        component.x.array[:] = w.x.array[self._dofs]
+        return component
+
+    @cached_property
+    def _others(self) -> list[tuple[Any, LocalNumbers]]:
+        """The other sub-spaces, each in a numbering of its own. Collective."""
+        number = len(self._space.ufl_element().sub_elements)
+        return [collapse(self._space.sub(i)) for i in range(number) if i != self._index]
+
+    def other_parts(self, w: fem.Function) -> list[fem.Function]:
+        """Return the other components of a Function on the mixed space. Collective."""
+        functions = [fem.Function(Q) for Q, _ in self._others]
+        for function, (_, dofs) in zip(functions, self._others, strict=True):
+            function.x.array[:] = w.x.array[dofs]
+        return functions
+
+    def compose(self, w: fem.Function, u: fem.Function, remaining: Sequence[fem.Function]) -> None:
+        """Set this component of w to u, and its other components to `remaining`. Collective.
+
+        The order of `remaining` is that of `other_parts`.
+        """
+        w.x.array[self._dofs] = u.x.array
+        for component, (_, dofs) in zip(remaining, self._others, strict=True):
+            w.x.array[dofs] = component.x.array
+
+    def columns(self, B: PETSc.Mat) -> PETSc.Mat:
+        """Convert a matrix B from the columns of V to the columns of the mixed space. Collective.
+
+        The caller owns the new matrix.
+        """
+        return B.matMult(self._parts)
+
+    def block(self, K: PETSc.Mat) -> PETSc.Mat:
+        """Return the component's block of K, numbered like V; the caller owns it. Collective."""
+        columns = self._parts.copy().transpose()
+        return K.ptap(columns)
 
 
 def _rank(form: Any) -> int | None:

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, in_space
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
@@ -118,10 +118,7 @@ class BodyFrames:
 
     def _vectors(self, u: Array) -> Array:
         """Return nodal values (nodes * d,) as vectors (nodes, 3)."""
-        dim = self.V.mesh.geometry.dim
-        result = np.zeros((len(u) // dim, 3))
-        result[:, :dim] = u.reshape(-1, dim)
-        return result
+        return in_space(u.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
         """Return the mean (bodies, 3) of positions of guides, and their moments. Collective.
@@ -158,7 +155,8 @@ class BodyFrames:
         for body in np.flatnonzero(self.has_frame):
             M, e = moments[body], self.axis[body]
             if e.any():
-                turned = float(e @ _axial(M)), float(np.trace(M) - e @ M @ e)
+                axial = [M[k, j] - M[j, k] for j, k in ((1, 2), (2, 0), (0, 1))]  # sum of X x x
+                turned = float(e @ axial), float(np.trace(M) - e @ M @ e)
                 rotation[body] = Rotation.from_rotvec(np.arctan2(*turned) * e).as_matrix()
             else:
                 left, _, right = np.linalg.svd(M)
@@ -254,11 +252,6 @@ class BodyFrames:
         shape = owned * dim, self.V.dofmap.index_map.size_global * dim
         rows = csr_array((blocks.ravel(), columns.ravel(), ends), shape)
         return B.matMult(sparse_matrix(rows, B.getSizes()[1], B.comm))
-
-
-def _axial(moments: Array) -> Array:
-    """Return the sum (3,) of X x x for moments (3, 3), the sum of x X'."""
-    return np.array([moments[k, j] - moments[j, k] for j, k in ((1, 2), (2, 0), (0, 1))])
 
 
 def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:

@@ -145,11 +145,6 @@ class StiffnessSolver(PetscOwner):
         """Whether solves are exact to rounding, whatever accuracy is requested."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
 
-    @property
-    def rtol(self) -> float:
-        """Relative error in the energy norm at which `solve` stops, for iterative solvers."""
-        return float(self._ksp.getTolerances()[0])
-
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
         """Solve K U = F for the columns of dense matrices. Collective.
 

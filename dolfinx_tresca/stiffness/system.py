@@ -23,8 +23,8 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.forms import (
+    Component,
     check_hoop_stiffness,
     check_meridian,
     check_signs,
@@ -111,9 +111,8 @@ class LinearSystem(PetscOwner):
         self.form = a if isinstance(a, ufl.Form) else None
         self._forms = {"a": a, "L": L}
         self.entity_maps = entity_maps
-        maps = {} if entity_maps is None else {"entity_maps": entity_maps}
         self._a, self._L = (
-            compiled(name, form, self.V.mesh, maps) for name, form in (("a", a), ("L", L))
+            compiled(name, form, self.V.mesh, entity_maps) for name, form in (("a", a), ("L", L))
         )
         self._is_matrix = isinstance(self._a, PETSc.Mat)
         self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
@@ -346,8 +345,7 @@ class LinearSystem(PetscOwner):
         The caller assembles the load again after the block.
         """
         given = self._L
-        maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
-        self._L = compiled("L", L, self.V.mesh, maps)
+        self._L = compiled("L", L, self.V.mesh, self.entity_maps)
         try:
             yield
         finally:

@@ -146,7 +146,7 @@ def test_ghost_cells_as_before(comm):
 
 
 def test_cells_may_become_very_small(comm):
-    """And stay as round as they are: of each the longest edge is cut."""
+    """And they stay as round as they are."""
     tagged = square(comm, 2)
     for _ in range(40):
         tagged = refine(tagged, np.linalg.norm(middles(tagged), axis=1) ** -9.0)

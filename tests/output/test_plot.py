@@ -81,7 +81,8 @@ def flat() -> ContactSolution:
 
 
 DPI = 100  #: half as fine as usual: time goes into rendering
-WIDTH, HEIGHT, ROW = (round(DPI * inches) for inches in (plot.WIDTH, plot.HEIGHT, plot.ROW))
+WIDTH, HEIGHT, ROW = (round(DPI * inches) for inches in (8.8, 3.9, 3.1))
+SPLIT = 0.42  #: part of the width that is for the bodies
 
 
 @pytest.fixture(autouse=True)
@@ -163,7 +164,7 @@ def figure_of(solution: ContactSolution, units: Units | None) -> Any:
 
     volume = gather_grid([solution.u])
     contacts = [gather_contact(surface) for surface in solution.surfaces]
-    with matplotlib.style.context(["default", plot.STYLE]), plot.display_for_pictures():
+    with matplotlib.style.context(["default", {"font.size": 9.0}]), plot.display_for_pictures():
         figure = plot.compose(volume, contacts, None, units)
         FigureCanvasAgg(figure).draw()
     return figure
@@ -260,7 +261,7 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     flat.plot(folder / "flat.png")
     picture = image(folder / "flat.png")
     assert picture.shape == (HEIGHT, WIDTH, 3)
-    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
+    left, right = np.split(picture, [round(SPLIT * WIDTH)], axis=1)
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "white") > 0.3
     assert near(left, CURVE_COLOUR) > 0.001
@@ -278,7 +279,7 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
     flat = on_plane(Frictionless(), degree=2)
     flat.plot(folder / "flat.png")
-    right = image(folder / "flat.png")[:, round(plot.SPLIT * WIDTH) :]
+    right = image(folder / "flat.png")[:, round(SPLIT * WIDTH) :]
     assert near(right, CURVE_COLOUR) > 0.001
     assert near(right, TANGENT_COLOUR) == 0.0
 
@@ -286,7 +287,7 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     with blocks.problem() as problem:
         problem.solve(rtol=1e-6).plot(folder / "blocks.png")
     picture = image(folder / "blocks.png")
-    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
+    left, right = np.split(picture, [round(SPLIT * WIDTH)], axis=1)
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "colour") > 0.15
     assert (right[60:310].max(axis=2) < 60).sum() == 0
@@ -315,8 +316,8 @@ def test_planes_round_a_body_do_not_hide_it(comm: MPI.Comm, folder: Path) -> Non
     for name in ("boxed", "alone"):
         picture = image(folder / f"{name}.png").astype(int)
         edge = round(DPI * panels.HEADER)
-        height = min(len(picture), round(DPI * 2 * plot.ROW))
-        view = picture[edge : height - edge, : round(plot.SPLIT * WIDTH)]
+        height = min(len(picture), 2 * ROW)
+        view = picture[edge : height - edge, : round(SPLIT * WIDTH)]
         body = np.ptp(view, axis=2) > 45  # obstacles are grey
         assert body.any(), name
         sizes.append((np.ptp(np.flatnonzero(body.any(axis=1))), body.sum()))
