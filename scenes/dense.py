@@ -139,11 +139,6 @@ class DenseProblem(OneRank):
         return True
 
     @property
-    def product_error(self) -> float:
-        """Error of products: none."""
-        return 0.0
-
-    @property
     def b_error(self) -> float:
         """Error of b: none."""
         return 0.0

@@ -31,10 +31,6 @@ class Operator(Protocol):
     def exact(self) -> bool:
         """Whether products are exact to rounding, for any requested accuracy."""
 
-    @property
-    def product_error(self) -> float:
-        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
-
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.linear_algebra import (
     LEAST_SOFTNESS,
@@ -129,16 +129,6 @@ RESOLVED = 1.5
 #: the limit, such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
-#: The part of a vector along the vectors w of known pairs (w, A w) counts as rounding if its norm
-#: is at most this multiple of the norm of the rest. With exact pairs, the Gram-Schmidt process
-#: reaches this limit in two passes.
-KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
-
-#: Largest number of products with the near field that are kept. Each product slows down all algebra
-#: with the model, and a larger number saves few products with A (slender strip: 4.3 instead of 4.6
-#: per load step).
-NEAR_CAPACITY = 40
-
 #: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
 #: |lambda| |r| (Euclidean norms). Doubling or halving this number changes no status and no number
 #: of products (benchmarks/ablation.py).
@@ -186,7 +176,9 @@ class ProductStore:
         self._reductions, self._diagonal, self.scale = reductions, diagonal, 1.0
         self.near: ProductStore | None = None
         if apply_near is not None:
-            self.near = ProductStore(reductions, diagonal, NEAR_CAPACITY)
+            # each product slows down all algebra with the model; more of them save few products
+            # with A (slender strip: 4.3 instead of 4.6 per load step)
+            self.near = ProductStore(reductions, diagonal, capacity=40)
             self.apply_near = apply_near
         self.capacity = capacity
         self.W: Array = np.empty((len(diagonal), 0))
@@ -270,14 +262,15 @@ class ProductStore:
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
         errors of the first. Pairs with errors are not orthonormal and need more passes. If the
         process always ended after two passes, parts along known pairs would remain and be added as
-        new pairs, until there are more pairs than unknowns.
+        new pairs, until there are more pairs than unknowns. With exact pairs, the parts are at most
+        the multiple of `ROUNDING` after two passes.
         """
         inner = self._reductions.inner
         coefficients: Array = np.zeros(len(self))
         for number in range(MOST_STEPS):
             c = inner(self.Y, x)
             energy = max(float(inner(x, product)), 0.0)
-            if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(energy):
+            if number >= 2 and np.linalg.norm(c) <= 16.0 * ROUNDING * np.sqrt(energy):
                 break
             x, product, coefficients = x - self.W @ c, product - self.Y @ c, coefficients + c
         return coefficients, x, product
