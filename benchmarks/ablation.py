@@ -57,7 +57,6 @@ from dolfinx_tresca.solvers import (
     iteration,
     products,
     semismooth_newton,
-    whole_model,
 )
 from dolfinx_tresca.solvers.constraints import Balance, balance
 from dolfinx_tresca.solvers.convergence import NaturalResidual
@@ -353,7 +352,7 @@ PARTS: dict[str, Patches] = {
     "A at once where it has few rows": [(compliance, "FEW", 0)],
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
-    "shift of A": [(whole_model, "SHIFT", 0.0)],
+    "shift of A": [(products, "SHIFT", 0.0)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
     "other initial guesses": [(semismooth_newton, "GUESSES", 0)],
@@ -385,9 +384,8 @@ CONSTANTS = {
     "MOST_STEPS",
     "_base.arrays": "ROUNDING",
     "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
-    "solvers.whole_model": "SHIFT",
     "solvers.iteration": "MISSES",
-    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
+    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT",
     "solvers.linear_algebra": "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
     "dual.products.compliance": "FEW",

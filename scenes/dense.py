@@ -21,8 +21,7 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution, KnownProducts
-from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 
 METHODS = get_args(Method)
 

@@ -32,9 +32,8 @@ from dolfinx_tresca.solvers.problem import (
     KnownProducts,
     Point,
 )
-from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
+from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel
 from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
-from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus
 
 #: The rest of A is computed, unless it is too large (`ContactCompliance.complete_products`), if

@@ -11,8 +11,7 @@ from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGR
 from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
-from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
 #: model. With the value 1, as for convex problems, each node would take the state that minimises q

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca.solvers.linear_algebra import NodalMaps
-from dolfinx_tresca.solvers.whole_model import SHIFT, WholeModel
+from dolfinx_tresca.solvers.products import SHIFT, WholeModel
 from scenes.dense import cones_over, random_problem, row_nodes
 from scenes.scene import EPS
 

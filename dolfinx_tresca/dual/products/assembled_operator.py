@@ -20,7 +20,7 @@ from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import WholeModel
 from dolfinx_tresca.stiffness.choice import SPARE_WORKSPACE
 
 #: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,

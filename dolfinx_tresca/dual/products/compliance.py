@@ -24,8 +24,7 @@ from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.solvers.problem import KnownProducts
-from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: With a direct solver, A is computed at once if it has at most `FEW` rows. If K has fewer than
