@@ -389,7 +389,7 @@ CONSTANTS = {
     "solvers.linear_algebra": "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
     "dual.products.compliance": "FEW",
-    "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
+    "dual.products.operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
     "dual.response": "LOAD_ACCURACY",
 }

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dolfinx_tresca.dual.products import assembled_operator, compliance
+from dolfinx_tresca.dual.products import compliance
+from dolfinx_tresca.dual.products import operator as operators
 from scenes.scene import EPS
 from scenes.two_bricks import bricks_problem
 from scenes.wall import HEIGHT, wall
@@ -23,7 +24,7 @@ def found(monkeypatch) -> list:
     result: list = []
 
     def sparse_model(operator, local_compliance):
-        result.append((operator, assembled_operator.sparse_model(operator, local_compliance)))
+        result.append((operator, operators.sparse_model(operator, local_compliance)))
         return result[-1][1]
 
     monkeypatch.setattr(compliance, "sparse_model", sparse_model)
@@ -85,6 +86,6 @@ def test_a_dense_matrix_is_A(comm, monkeypatch):
     with bricks_problem(comm, 2) as problem:
         before = problem.solve(rtol=1e-6).products
         operator, local_compliance = calls[0]
-        matrix = assembled_operator.dense_model(operator, local_compliance)
+        matrix = operators.dense_model(operator, local_compliance)
         assert operator.products - before == len(matrix)
         check_products(comm, operator, matrix)
