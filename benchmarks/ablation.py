@@ -57,12 +57,12 @@ from dolfinx_tresca.solvers import (
     iteration,
     products,
     semismooth_newton,
-    whole_model,
 )
 from dolfinx_tresca.solvers.constraints import Balance, balance
 from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.problem import DualProblem, Point
 from scenes import dense
 from scenes.elasticity import elasticity
 from scenes.random_blocks import RandomBlocks
@@ -307,6 +307,16 @@ def without_near_field(store: products.ProductStore, *arguments: Any, **others: 
     make_store(store, *arguments, **{**others, "apply_near": None})
 
 
+def without_near_iteration(
+    problem: DualProblem, start: Point, *arguments: Any
+) -> semismooth_newton.NewtonPoint:
+    """Solve with the model of the near field once, without further products with it."""
+    store = problem.known_products()
+    near = getattr(store, "near", None)
+    model = store.model() if near is None else store.model(near.model())
+    return semismooth_newton.newton_solution(problem, model, start)
+
+
 def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> Balance:
     """Balance the loads, but leave the first multipliers of a solve as they are."""
     if start:
@@ -337,15 +347,15 @@ INEXACT, NEWTON, STORE = iteration.InexactIterate, iteration.ModelNewton, produc
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
     "near field": [(STORE, "__init__", without_near_field)],
-    "iteration on the near model": [(semismooth_newton, "MOST_NEAR_PRODUCTS", 1)],
+    "iteration on the near model": [(iteration, "solve_model", without_near_iteration)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
     "A at once where it has few rows": [(compliance, "FEW", 0)],
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
-    "shift of A": [(whole_model, "SHIFT", 0.0)],
+    "shift of A": [(products, "SHIFT", 0.0)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "other initial guesses": [(semismooth_newton, "OTHER_GUESSES", ())],
+    "other initial guesses": [(semismooth_newton, "GUESSES", 0)],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -370,17 +380,16 @@ PARTS: dict[str, Patches] = {
 #: Module -> names of its constants. Constants in NEAR_ONE are fractions close to 1, whose distance
 #: from 1 is changed.
 CONSTANTS = {
-    "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE MOST_STEPS",
+    "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE SHORT_PATIENCE "
+    "MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL RHO_DIAGONAL_CONVEX MOST_HALVINGS WATCHDOG "
-    "MOST_NEAR_PRODUCTS PROXIMAL SOFTER SOLVED",
-    "solvers.whole_model": "SHIFT",
-    "solvers.iteration": "MOST_REDUCTIONS SLOW MISSES",
-    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING",
+    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
+    "solvers.iteration": "MISSES",
+    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT",
     "solvers.linear_algebra": "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
     "dual.products.compliance": "FEW",
-    "dual.products.assembled_operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
+    "dual.products.operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
     "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
     "dual.response": "LOAD_ACCURACY",
 }

@@ -56,7 +56,7 @@ def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
     if "whole" not in ways:
         change(ModelNewton, complete_products=lambda self: False)
     if "convex" not in ways:
-        change(semismooth_newton, OTHER_GUESSES=())
+        change(semismooth_newton, GUESSES=0)
     return stack
 
 

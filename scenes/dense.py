@@ -21,8 +21,7 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution, KnownProducts
-from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 
 METHODS = get_args(Method)
 
@@ -137,11 +136,6 @@ class DenseProblem(OneRank):
     def exact(self) -> bool:
         """Whether products are exact."""
         return True
-
-    @property
-    def product_error(self) -> float:
-        """Error of products: none."""
-        return 0.0
 
     @property
     def b_error(self) -> float:

@@ -43,7 +43,7 @@ RUNS = {
     "gradients": ("--sizes 3 --scenes free_end_2 --backends cholesky", "values"),
     "published": ("--cases shrink_fit incline --meshes 1", "value"),
     "ablation": (
-        "--scenes dense --parts solvers.whole_model.SHIFT _base.tolerances.FORCING",
+        "--scenes dense --parts solvers.products.SHIFT _base.tolerances.FORCING",
         "total",
     ),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),

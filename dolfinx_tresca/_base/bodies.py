@@ -156,7 +156,7 @@ class Bodies:
         """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
 
         The translations along the axes and then the rotations about the centre of each body have
-        the order of `rigid_modes.MODES`.
+        the order in which `RigidBodyModes.describe` names them.
 
         Args:
             dim: the dimension of space.

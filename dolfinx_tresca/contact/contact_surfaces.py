@@ -100,17 +100,12 @@ class ContactSurfaces(PetscOwner):
         self.jump = JumpOperator(linear, operators)
         with destroyed_on_error(self.jump):
             self.update_gaps()
-        operators = self.jump.pairs
         self.summary = ProblemSummary.from_system(linear, pairs, self.jump)
         self.guess = InitialGuess(self.jump)
         self.obstacles.note_pairing(self.jump)
         self._state = StepState.undeformed(self.jump, self.obstacles.motions)
         with destroyed_on_error(self.jump):
             self.compliance = stiffness.compliance(self.jump, self.timings)
-            with destroyed_on_error(self.compliance):
-                rounding = self.compliance.stress_rounding
-                for pair, on_nodes in zip(pairs, operators, strict=True):
-                    self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
         self.frames_at_rest = self._frames_at_rest()
 
     def _frames_at_rest(self) -> BodyFrames | None:

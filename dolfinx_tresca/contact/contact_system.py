@@ -31,7 +31,7 @@ from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
-from dolfinx_tresca.floating.tools import Tools
+from dolfinx_tresca.floating.equilibrium import Tools
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution

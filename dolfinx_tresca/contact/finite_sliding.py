@@ -39,22 +39,20 @@ DEPENDENT = 1e-3
 #: part of the contact force is at nodes that are open in one of them.
 ALIKE = 0.1
 
-#: Least and largest part of the last step between two configurations that are not alike, whose
-#: residuals point at each other, at which the next one lies: the solution is between them.
-LEAST_PART, LARGEST_PART = 0.1, 0.9
+#: Least distance from 0 and from 1 of two estimated fractions. One is the part of the last step
+#: between two configurations that are not alike, whose residuals point at each other, at which the
+#: next one lies: the solution is between them. The other is the ratio of a change of forces or gaps
+#: to the previous change: a step of Anderson's acceleration may succeed by chance, and a convergent
+#: iteration has a ratio below 1. A change whose ratio is below both this number and the ratio of
+#: the residuals u - w is small by chance. It is replaced by the previous change times the smaller
+#: of these two ratios: without this replacement, 28 of 200 random scenes, solved to 1e-5 and to
+#: 1e-6, had more than ten times the requested error; with it, 8 have.
+LEAST_FRACTION = 0.1
 
 #: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds
 #: of a bellows whose contact passes from node to node do not converge; with 3, an edge that slides
 #: off a corner does not.
 GROWING = 2
-
-#: Ratio of a change of forces or gaps to the previous change: the assumed value while it is
-#: unknown; its lower bound, since a step of Anderson's acceleration may succeed by chance; and its
-#: upper bound, since a convergent iteration has a ratio below 1. A change whose ratio is below both
-#: the lower bound and the ratio of the residuals u - w is small by chance. It is replaced by the
-#: previous change times the smaller of these two ratios: without this replacement, 28 of 200 random
-#: scenes, solved to 1e-5 and to 1e-6, had more than ten times the requested error; with it, 8 have.
-UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Advice to users if the configurations do not converge.
 ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
@@ -168,11 +166,11 @@ class FiniteSliding:
                 _ratio(square, size, rounding_square),
                 _ratio(largest**2, moved**2, resolution**2),
             )
-        change, ratio = self.change, UNKNOWN_RATIO
+        change, ratio = self.change, 0.5
         if math.isfinite(before) and before > 0.0:
-            least = min(LEAST_RATIO, _ratio(self._residual, residual_before))
+            least = min(LEAST_FRACTION, _ratio(self._residual, residual_before))
             change, ratio = max(change, least * before), change / before
-        ratio = min(max(ratio, LEAST_RATIO), LARGEST_RATIO)
+        ratio = _inside(ratio)
         self.error = change * ratio / (1.0 - ratio)
         loads = self._surfaces.normal_forces_at_nodes()
         self._path.append(Configuration(w, u.x.array.copy(), loads))
@@ -266,7 +264,7 @@ class FiniteSliding:
             before = earlier[-1]
             begin, end = self._products(w - before.w, [before.u - before.w, residual])
             if begin > 0.0 > end:
-                fraction = min(max(begin / (begin - end), LEAST_PART), LARGEST_PART)
+                fraction = _inside(begin / (begin - end))
                 between: Array = (1.0 - fraction) * before.u + fraction * u
                 return between
         if not alike:
@@ -360,6 +358,11 @@ def add_cost(total: dict[str, Any], solution: ContactSolution) -> None:
     timings = total.setdefault("timings", {})
     for phase, seconds in solution.timings.items():
         timings[phase] = timings.get(phase, 0.0) + seconds
+
+
+def _inside(fraction: float) -> float:
+    """Return the number nearest to a fraction whose distance from 0 and 1 is large enough."""
+    return min(max(fraction, LEAST_FRACTION), 1.0 - LEAST_FRACTION)
 
 
 def _ratio(square: float, size: float, rounding: float = 0.0) -> float:

@@ -17,7 +17,7 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.floating.tools import FreeMotion
+from dolfinx_tresca.floating.equilibrium import FreeMotion
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Frictionless, Preload
 from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidObstacle

@@ -39,9 +39,6 @@ PLACES = "places"
 #: nodes of the table. (Positions in other units, or on other ranks, differ by rounding only.)
 SAME_PLACE = 1e-9
 
-#: The rank that reads and writes files.
-ROOT = 0
-
 
 def write_state(
     path: Path, state: StepState, step: int = 0, material: Sequence[fem.Function] = ()
@@ -88,7 +85,7 @@ def write_state(
     for k, function in enumerate([*_functions_of_unknowns(state), *material]):
         columns[f"function {k}/{PLACES}"] = surroundings(function.function_space)
         columns[f"function {k}/values"] = owned_values(function)
-    ranks, laws = jump.comm.gather(columns, root=ROOT), _laws(jump)
+    ranks, laws = jump.comm.gather(columns), _laws(jump)
     with errors_on_all_ranks(jump.comm):
         if ranks is not None:
             content: dict[str, Any] = {"format": FORMAT, "laws": laws, "motions": accepted.motions}
@@ -128,11 +125,11 @@ class SavedState:
         self.path, self.comm, self._system = path, system.comm, system
         self._content: dict[str, npt.NDArray[Any]] = {}
         with errors_on_all_ranks(self.comm):
-            if self.comm.rank == ROOT:
+            if self.comm.rank == 0:
                 self._content = _read(path)
         header = [self._content.get(name) for name in ("laws", "numbers", "motions")]
         widths = {name: x.shape[1] for name, x in self._content.items() if "/" in name}
-        header, self._widths = self.comm.bcast((header, widths), root=ROOT)
+        header, self._widths = self.comm.bcast((header, widths))
         self._laws, (self._dissipation, self._begun, step), self.motions = header
         self.step = int(step)
         if len(self.motions) != pairs:
@@ -181,10 +178,10 @@ class SavedState:
             InputError: all nodes of all ranks together are not those in the file.
         """
         split = [(name.partition("/")[2], name, width) for name, width in self._widths.items()]
-        nodes, owner = exchange(self.comm, places, np.full(len(places), ROOT))
+        nodes, owner = exchange(self.comm, places, np.zeros(len(places), dtype=np.intp))
         rows: Indices | None = np.zeros(0, dtype=np.int64)
         with errors_on_all_ranks(self.comm):
-            if self.comm.rank == ROOT:
+            if self.comm.rank == 0:
                 saved = self._content.get(f"{table}/{PLACES}", np.zeros((0, nodes.shape[1])))
                 rows = same_nodes(saved, nodes)
                 if rows is None:

@@ -19,9 +19,8 @@ from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.dual.response import ElasticResponse, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.floating.equilibrium import Equilibrium, FloatingBodies
+from dolfinx_tresca.floating.equilibrium import Equilibrium, FloatingBodies, Tools
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
-from dolfinx_tresca.floating.tools import Tools
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, cross, real
+from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, cross
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
@@ -163,10 +163,6 @@ class FrictionDiscs:
         return cls(stretch, radius, ~positive & (number[node] > 0))
 
 
-#: A negative slip bound counts as rounding, and means zero, if its absolute value is at most this
-#: fraction of the largest finite bound of the pair.
-BOUND_ROUNDING = 1e-12
-
 #: Names of the terms of a bound in error messages; laws have their own name for the constant term.
 TERMS = {
     "constant": Friction.constant_name,
@@ -245,24 +241,6 @@ class SlipBounds:
                 )
             self.values.vectors_at(friction.terms.direction, nodes, DIRECTION)
 
-    def check_numbers(
-        self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
-    ) -> None:
-        """Check bounds that are plain numbers: they are known already before a solve. Collective.
-
-        Args:
-            friction: the law of friction whose bounds are checked.
-            nodes: (n,) contact nodes of this rank.
-            stress_rounding: see `at`.
-
-        Raises:
-            InputError: a bound is negative by more than rounding.
-        """
-        for name in ("constant", "limit"):
-            for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
-                if real(field) is not None:
-                    self._bound(field, nodes, words, stress_rounding)
-
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
     ) -> NodalBounds:
@@ -272,7 +250,7 @@ class SlipBounds:
             friction: the law of friction whose bound is evaluated.
             nodes: (n,) contact nodes of this rank.
             stress_rounding: negative values of at most this size [stress] also count as zero, even
-                if they exceed the limit of `BOUND_ROUNDING`.
+                if they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
@@ -350,7 +328,7 @@ class SlipBounds:
         """
         values = self.values.scalars_at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
-        relative = BOUND_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
+        relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
         zero = -max(relative, rounding)
         with errors_on_all_ranks(self._comm):
             bad = ~(values >= zero)

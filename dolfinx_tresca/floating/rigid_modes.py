@@ -21,13 +21,6 @@ from dolfinx_tresca.stiffness.solver import not_positive_definite
 #: and counts bodies that move more than this part of the largest motion.
 NAMED_PART = 0.1
 
-#: Names of the rigid body modes, by their number.
-MODES = {
-    3: ("translation along x", "translation along y", "rotation"),
-    6: ("translation along x", "translation along y", "translation along z",
-        "rotation about x", "rotation about y", "rotation about z"),
-}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class RigidBodyModes:
@@ -95,9 +88,9 @@ class RigidBodyModes:
         chosen = int(np.argmax(lengths > 0.9 * lengths.max()))
         axes, sizes, _ = np.linalg.svd(moved[chosen], full_matrices=False)
         share = np.square(axes[:, sizes > 1e-3 * sizes[0]]).sum(axis=1)
-        free = [
-            name for name, size in zip(MODES[len(share)], share, strict=True) if size > NAMED_PART
-        ]
+        turns = ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
+        names = (*(f"translation along {axis}" for axis in "xyz"[: self.dim]), *turns)
+        free = [name for name, size in zip(names, share, strict=True) if size > NAMED_PART]
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
         return str(self.comm.bcast(f"{text}: {', '.join(free)}"))

@@ -33,12 +33,10 @@ from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import ContactForce, Goal, NormalForce, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solvers.convergence import LEAST_ACCURACY
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
-
-#: Relative residual of the solves for guaranteed bounds of a goal, whose differences count.
-GOAL_RTOL = 1e-8
 
 
 class ContactProblem(ContactProcess):
@@ -386,7 +384,8 @@ class ContactProblem(ContactProcess):
         functional = Functional.of_goal(goal, bodies, solved.dual)
         size, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = size * functional.form if L is None else L + size * functional.form
-        options, given = self.options.with_changes(rtol=GOAL_RTOL), bodies.loads(L)
+        # differences of these solves count
+        options, given = self.options.with_changes(rtol=LEAST_ACCURACY), bodies.loads(L)
         # the load of a force is balanced by the stress of `functional.w`
         change = None if functional.w is not None else bodies.loads(functional.form)
 

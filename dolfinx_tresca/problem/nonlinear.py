@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
@@ -22,7 +23,7 @@ from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
-from dolfinx_tresca.problem.tangent_problem import UNCHANGED, TangentProblem
+from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
@@ -30,9 +31,6 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.table import Row
 from dolfinx_tresca.units import Units
-
-#: Number of Newton steps in a solve beyond which the log warns; most load steps take 4 to 8.
-MANY_STEPS = 30
 
 #: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
 #: quadratic problem of the last step.
@@ -298,7 +296,8 @@ class NonlinearContactProblem(ContactProcess):
             solved = problem.surfaces.state.acceptable(unconverged=True)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
             size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
-        if self.comm.bcast(change > max(UNCHANGED * size, rounding)):
+        # a larger change shows that the inputs have changed since the solve
+        if self.comm.bcast(change > max(ROUGH * size, rounding)):
             raise ContactError(
                 "loads, prescribed values, slip bounds or coefficients have changed since the "
                 f"solution that {purpose} is for: call solve()."
@@ -366,7 +365,7 @@ class NonlinearContactProblem(ContactProcess):
                 *(self._solves, released),
                 level=logging.WARNING,
             )
-        if len(run.steps) > MANY_STEPS:
+        if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
             log(
                 self._contact.comm,
                 "solve number %d took %d Newton steps: its change of load is too large, or bodies "

@@ -26,25 +26,8 @@ from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.status import ContactStatus
 
-#: A node sticks if its traction is below this fraction of the slip bound. The margin is for bounds
-#: that depend on the pressure, and are known only to the accuracy of their fixed point.
-STICKING = 1.0 - 1e-3
-
 #: Nodes touch if their gap is at most this fraction of the largest component of the jumps B u.
 TOUCHING = 1e-6
-
-#: Largest relative change of u in a further Newton step, in the energy norm. A larger change shows
-#: that the inputs have changed since the solve, so that u is not their solution.
-UNCHANGED = 1e-3
-
-#: Fractions of the change of displacement at which internal forces are evaluated, with the weights
-#: of the mean of both ends, and of the integral along the change (Lobatto's rule with four points,
-#: exact for polynomials of degree 5).
-INNER = 0.5 * np.sqrt(0.2)
-PATH = (
-    *((1.0, 0.5, 1.0 / 12.0), (0.0, 0.5, 1.0 / 12.0)),
-    *((0.5 - INNER, 0.0, 5.0 / 12.0), (0.5 + INNER, 0.0, 5.0 / 12.0)),
-)
 
 #: Bodies have snapped if they release more than the first part of the energy that they exchange
 #: with contact or store, whichever is larger, and move more than the second number times as far as
@@ -136,7 +119,7 @@ class TangentProblem(ContactSystem):
                 self.tangent.forget_material()
                 moved, start = self.residual_norm(), self._reference
                 size = max(self.energy_norm(values) for values in (w.x.array, w.x.array - start))
-                limit = max(UNCHANGED * size, self.rounding_norm())
+                limit = max(ROUGH * size, self.rounding_norm())
                 if is_converged and self.comm.bcast(not moved <= limit):
                     raise ContactError(
                         "the history of the material, loads or coefficients of F have changed "
@@ -228,7 +211,9 @@ class TangentProblem(ContactSystem):
         held: Mask = np.ones(len(multipliers), dtype=np.bool_)
         if self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
             held[lam.normal] = multipliers[lam.normal] > 0.0
-            held[lam.tangential] = (lam.norms(multipliers) < STICKING * lam.radius)[lam.node]
+            # bounds that depend on the pressure are known to the accuracy of their fixed point
+            sticks = lam.norms(multipliers) < (1.0 - ROUGH) * lam.radius
+            held[lam.tangential] = sticks[lam.node]
             return held
         jumps = jump.of_unknowns(self.u.x.petsc_vec)
         largest = reduce_array(self.comm, np.abs(jumps).max(initial=0.0), MPI.MAX)
@@ -470,14 +455,16 @@ class EnergyBalance:
         is_far = moved > FAR * max(held, driven)
         if elsewhere or (tangent.has_material and not is_far):
             return np.nan, False
-        at_ends = stored = 0.0
+        powers = []
+        inner = 0.5 * np.sqrt(0.2)  # Lobatto's rule is exact for polynomials of degree 5
         try:
-            for fraction, of_ends, of_path in PATH:
-                with problem.at_unknowns(problem.u.x.array - (1.0 - fraction) * change):
-                    power = float(tangent.all_forces() @ owned)
-                at_ends, stored = at_ends + of_ends * power, stored + of_path * power
+            for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
+                with problem.at_unknowns(problem.u.x.array - fraction * change):
+                    powers.append(float(tangent.all_forces() @ owned))
         except StiffnessError:
             return np.nan, False
+        at_ends = 0.5 * sum(powers[:2])
+        stored = (sum(powers[:2]) + 5.0 * sum(powers[2:])) / 12.0
         contact = 0.5 * float((self._forces_at_start + forces) @ owned)
         local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
         at_ends, stored, contact, work = reduce_array(problem.comm, local)

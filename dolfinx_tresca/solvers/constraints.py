@@ -145,16 +145,15 @@ class EqualityConstraints:
 #: solutions are on the boundary of Lambda. `balance` explains G, z, C and phi.
 LOST = 1e-6
 
-#: First, least and largest value of the damping, which is the fraction of the diagonal of the
-#: majorant G'G + C that is added to the Hessian. After a whole step, the damping is multiplied by
+#: First value of the damping, which is the fraction of the diagonal of the majorant G'G + C that is
+#: added to the Hessian. After a whole step, the damping is multiplied by
 #: `RELAXATION`, since the next step may be longer where phi is flat; if rounding makes the matrix
 #: indefinite, the damping is multiplied by `MORE_DAMPING`.
-DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
-RELAXATION, MORE_DAMPING = 1e-3, 10.0
+DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 
-#: Relative and absolute accuracy of the part of a step that minimises phi. The kinks of phi may be
-#: at parts of any order of magnitude.
-PART_ACCURACY, LEAST_PART = 1e-6, 1e-30
+#: Relative accuracy of the part of a step that minimises phi. The kinks of phi may be at parts of
+#: any order of magnitude.
+PART_ACCURACY = 1e-6
 
 #: The search ends without a solution if all multipliers that satisfy the equations have a norm
 #: above this multiple of the norm of `EqualityConstraints.sizes`.
@@ -252,10 +251,10 @@ def balance(
 
         length = 1.0
         if slope(1.0) > 0.0 > _dot(step, gradient):
-            length = brentq(slope, 0.0, 1.0, xtol=LEAST_PART, rtol=PART_ACCURACY, maxiter=1000)
+            length = brentq(slope, 0.0, 1.0, xtol=1e-30, rtol=PART_ACCURACY, maxiter=1000)
         z = z + length * step
         damping = RELAXATION * damping if length == 1.0 else damping / length
-        damping = min(max(damping, LEAST_DAMPING), LARGEST_DAMPING)
+        damping = min(max(damping, np.finfo(float).eps), 1.0)
     return Balance(z, excess(z), satisfied=False, unbounded=unbounded)
 
 

@@ -11,9 +11,11 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.tolerances import (
     FORCING,
     FULL_ACCURACY,
+    MOST_STEPS,
     PATIENCE,
     PROGRESS,
     ROUGH,
+    SHORT_PATIENCE,
     SLACK,
 )
 from dolfinx_tresca.errors import InputError
@@ -30,21 +32,14 @@ from dolfinx_tresca.solvers.problem import (
     KnownProducts,
     Point,
 )
-from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
+from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel
 from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
-from dolfinx_tresca.solvers.whole_model import WholeModel
 from dolfinx_tresca.status import ContactStatus
 
-#: Limit on reductions of rho in one iteration, each of which takes a product with A.
-MOST_REDUCTIONS = 20
-
-#: If the residual is not halved in this number of iterations, the rest of A is computed, unless A
-#: is too large (`ContactCompliance.complete_products`).
-SLOW = 8
-
-#: A is also computed if Newton's method does not solve the model in this number of consecutive
-#: iterations. (If A is not computed at once, two strips of 400 cells that stick along their joint
-#: take 11 iterations without, and 7 with.)
+#: The rest of A is computed, unless it is too large (`ContactCompliance.complete_products`), if
+#: Newton's method does not solve the model in this number of consecutive iterations, or if the
+#: residual is not halved in `SHORT_PATIENCE` iterations. (If A is not computed at once, two strips
+#: of 400 cells that stick along their joint take 11 iterations without, and 7 with.)
 MISSES = 2
 
 
@@ -404,7 +399,7 @@ class ModelNewton:
             PATIENCE, PROGRESS, self.completed_at
         )
         is_limited = residual.is_limited_by_rounding(history.errors[-1])
-        is_slow = history.is_idle(SLOW, 0.5, self.completed_at) and not is_limited
+        is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not is_limited
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():
             return None
@@ -464,7 +459,7 @@ class ModelNewton:
         step = self.minimiser_between(iterate.zero_step(), whole)
         if float(inner(step.direction, iterate.r + 0.5 * step.product)) <= promised:
             return step
-        for _ in range(MOST_REDUCTIONS):
+        for _ in range(MOST_STEPS):
             step = iterate.step(move, whole.c)
             curvature, length = float(inner(move, step.product)), float(inner(move, move))
             # the error of an inexact product does not count as curvature

@@ -9,8 +9,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.linear_algebra import InnerProduct, Reductions
-from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import BlockBFGSModel, ProductStore, WholeModel
 from dolfinx_tresca.status import ContactStatus
 
 #: Products with A that are known: single products, or A as a matrix. Both give a model of A.
@@ -30,10 +29,6 @@ class Operator(Protocol):
     @property
     def exact(self) -> bool:
         """Whether products are exact to rounding, for any requested accuracy."""
-
-    @property
-    def product_error(self) -> float:
-        """The largest sqrt(e'A^-1 e) / sqrt(x'A x) of the errors e of `apply(x)` so far."""
 
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""

@@ -7,31 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS
+from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS, SHORT_PATIENCE
 from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.linear_algebra import NodalMaps
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
-from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
-#: model, for Newton's method and for convex problems. With the value 1, each node would take the
-#: state that minimises q for fixed multipliers of the other nodes; with a smaller value, nodes
-#: change their states less often.
-RHO_DIAGONAL, RHO_DIAGONAL_CONVEX = 0.2, 1.0
+#: model. With the value 1, as for convex problems, each node would take the state that minimises q
+#: for fixed multipliers of the other nodes; with a smaller value, nodes change their states less
+#: often.
+RHO_DIAGONAL = 0.2
 
 #: Limit on the number of halvings of a step that does not reduce the residual. With 10 halvings, a
 #: scene of `tests/extremes` is not solved.
 MOST_HALVINGS = 6
-
-#: After this number of steps without progress, a whole step is taken, even if the residual grows
-#: (watchdog technique, Chamberlain et al. 1982). Without, two strips of 400 cells whose joint
-#: nearly slips take 85 steps in place of 19; with 5, piles of stones take a fifth more steps, and
-#: some are not solved (`tests/validation/test_random_piles.py`).
-WATCHDOG = 8
-
-#: Limit on products with the near field in one iteration.
-MOST_NEAR_PRODUCTS = 8
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that reduces the residual too little, and
@@ -46,16 +36,15 @@ PROXIMAL, SOFTER = 1e-4, 3.0
 #: 5, since the contact problems are solved by other tractions.)
 SOLVED = 1e-6
 
-#: Factor on `PROXIMAL` in each run of Newton's method from another initial guess: zero, the
-#: solutions of convex problems (`ConvexNewton`), and then those of Tresca problems. With factors of
-#: 1 and 10, standing piles of stones take twice the steps, and pile 28 is not solved
+#: Factors on `PROXIMAL` in runs of Newton's method from other initial guesses: zero (the smaller
+#: factor), solutions of convex problems (`ConvexNewton`, the factors in turn), and then those of
+#: Tresca problems (the smaller factor), `GUESSES` rounds of each. With factors of 1 and 10,
+#: standing piles of stones take twice the steps, and pile 28 is not solved
 #: (`tests/validation/test_random_piles.py`); with 100 in the first run, too, a wall of 52 bricks
 #: takes 1.3 times the steps. Without zero, two strips that stick along their joint are not solved;
 #: without Tresca problems, a sheet whose bounds of friction reach their limit at a tenth of the
 #: largest pressure.
-OTHER_GUESSES = (1e2, 1e2, 1e3, 1e2, 1e3, 1e2, 1e3, 1e2, 1e3)
-TRESCA_GUESSES = (1e2, 1e2, 1e2, 1e2)
-
+SOFTER_STARTS, GUESSES = (1e2, 1e3), 4
 
 #: Softness of the layers (`WholeModel.softened`) on the path to another initial guess. In the first
 #: one, nodes hardly feel each other, and Newton's method finds their states in a few steps; each
@@ -191,7 +180,7 @@ class SemismoothNewton:
         for _ in range(MOST_STEPS):
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
-            whole, (dx, dc) = idle % WATCHDOG == WATCHDOG - 1, self.step(point, softness)
+            whole, (dx, dc) = (idle + 1) % SHORT_PATIENCE == 0, self.step(point, softness)
             wanted = self.wanted_residual(point, dx, dc)
             point = self._part_of_step(point, dx, dc, wanted, 0 if whole else MOST_HALVINGS)
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
@@ -254,7 +243,7 @@ class ConvexNewton(SemismoothNewton):
         nodes = problem.constraints.nodes
         largest = np.zeros(nodes.max(initial=-1) + 1)
         np.maximum.at(largest, nodes, self.size)
-        self.rho = RHO_DIAGONAL_CONVEX / largest[nodes]
+        self.rho = 1.0 / largest[nodes]
         self.opening = self.cones.dilation(x, r)
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
@@ -341,9 +330,10 @@ def solve_from_other_guesses(
         return best
     guess = zero
     pressed, slip = start.x, np.zeros_like(r)
-    for number, softer in enumerate((*OTHER_GUESSES, *TRESCA_GUESSES)):
-        if number > 0:
-            given = number >= len(OTHER_GUESSES)
+    soft = SOFTER_STARTS[0]
+    convex_runs = [(softer, False) for softer in GUESSES * SOFTER_STARTS]
+    for softer, given in [(soft, None), *convex_runs, *GUESSES * [(soft, True)]]:
+        if given is not None:
             convex = ConvexNewton(newton.problem, model, pressed, slip, given)
             guess = convex.solve(convex.point(guess.x, guess.c, guess.r), tolerance, softer)
             pressed, slip = guess.x, guess.r
@@ -380,7 +370,7 @@ def solve_model(
     tolerance *= FORCING
     G, initial = problem.constraints.columns, residual.norm_at(start)
     best, least = None, float("inf")
-    for _ in range(MOST_NEAR_PRODUCTS):
+    for _ in range(SHORT_PATIENCE):
         point = best if best is not None and least < initial else start
         target = newton_solution(problem, store.model(store.near.model()), point)
         step = target.x - point.x

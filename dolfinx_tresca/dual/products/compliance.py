@@ -14,18 +14,17 @@ from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, product
 from dolfinx_tresca.dual.energy_bound import EnergyBound
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.dual.mesh_error import DiscretisationError
-from dolfinx_tresca.dual.products.assembled_operator import (
+from dolfinx_tresca.dual.products.near_field import NearField
+from dolfinx_tresca.dual.products.operator import (
+    DualOperator,
     SurfaceCompliance,
     dense_model,
     sparse_model,
 )
-from dolfinx_tresca.dual.products.near_field import NearField
-from dolfinx_tresca.dual.products.operator import DualOperator
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.solvers.problem import KnownProducts
-from dolfinx_tresca.solvers.products import ProductStore
-from dolfinx_tresca.solvers.whole_model import WholeModel
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: With a direct solver, A is computed at once if it has at most `FEW` rows. If K has fewer than
