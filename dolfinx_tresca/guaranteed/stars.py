@@ -7,7 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.guaranteed.cells import Simplices, mean_products, opposite, rigid_motions
 from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells
