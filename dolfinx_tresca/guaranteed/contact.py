@@ -302,7 +302,7 @@ class ContactSurface:
         factors = np.divide(lengths, squares, out=np.zeros_like(lengths), where=squares > 0.1)
         return np.asarray(factors * along)
 
-    def lift(self, v: fem.Function, stiffness: Array) -> None:
+    def lift(self, v: fem.Function) -> None:
         """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
 
         Pressed nodes also close their gaps. Nodes of the secondary side move, where they are
@@ -310,16 +310,10 @@ class ContactSurface:
 
         Args:
             v: the displacement, which changes.
-            stiffness: (n,) stress per strain of the owned cells; gaps that the pressure would not
-                close on a layer of cells stay open.
         """
         V, d, own = self._owned.V, self._owned.cells.d, self.nodes
         values = v.x.array.reshape(-1, d)
-        softness = self._owned.cells.heights[self.cell, self.facet] / stiffness[self.cell]
-        softness = np.repeat(softness[:, None, None], d, axis=1)
-        closed = summed_at_nodes(V.dofmap.index_map, self._corners, softness)[:, 0] * self._pressure
-        opening = self._gaps - (self._jumps(v) * self._normals).sum(axis=1)
-        pressed = (self._pressure > 0.0) & (opening < closed)
+        pressed = self._pressure > 0.0
         normals, gaps = self._normals[own], self._gaps[own]
         excess = self._excess(self._jumps(v)[own], normals, gaps, pressed[own])
         values[own] -= self._allowed(own, excess, normals)

@@ -107,15 +107,6 @@ class Loads:
     load_distance: Array
     traction_distance: Array
 
-    def plus(self, change: Loads, factor: float) -> Loads:
-        """Return the sum with a multiple of other loads."""
-        return Loads(
-            self.load + factor * change.load,
-            self.traction + factor * change.traction,
-            self.load_distance + abs(factor) * change.load_distance,
-            self.traction_distance + abs(factor) * change.traction_distance,
-        )
-
 
 def loads(L: ufl.Form | None, owned: OwnedCells, maps: EntityMaps | None) -> Loads:
     """Return the loads of a linear form. Collective.

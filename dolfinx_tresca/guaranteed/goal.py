@@ -129,7 +129,7 @@ def guaranteed_goal(
     dual: DualProgram,
     u: fem.Function,
     solve: Callable[[float], Candidate],
-    steps: int,
+    gain: float,
 ) -> GuaranteedGoal:
     """Return an interval that contains the value in the exact solution. Collective.
 
@@ -144,7 +144,7 @@ def guaranteed_goal(
         dual: the dual problem that was solved.
         u: the displacement.
         solve: function that returns the candidate with the load L + t J; it is collective.
-        steps: steps that make the bound sharper.
+        gain: part of a distance by which a step must lower it, or the steps end.
 
     Raises:
         InputError: the bound does not cover the problem.
@@ -162,9 +162,10 @@ def guaranteed_goal(
         result = []
         for sign, candidate in candidates.items():
             v = candidates[-sign].v
-            distance = bodies.distance(candidate, v, data(v) - sign * t * of_w, steps)
+            distance = bodies.distance(candidate, v, data(v) - sign * t * of_w, gain)
             eta = distance.stress + distance.oscillation
-            sums = [0.25 * (eta**2).sum(), distance.defects.sum()]
+            lack = distance.complementarity + distance.friction
+            sums = [0.25 * (eta**2).sum(), lack.sum()]
             square, gap = reduce_array(bodies.comm, sums)
             result.append(sign * functional.value(v) + (square + max(gap, 0.0)) / t)
         return np.array(result)

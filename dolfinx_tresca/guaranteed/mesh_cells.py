@@ -15,7 +15,7 @@ import basix
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import exchange, summed_at_nodes
-from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, opposite
+from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, mean_products, opposite
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,22 @@ class OwnedCells:
         return np.array(
             [np.flatnonzero(self.basis[:, ends][:, :, ends].any(axis=(1, 2))) for ends in facets]
         )
+
+    def nodal_forces(self, load: Array, traction: Array) -> Array:
+        """Return the forces (nodes, d) of linear loads and tractions. Collective.
+
+        Args:
+            load: (n, d + 1, d) loads at the vertices.
+            traction: (n, d + 1, d, d) tractions on facets at their vertices.
+        """
+        cells, forces = self.cells, np.zeros((*self.nodes.shape, self.cells.d))
+        parts = [(np.arange(cells.d + 1), cells.volumes, load)]
+        parts += zip(opposite(cells.d), cells.areas.T, np.moveaxis(traction, 1, 0), strict=True)
+        for ends, sizes, values in parts:
+            basis = self.basis[:, ends][:, :, ends]
+            weights = np.einsum("kab,abc->kc", basis, mean_products(len(ends), 3))
+            forces += sizes[:, None, None] * (weights @ values)
+        return summed_at_nodes(self.V.dofmap.index_map, self.nodes, forces)
 
     @classmethod
     def from_space(cls, V: Any) -> OwnedCells:

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
-from dolfinx_tresca._base.arrays import integer
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, log
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -25,7 +25,7 @@ from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.guaranteed.bound import STEPS, Bodies, Candidate, GuaranteedError
+from dolfinx_tresca.guaranteed.bound import GAIN, Bodies, Candidate, GuaranteedError
 from dolfinx_tresca.guaranteed.goal import Functional, GuaranteedGoal, guaranteed_goal
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
@@ -318,7 +318,7 @@ class ContactProblem(ContactProcess):
         return goal_error(goal, contact, fields.u, energy_error)
 
     @collective(comm_of_self)
-    def guaranteed_error(self, *, steps: int = STEPS) -> GuaranteedError:
+    def guaranteed_error(self, *, gain: float = GAIN) -> GuaranteedError:
         """Return a guaranteed bound of the whole error of the last solution. Collective.
 
         The bound covers the iteration, the mesh and contact. It is for triangles and tetrahedra,
@@ -329,8 +329,8 @@ class ContactProblem(ContactProcess):
         to the number of cells.
 
         Args:
-            steps: steps of conjugate gradients that make the bound sharper; each costs some percent
-                of the time.
+            gain: the bound is made sharper step by step, until a step lowers it by less than this
+                part. Each step costs some percent of the time.
 
         Raises:
             ContactError: nothing was solved since the problem changed, the last solve did not
@@ -344,12 +344,12 @@ class ContactProblem(ContactProcess):
             >>> problem.guaranteed_error().relative_error < 1e-6
             True
         """
-        bodies, solved, steps = self._checked_for_bounds(steps)
-        return bodies.error(solved.dual, solved.multipliers, solved.fields.u, steps)
+        bodies, solved, gain = self._checked_for_bounds(gain)
+        return bodies.error(solved.dual, solved.multipliers, solved.fields.u, gain)
 
     @collective(comm_of_self)
     def guaranteed_goal(
-        self, goal: NormalForce | ContactForce | ufl.Form, *, steps: int = STEPS
+        self, goal: NormalForce | ContactForce | ufl.Form, *, gain: float = GAIN
     ) -> GuaranteedGoal:
         """Return proven bounds from both sides of a goal in the exact solution. Collective.
 
@@ -364,7 +364,7 @@ class ContactProblem(ContactProcess):
                 `ufl.TestFunction(V)[0] * ds(7)` for the integral of a displacement. Tractions count
                 for forces with the weight that is 1 at contact nodes, and zero at nodes where the
                 displacement is prescribed, linear (degree 2: quadratic) between them.
-            steps: steps of conjugate gradients that make the bounds sharper.
+            gain: as in `guaranteed_error`.
 
         Raises:
             ContactError: as `guaranteed_error`.
@@ -379,36 +379,35 @@ class ContactProblem(ContactProcess):
             >>> bounds.upper - bounds.lower < 1e-6 * bounds.value
             True
         """
-        bodies, solved, steps = self._checked_for_bounds(steps)
+        bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
         functional = Functional.of_goal(goal, bodies, solved.dual)
         size, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = size * functional.form if L is None else L + size * functional.form
         # differences of these solves count
-        options, given = self.options.with_changes(rtol=LEAST_ACCURACY), bodies.loads(L)
+        options = self.options.with_changes(rtol=LEAST_ACCURACY)
         # the load of a force is balanced by the stress of `functional.w`
-        change = None if functional.w is not None else bodies.loads(functional.form)
+        balanced = load if functional.w is None else L
 
         def candidate(t: float) -> Candidate:
             size.value = t
             contact.solve(options, self.units, lambda iteration: False)
             solved = contact.solution_for("a guaranteed bound")  # all multipliers give one
-            balanced = given if change is None else given.plus(change, t)
             return bodies.candidate(solved.dual, solved.multipliers, solved.fields.u, balanced)
 
         with contact.restored(), linear.loaded(load):
             return guaranteed_goal(
-                functional, bodies, solved.dual, solved.fields.u, candidate, steps
+                functional, bodies, solved.dual, solved.fields.u, candidate, gain
             )
 
-    def _checked_for_bounds(self, steps: Any) -> tuple[Bodies, StepSolution, int]:
+    def _checked_for_bounds(self, gain: Any) -> tuple[Bodies, StepSolution, float]:
         """Check that the last solution has guaranteed bounds. Collective."""
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")
-        number = integer(steps)
-        if number is None or number < 0:
-            raise InputError(f"steps must be an integer of at least 0, found {shown(steps)}.")
+        number = real(gain)
+        if number is None or not number > 0.0:
+            raise InputError(f"gain must be a positive number, found {shown(gain)}.")
         state = contact.surfaces.state
         moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
         if contact.surfaces.slides_far or self.comm.allreduce(moved, op=MPI.LOR):

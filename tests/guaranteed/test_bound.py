@@ -85,7 +85,7 @@ def test_never_below_the_error_on_random_scenes(seed, comm):
         )
         with scene.problem() as problem:
             solution = problem.solve(rtol=float(10.0 ** -rng.uniform(0.5, 8.0)))
-            bound = problem.guaranteed_error(steps=int(rng.integers(0, 4)))
+            bound = problem.guaranteed_error(gain=float(rng.choice([0.01, 0.1, 1.0])))
         assert bound.error >= scene.data.error(solution.u)
 
 

@@ -115,6 +115,6 @@ def test_loads_that_have_changed(scene):
         with pytest.raises(ContactError, match="have changed"):
             problem.guaranteed_error()
         problem.solve(rtol=1e-6)
-        with pytest.raises(InputError, match="steps"):
-            problem.guaranteed_error(steps=-1)
+        with pytest.raises(InputError, match="gain"):
+            problem.guaranteed_error(gain=0.0)
         assert problem.guaranteed_error().relative_error > 0.0
