@@ -106,6 +106,10 @@ class ContactSurfaces(PetscOwner):
         self._state = StepState.undeformed(self.jump, self.obstacles.motions)
         with destroyed_on_error(self.jump):
             self.compliance = stiffness.compliance(self.jump, self.timings)
+            with destroyed_on_error(self.compliance):
+                rounding = self.compliance.stress_rounding
+                for pair, on_nodes in zip(pairs, operators, strict=True):
+                    self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
         self.frames_at_rest = self._frames_at_rest()
 
     def _frames_at_rest(self) -> BodyFrames | None:

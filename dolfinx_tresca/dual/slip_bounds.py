@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, cross
+from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, cross, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
@@ -240,6 +240,24 @@ class SlipBounds:
                     "surfaces slide along one direction only, so give one bound."
                 )
             self.values.vectors_at(friction.terms.direction, nodes, DIRECTION)
+
+    def check_numbers(
+        self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
+    ) -> None:
+        """Check bounds that are plain numbers: they are known already before a solve. Collective.
+
+        Args:
+            friction: the law of friction whose bounds are checked.
+            nodes: (n,) contact nodes of this rank.
+            stress_rounding: see `at`.
+
+        Raises:
+            InputError: a bound is negative by more than rounding.
+        """
+        for name in ("constant", "limit"):
+            for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
+                if real(field) is not None:
+                    self._bound(field, nodes, words, stress_rounding)
 
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0

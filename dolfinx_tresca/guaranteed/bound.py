@@ -40,7 +40,7 @@ IMBALANCE = 1e-7
 PENETRATION = 1e-10
 
 #: Part of the bound by which a step of the conjugate gradient method must lower it, or the steps
-#: end. With half of it the bound is 2 % smaller, for one and a half times as many steps.
+#: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
 
 

@@ -60,9 +60,9 @@ class OwnedCells:
             traction: (n, d + 1, d, d) tractions on facets at their vertices.
         """
         cells, forces = self.cells, np.zeros((*self.nodes.shape, self.cells.d))
-        parts = [(np.arange(cells.d + 1), cells.volumes, load)]
-        parts += zip(opposite(cells.d), cells.areas.T, np.moveaxis(traction, 1, 0), strict=True)
-        for ends, sizes, values in parts:
+        terms = [(np.arange(cells.d + 1), cells.volumes, load)]
+        terms += zip(opposite(cells.d), cells.areas.T, np.moveaxis(traction, 1, 0), strict=True)
+        for ends, sizes, values in terms:
             basis = self.basis[:, ends][:, :, ends]
             weights = np.einsum("kab,abc->kc", basis, mean_products(len(ends), 3))
             forces += sizes[:, None, None] * (weights @ values)
