@@ -473,11 +473,11 @@ def _status_of_fields(
         return status
     if status is ContactStatus.CONVERGED:
         status = ContactStatus.STAGNATED
+    # the bound of the error is that of multipliers in equilibrium
+    is_met = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
     if requested.rtol is None:
         bound = evaluation.energy_error_bound
-        is_met = not requested.balanced and bound <= SLACK * float(requested.accuracy)
+        is_met &= not requested.balanced and bound <= SLACK * float(requested.accuracy)
     else:
-        imbalance = dual.constraints.imbalance(solution.multipliers, solution.c)
-        is_met = imbalance <= BALANCED and solution.residuals[-1] <= requested.rtol
-        is_met &= requested != options
+        is_met &= solution.residuals[-1] <= requested.rtol and requested != options
     return ContactStatus.CONVERGED if is_met else status

@@ -420,8 +420,9 @@ def check(seed: int, coulomb: bool = False) -> str:
 
 
 # Scene 29: nothing touches, and rounding of the equilibrium is no pressure. Scene 723 needs a
-# second iteration, since its fields miss the accuracy that the iterate had.
-@pytest.mark.parametrize("seed", [0, 1, 3, 4, 29, 723])
+# second iteration, since its fields miss the accuracy that the iterate had. Scene 147, solved from
+# zero, ends out of balance by 0.6 %, and must not be called solved for its small error bound.
+@pytest.mark.parametrize("seed", [0, 1, 3, 4, 29, 147, 723])
 def test_scenes_agree(seed):
     check(seed)
 
