@@ -275,9 +275,10 @@ class ContactSurfaces(PetscOwner):
             self.obstacles.motions = moved_to
 
     def begin_solve(self) -> None:
-        """Let the next solve start at the last accepted step, if the start may affect the result.
+        """Pair again where obstacles have moved, then go back to where the next solve starts.
 
-        Pairs whose obstacle has moved since they were paired are paired again. Collective.
+        This is the last accepted step, if the start may affect the result. For nonlinear bodies
+        the user's u is set to the start, too. Collective.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.

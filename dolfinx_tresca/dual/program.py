@@ -125,7 +125,8 @@ class DualProgram:
         """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
 
         The projection of these multipliers onto Lambda is the state that each node would take if
-        its neighbours were fixed: pressed or open, sticking or slipping. Not collective.
+        the displacements of its neighbours were fixed: pressed or open, sticking or slipping. Not
+        collective.
 
         Args:
             x: (size,) in Lambda.

@@ -340,7 +340,8 @@ def assemble_rows(
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
-    Primary nodes whose share of the mean is at most `NEGLIGIBLE` do not count.
+    Primary nodes whose share of the mean is at most `NEGLIGIBLE`, and nodes within edges of facets
+    of degree 2, do not count. A node that faces no primary node is free in no direction.
 
     Args:
         primary: (n, nodes of V) sparse matrix of the means over the primary side.

@@ -364,7 +364,7 @@ class ContactProblem(ContactProcess):
                 `ufl.TestFunction(V)[0] * ds(7)` for the integral of a displacement. Tractions count
                 for forces with the weight that is 1 at contact nodes, and zero at nodes where the
                 displacement is prescribed, linear (degree 2: quadratic) between them.
-            gain: as in `guaranteed_error`.
+            gain: least gain of a step, as in `guaranteed_error`.
 
         Raises:
             ContactError: as `guaranteed_error`.

@@ -203,8 +203,10 @@ class TangentProblem(ContactSystem):
     def _rows_in_contact(self) -> Mask:
         """Return a mask (size,) of the rows of B in contact at the present u_k. Collective.
 
-        The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
-        are in contact. If all multipliers are zero, normal rows of nodes that touch are in contact.
+        The multipliers decide: normal rows of pressed nodes, tangential rows of sticking nodes
+        (with the bounds of the present pressures, and curves of friction at zero slip) and all rows
+        of bonded pairs are in contact. If all multipliers are zero, normal rows of nodes that touch
+        are in contact.
         """
         jump, multipliers = self.surfaces.jump, self.surfaces.state.multipliers
         lam = jump.bounded(self.surfaces.slip_bounds()).section(multipliers)

@@ -252,7 +252,7 @@ def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: 
     """Return the result of `dolfinx.io.gmsh.model_to_mesh` with names and geometry. Collective.
 
     Raises:
-        InputError: the data have no tags of cells or of facets, or see `_geometry_of`.
+        InputError: the data have no tags of cells or of facets, or their geometry is wrong.
     """
     mesh, cell_tags, facet_tags = data[:3]
     if not isinstance(cell_tags, MeshTags) or not isinstance(facet_tags, MeshTags):

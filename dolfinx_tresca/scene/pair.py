@@ -224,7 +224,7 @@ class ContactPair:
         return math.inf if self.search_distance is None else self.search_distance
 
     def given_tags(self, which: SideName) -> tuple[Any, tuple[int, ...]]:
-        """Return the tags of facets as they were given, and those of a side, if it has tags."""
+        """Return the MeshTags that the user gave, and the tags of a side, if it has any."""
         tag, tags = getattr(self, which), self.facet_tags
         if isinstance(tag, RigidObstacle):
             return tags, ()

@@ -75,7 +75,8 @@ class NaturalResidual:
     def zero_is_undecided(self, error: float) -> bool:
         """Return whether the gradient is too inaccurate to decide if zero is the solution.
 
-        Collective.
+        It is if the projection of zero moves once each gradient is lowered by its largest error: a
+        pressure could begin. `rho` is about 1 / sigma_max of A. Collective.
 
         Args:
             error: error of the gradient at zero, in the norm sqrt(e'A^-1 e).

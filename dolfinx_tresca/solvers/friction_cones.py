@@ -102,7 +102,7 @@ class FrictionCones(FeasibleSet):
 
     For c = 0 and without limit l, each node has a second-order cone. The section of the set at
     given pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
-    pressure minimises q over its own section, not over this set: see `fixed_point`.
+    pressure minimises q over its own section, not over this set.
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
     at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of a

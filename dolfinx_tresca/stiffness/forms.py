@@ -268,7 +268,7 @@ class Component:
     """One sub-space of a mixed space, in a numbering of its own.
 
     A node on the border of two ranks may have one owner in the sub-space, and another owner in the
-    mixed space. So `of` needs ghost values.
+    mixed space. So vectors of it need ghost values.
 
     Attributes:
         V: the collapsed sub-space, on which Functions can be created.
@@ -471,7 +471,8 @@ def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
 
     Args:
         K: the saddle-point matrix.
-        not_displacement: (owned unknowns,) whether each is free and no displacement.
+        not_displacement: (owned unknowns,) whether each is free and no displacement. K has -C
+            there, so that entries above 0 are wrong.
 
     Raises:
         StiffnessError: a diagonal entry of C is negative.
