@@ -80,7 +80,6 @@ def sheet(
         outward=np.ones(len(facets)),
         offsets=np.zeros((len(facets), 0, 3)),
         origins=np.zeros((len(facets), 0)),
-        smooth=np.full(len(facets), np.nan),
         tag_index=np.zeros(len(facets), dtype=np.intp),
         bent=False,
         plane=True,

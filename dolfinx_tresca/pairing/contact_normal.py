@@ -17,16 +17,11 @@ A rigid obstacle that the mesh resolves keeps its exact normal (`mortar_integral
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.pairing.search.balls import with_neighbours
 from dolfinx_tresca.pairing.search.facets import (
     MESH_ROUNDING,
-    Facets,
     SurfaceNodes,
     lagrange_points,
     nodes_round,
@@ -101,13 +96,11 @@ class SmoothSurface:
     facet itself, with its normal. So two surfaces with kinks at the same place, such as a dovetail
     in its slot, touch along the normal of the flat facets, and not along the mean normals at the
     kinks. At the ends of a curve in 2D, where the nodal normal is a mean over one side, the normal
-    is turned until the sum is zero. Kinks are those of the undeformed surface (`with_kinks`): if a
-    soft surface turns unevenly over the facets of a dent, this is an error of its displacement.
+    is turned until the sum is zero.
 
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
     Attributes:
-        smooth: (n,) factor for each facet: 1 on parabolic surfaces, 0 next to kinks.
         nonzero: whether any facet of this rank has a fitted height above rounding.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
@@ -135,7 +128,7 @@ class SmoothSurface:
         self._first, self._second = np.triu_indices(facets.corners, 1)
         self._facet_normals, rim = facets.mean_normals, _rim_nodes(nodes)
         self.corner_normals = fitted_normals(nodes)[corner_nodes]
-        self.smooth = smooth = self._smoothness(corner_nodes, rim)
+        smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
         cosines = self._cosines()
@@ -192,7 +185,7 @@ class SmoothSurface:
         return start, end
 
     def _smoothness(self, corner_nodes: Indices, rim: Mask) -> Array:
-        """Return `smooth`, of the undeformed surface if the facets know it, else of the facets.
+        """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
         Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
         surround its other corners. If there are none, the facets of a curve count as kinked. On a
@@ -214,8 +207,7 @@ class SmoothSurface:
         np.minimum.at(of_nodes[1], corner_nodes, result[:, None])
         around = np.where(at_rim, np.inf, of_nodes[0, corner_nodes]).min(axis=1, initial=np.inf)
         alone = 0.0 if self._facets.dim == 1 else of_nodes[1, corner_nodes].min(axis=1)
-        result = np.where(outer, np.where(np.isinf(around), alone, around), result)
-        return np.where(np.isnan(self._facets.smooth), result, self._facets.smooth)
+        return np.where(outer, np.where(np.isinf(around), alone, around), result)
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
@@ -315,20 +307,6 @@ class SmoothSurface:
             at_edge |= (opposed > parallel).any(axis=1)
             across_edge |= (opposed >= least[:, None]).any(axis=1)
         return np.asarray((cosine >= least) | at_edge & ~across_edge)
-
-
-def with_kinks(V: Any, owned: Facets) -> Facets:
-    """Return a rank's undeformed facets with their `smooth`, which they keep. Collective.
-
-    Args:
-        V: the space of the displacement.
-        owned: the facets that this rank owns.
-    """
-    facets = with_neighbours(V, owned)
-    surface = SmoothSurface(SurfaceNodes.from_facets(facets))
-    both = np.concatenate([facets.nodes, owned.nodes])
-    facet, place = np.unique(both, axis=0, return_index=True, return_inverse=True)[1:]
-    return replace(owned, smooth=surface.smooth[facet[place.ravel()[len(facets.nodes) :]]])
 
 
 def _normals_across_edges(nodes: SurfaceNodes) -> Array:

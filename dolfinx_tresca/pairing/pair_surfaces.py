@@ -23,7 +23,6 @@ from dolfinx_tresca._base.parallel import (
     row_of_least,
 )
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.contact_normal import with_kinks
 from dolfinx_tresca.pairing.coupling import couple
 from dolfinx_tresca.pairing.group import PairGroup, Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
@@ -67,9 +66,6 @@ def pair_group(
             or all secondary nodes are prescribed.
     """
     undeformed = Undeformed.from_mesh(V, prescribed, group, axisymmetric=axisymmetric)
-    if group.surfaces.sliding == "finite":
-        sides = {tag: with_kinks(V, facets) for tag, facets in undeformed.sides.items()}
-        undeformed = replace(undeformed, sides=sides)
     return _pair(V, undeformed, undeformed.sides, moved=False)
 
 

@@ -27,7 +27,6 @@ from dolfinx_tresca.pairing.search.facets import (
     SHALLOW_DEPTH,
     Facets,
     frames_along,
-    joined,
     nodes_round,
 )
 
@@ -350,11 +349,11 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 
 
 def with_neighbours(V: Any, owned: Facets) -> Facets:
-    """Return this rank's facets, those at its nodes, and two rings around them. Collective.
+    """Return all facets at this rank's nodes and two rings around them. Collective.
 
     A ring are all facets at the corners of facets: `SmoothSurface` depends on two of them.
     """
-    mine = Pieces.from_facets(joined([owned, facets_at_own_nodes(V, owned)]))
+    mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
     reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
     return near_lines(V.mesh.comm, owned, mine.centres, mine.normals, reach, 0.0)
 

@@ -25,7 +25,7 @@ MESH_ROUNDING = 1e-10
 #: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
 FACET_ARRAYS = (
     *("nodes", "points", "free", "file_numbers"),
-    *("outward", "offsets", "origins", "smooth", "tag_index"),
+    *("outward", "offsets", "origins", "tag_index"),
 )
 
 #: Largest number of Newton steps that find a reference point.
@@ -88,8 +88,6 @@ class Facets:
             both sides are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see search/self_contact.py; (n, 0) on other surfaces.
-        smooth: (n,) `SmoothSurface.smooth` of the undeformed surface, see `with_kinks`; NaN if it
-            is not known, or the facets are undeformed.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane of its own.
@@ -105,7 +103,6 @@ class Facets:
     outward: Array
     offsets: Array
     origins: Array
-    smooth: Array
     tag_index: Indices
     bent: bool
     plane: bool

@@ -110,7 +110,6 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
         outward=np.ones(len(facets)),
         offsets=np.zeros((len(facets), 0, 3)),
         origins=np.zeros((len(facets), 0)),
-        smooth=np.full(len(facets), np.nan),
         tag_index=np.zeros(len(facets), dtype=np.intp),
         bent=False,
         plane=True,
