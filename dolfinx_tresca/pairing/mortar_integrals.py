@@ -169,6 +169,9 @@ class MortarIntegrals(FacetIntegrals):
         self.pairs, self.partner, self.opposite = map(
             np.concatenate, zip(*self._overlaps, strict=True)
         )
+        # the integrals outlive what they were computed with
+        del self._overlaps, self._pieces, self._others, self._visibility
+        del self._surface, self._other_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that may face each other.
@@ -193,8 +196,8 @@ class MortarIntegrals(FacetIntegrals):
                 facets = pieces.facet[piece[opposed]], partners.facet[partner[opposed]]
                 opposed[opposed] = self._may_meet(*facets)
             piece, partner = piece[opposed], partner[opposed]
-            # a block ends at the first pair of a piece after each `AT_ONCE` pairs
-            number = np.searchsorted(piece, piece) // AT_ONCE
+            # a block ends at the first pair of a piece after each 4 `AT_ONCE` pairs
+            number = np.searchsorted(piece, piece) // (4 * AT_ONCE)
             ends = np.flatnonzero(np.diff(number)) + 1
             if len(piece):
                 yield from zip(np.split(piece, ends), np.split(partner, ends), strict=True)

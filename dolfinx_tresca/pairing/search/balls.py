@@ -30,9 +30,9 @@ from dolfinx_tresca.pairing.search.facets import (
     nodes_round,
 )
 
-#: Number of lines, of pairs of facets, or of points and what may hide them, that are processed at
-#: once, which bounds the memory.
-AT_ONCE = 8192
+#: Number of lines that are processed at once, which bounds the memory; of pairs of facets four times
+#: as many, and of points and what may hide them 50 times as many.
+AT_ONCE = 2048
 
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:

@@ -85,7 +85,7 @@ class Visibility:
             )
             begin = np.searchsorted(occluder_target, target)
             numbers = np.searchsorted(occluder_target, target, side="right") - begin
-            block = np.cumsum(numbers) // AT_ONCE
+            block = np.cumsum(numbers) // (50 * AT_ONCE)
             for chunk in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
                 owner, occluder = expanded_ranges(begin[chunk], numbers[chunk])
