@@ -30,8 +30,8 @@ from dolfinx_tresca.pairing.search.facets import (
     nodes_round,
 )
 
-#: Number of lines that are processed at once, which bounds the memory; of pairs of facets four times
-#: as many, and of points and what may hide them 50 times as many.
+#: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
+#: times as many, and of points and what may hide them 50 times as many.
 AT_ONCE = 2048
 
 
