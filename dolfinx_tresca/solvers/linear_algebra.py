@@ -69,7 +69,7 @@ class NodalPattern:
     def matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
         """Return the matrix (size, size) of a linear map of arrays (size, columns)."""
         pattern, values = self._pattern, nodal(self._units)[self._entries]
-        return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape, copy=True)
 
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the

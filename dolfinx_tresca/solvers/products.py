@@ -446,20 +446,25 @@ class WholeModel:
         """
         unit, n, k = self.unit, len(self), len(missing)
         T, R = self._whole(maps.test), self._whole(maps.added)
-        matrix, G = (T @ self._shifted + R) / unit, self._reductions.stacked(G)
+        # all other rows have a zero right-hand side and no coupling: s is zero there
+        moving = np.flatnonzero((np.diff(T.indptr) > 0) | (np.diff(R.indptr) > 1))
+        T, R = T[moving], R[moving][:, moving]
+        used = np.unique(T.indices)
+        matrix = (T[:, used] @ self._shifted[used][:, moving] + R) / unit
+        G = self._reductions.stacked(G)
         soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-        right = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
-        if issparse(matrix):
-            equations = block_array([[matrix, -(T @ G)], [G.T, soft]]) if k else matrix
-            solution = self._solve(csr_array(equations), right)
+        loaded = 1.0 / unit * self._gathered(maps.test(right))[moving]
+        blocks = [[matrix, -(T @ G)], [G[moving].T, soft]] if k else [[matrix]]
+        right = np.append(loaded, missing)
+        if issparse(matrix) and len(right) > 0:
+            values = self._solve(csr_array(block_array(blocks)), right)
         else:
-            equations = np.block([[matrix, -dense(T @ G)], [dense(G).T, dense(soft)]])
-            moving = np.count_nonzero(equations, axis=1) > 1
-            moving[n:] = True
-            solution = np.zeros(n + k)
-            solution[moving] = solve_or_fit(equations[np.ix_(moving, moving)], right[moving])
-        solution = self._reductions.from_first_rank(solution)
-        return solution[self._mine], unit * solution[n:]
+            equations = np.block([[dense(block) for block in row] for row in blocks])
+            values = solve_or_fit(equations, right)
+        values = self._reductions.from_first_rank(values)
+        change = np.zeros(n)
+        change[moving] = values[: len(moving)]
+        return change[self._mine], unit * values[len(moving) :]
 
     def _gathered(self, x: Array) -> Array:
         """Return the values of all ranks, (n,) or (n, columns). Collective."""
@@ -470,6 +475,7 @@ class WholeModel:
     def _whole(self, nodal: Callable[[Array], Array]) -> csr_array:
         """Return the matrix (n, n) of a map that couples multipliers of one node. Collective."""
         own = self._pattern.matrix(nodal)
+        own.eliminate_zeros()
         columns = own.indices + self._mine.start
         rows = csr_array((own.data, columns, own.indptr), shape=(own.shape[0], len(self)))
         return self._reductions.stacked(rows)
