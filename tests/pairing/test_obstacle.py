@@ -125,18 +125,6 @@ def test_invalid_signed_distance_raises_on_all_ranks(comm, name):
         assert problem.contact_nodes > 0
 
 
-@pytest.mark.parallel
-def test_exception_of_the_users_function_is_raised(comm):
-    scene = patch(comm, "triangle")
-
-    def broken(x):
-        raise ZeroDivisionError("my own")
-
-    pair = ContactPair(scene.facet_tags, UPPER, RigidObstacle(broken), Frictionless())
-    with pytest.raises(ZeroDivisionError, match="my own"):
-        scene.problem(pairs=[pair])
-
-
 def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> ContactPair:
     """Return the plane to which the lower block's face moves, so that uniform stress is exact."""
     modulus = 1000.0 / (1.0 if scene.mesh.geometry.dim == 3 else 1.0 - POISSON**2)
