@@ -19,7 +19,7 @@ from dolfinx_tresca import (
 )
 from scenes.boxes import Body, boxes, near
 from scenes.elasticity import elasticity, no_load
-from scenes.patches import KINDS, LOWER, UPPER, dim_of, patch
+from scenes.patches import KINDS, LOWER, UPPER, UPPER_BLOCK, dim_of, patch
 from scenes.scene import EPS
 
 ROUNDING = 1e4 * EPS
@@ -51,6 +51,23 @@ def test_peak_pressures_from_either_side(comm, kind, degree):
             with scene.problem() as problem:
                 peaks.append(problem.solve(rtol=1e-4).peak_pressure)
         assert least < peaks[1] / peaks[0] < 1.0 / least
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_jump_at_a_node_is_its_own_where_facets_are_covered_in_part(comm, kind):
+    """The secondary side alone moves; of its facets at one end 31/32 are covered."""
+    dim = dim_of(kind)
+    scene = patch(
+        comm, kind, upper=(4, 1), lower=(3, 1), distort=0.0, pairing="mortar",
+        span=[(-1 / 128, 1 - 1 / 128)] * (dim - 1),
+    )  # fmt: skip
+    operators = scene.operators()
+    assert len(operators.nodes) == 5 ** (dim - 1)
+    u = np.zeros((len(scene.V.tabulate_dof_coordinates()), dim))
+    moved = np.unique(scene.V.dofmap.list[scene.cell_tags.find(UPPER_BLOCK)])
+    u[moved] = np.cos(np.arange(dim * len(moved))).reshape(-1, dim)
+    jumps = np.einsum("ni,ni->n", u[operators.nodes], operators.normals)
+    assert np.abs(operators.N @ u.ravel() - jumps).max() <= ROUNDING
 
 
 @pytest.mark.parallel(kind=["quadrilateral"], degree=[2])
