@@ -105,7 +105,7 @@ def test_pairing_takes_as_much_memory_as_the_page_says(tmp_path, monkeypatch):
 
 
 def test_peers_find_the_same_stresses(tmp_path, monkeypatch):
-    """Also those with an assembly of their own, and after load steps with history."""
+    """All peers reach the stresses, with their own assembly and after load steps with history."""
     result = tmp_path / "rows.json"
     peers = [
         "cholesky",

@@ -71,7 +71,7 @@ def refused(scene, message: str, kind: type[Exception] = InputError, **changes) 
 
 
 def test_messages_do_not_show_whole_arrays(scene):
-    """Whatever is given, the message can be read."""
+    """Messages are short, even if a wrong argument is large."""
     huge = list(range(100_000))
     x = ufl.SpatialCoordinate(scene.V.mesh)
     long = sum(ufl.sin(i * x[0]) for i in range(1, 100))
@@ -530,7 +530,7 @@ def test_forms_of_another_type(scene, name):
 
 @pytest.mark.parallel
 def test_tags_of_bodies_on_another_mesh(comm):
-    """They would name the wrong bodies, and are found before anything is assembled."""
+    """Tags of another mesh would name the wrong bodies: an error before assembly."""
     scene, finer = (two_bricks(comm, n) for n in (2, 3))
     facet_tags = NamedTags(scene.pair.facet_tags, {}, finer.pair.facet_tags.cell_tags)
     pair = dataclasses.replace(scene.pair, facet_tags=facet_tags, name="the pair")

@@ -174,7 +174,7 @@ def test_lines_are_short(comm, caplog, name):
 
 
 def test_repr_is_short(comm):
-    """Also of what holds whole solutions, long expressions and many tags."""
+    """Objects that hold solutions, long expressions and many tags have a repr of one line."""
     scene = two_bricks(comm, 4)
     x = ufl.SpatialCoordinate(scene.V.mesh)
     law = Tresca(sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100)))

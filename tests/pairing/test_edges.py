@@ -56,10 +56,10 @@ def test_a_node_whose_normals_cancel_is_an_error(comm):
     k, angle = np.arange(8), 0.25 * np.pi * np.arange(8)
     ring = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)])
     x, cells = [np.zeros((1, 3))], []
-    for first, height in ((1, -1.0), (10, 1.0)):
+    for start, height in ((1, -1.0), (10, 1.0)):
         x += [[[0.0, 0.0, height]], np.column_stack([ring, np.full(8, height)])]
         cells.append(
-            np.column_stack([0 * k, 0 * k + first, first + 1 + k, first + 1 + (k + 1) % 8])
+            np.column_stack([0 * k, 0 * k + start, start + 1 + k, start + 1 + (k + 1) % 8])
         )
     rows = slice(None) if comm.rank == 0 else slice(0)
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))

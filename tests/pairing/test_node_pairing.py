@@ -25,7 +25,7 @@ def total(comm, value) -> float:
 
 @pytest.mark.parametrize("offset", [0.0, 1e-6, 0.02, -0.001, 2.0])
 def test_gap_is_the_signed_distance(comm, offset):
-    """It may be zero, small compared with the cells or large, or negative: initial penetration."""
+    """Gaps may be zero, smaller than cells, larger, or negative (initial penetration)."""
     operators = two_bricks(comm, 4, Offset=offset).but(pairing="nodes").operators()
     assert np.allclose(operators.gap, offset, atol=100 * EPS)
 

@@ -62,7 +62,7 @@ def brute_nearest(cones: FrictionCones, y: np.ndarray) -> np.ndarray:
 @BOUNDED
 @given(cases())
 def test_projection_is_the_nearest_point(case):
-    """To the square root of rounding, with which a search for a minimum ends."""
+    """The search for the minimum, a reference, ends with the square root of rounding."""
     cones, rng = case
     y = rng.standard_normal(cones.size) * rng.choice([0.01, 1.0, 100.0])
     found, wanted = cones.project(y), brute_nearest(cones, y)

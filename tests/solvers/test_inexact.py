@@ -50,7 +50,7 @@ def check_residual(problem: DenseProblem, seed: int) -> None:
 @settings(max_examples=60)
 @given(problems(), st.integers(0, 100))
 def test_the_residual_is_reached_in_truth(problem, seed):
-    """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
+    """The exact residual is as small as requested, though the method sees gradients with errors."""
     check_residual(problem, seed)
 
 

@@ -34,7 +34,7 @@ def wedge(comm: MPI.Comm, friction: float) -> Scene:
 @pytest.mark.parallel
 @pytest.mark.parametrize(("friction", "asked"), [(0.3, {"rtol": RTOL}), (0.05, {})])
 def test_what_is_left_of_a_wedge_without_load(comm, friction, asked):
-    """Without a load no pressure anywhere is a solution as well, but none that a process leads to.
+    """No pressure anywhere is a solution without load, too, but no process leads to it.
 
     So is it with loads that are nearly nothing. It takes cos(a) (F - tan(a)) of the normal force, a
     fifth, to bring the wedge out.

@@ -163,9 +163,9 @@ def test_of_two_layers_the_nearer_one_is_paired(comm, kind, sunk):
         for k, heights in ((1, upper), (2, lower))
     ]
     tags = stack.tags((SECONDARY, [0], near(dim - 1, 1.0)), *plates)
-    found = stack.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless()))
-    assert comm.allreduce(found.weights.sum()) == pytest.approx(1.0, rel=ROUNDING)
-    assert np.abs(found.gap - gap).max(initial=0.0) <= ROUNDING
+    operators = stack.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless()))
+    assert comm.allreduce(operators.weights.sum()) == pytest.approx(1.0, rel=ROUNDING)
+    assert np.abs(operators.gap - gap).max(initial=0.0) <= ROUNDING
 
 
 @pytest.mark.parametrize("kind", KINDS)
