@@ -105,7 +105,7 @@ def test_pairing_takes_as_much_memory_as_the_page_says(tmp_path, monkeypatch):
 
 
 def test_peers_find_the_same_stresses(tmp_path, monkeypatch):
-    """Also those with an assembly of their own, and after load steps with history."""
+    """All peers reach the stresses, with their own assembly and after load steps with history."""
     result = tmp_path / "rows.json"
     peers = [
         "cholesky",
@@ -123,53 +123,6 @@ def test_peers_find_the_same_stresses(tmp_path, monkeypatch):
     assert len(rows) == 2 * len(peers) - 1  # scikit_fem has the bricks alone
     for row in rows:
         assert row["status"] == "reached", row
-
-
-@pytest.fixture
-def echo(tmp_path, monkeypatch):
-    """Return a function that runs a benchmark, in new processes, whose figures are its cases'."""
-    script = tmp_path / "echo.py"
-    script.write_text(
-        "import signal, sys\n"
-        f"sys.path.insert(0, {str(BENCHMARKS)!r})\n"
-        "from harness import Benchmark, Column\n"
-        "def measure(comm, case):\n"
-        "    yield {'found': comm.allreduce(1), 'status': 'begun'}\n"
-        "    assert 0.0 < signal.getitimer(signal.ITIMER_REAL)[0] <= 600.0\n"
-        "    if case['what'] == 'sleep':\n"
-        "        signal.raise_signal(signal.SIGALRM)  # time is up\n"
-        "    assert case['what'] != 'fail', 'as asked'\n"
-        "    yield {'status': 'done'}\n"
-        "def cases(arguments):\n"
-        "    return [{'what': 'work', 'ranks': 2}, {'what': 'fail'}, {'what': 'sleep'}]\n"
-        "BENCHMARK = Benchmark(script=__file__, about='Echo.', key=['what'], cases=cases,\n"
-        "                      measure=measure, shown=[Column('what', '{what}')])\n"
-        "if __name__ == '__main__':\n"
-        "    BENCHMARK.main()\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    yield lambda *arguments: run(monkeypatch, "echo", *arguments)
-    sys.modules.pop("echo", None)
-
-
-def test_cases_in_processes_of_their_own(tmp_path, echo):
-    """On several ranks, too; what fails or takes too long is a row that says so."""
-    result = tmp_path / "rows.json"
-    echo("--limit", 600, "--changed", "--json", result)
-    rows = {row["what"]: row for row in kept(result)}
-    assert rows["work"]["found"] == 2
-    assert rows["work"]["status"] == "done"
-    assert rows["fail"]["status"] == "AssertionError: as asked"
-    assert rows["sleep"]["status"] == "stopped after 600 s"
-    assert rows["sleep"]["found"] == 1  # what it had found until then
-
-
-def test_code_that_is_not_committed_measures_nothing_to_keep(tmp_path, monkeypatch):
-    benchmark = importlib.import_module("harness.benchmark")
-    monkeypatch.setattr(benchmark, "commit", lambda: "1234567+")
-    with pytest.raises(SystemExit, match="not committed"):
-        run(monkeypatch, "pairing", "--facets", 100, "--json", tmp_path / "rows.json")
-    assert not (tmp_path / "rows.json").exists()
 
 
 def test_tables_of_the_page_are_up_to_date():

@@ -142,7 +142,7 @@ def test_python(names, tmp_path, monkeypatch, page):
 
 
 def test_the_script_of_the_readme(tmp_path, monkeypatch):
-    """It is the package's example, complete; it prints lines of that kind."""
+    """README shows the package's whole example, and lines of the kind that it prints."""
     (script,) = blocks(README.read_text(), "python")
     code = Path(dolfinx_tresca.__file__).with_name("example.py").read_text()
     _docstring, _, code = code.partition("\n\n")
@@ -224,7 +224,7 @@ def test_debian_packages_are_those_of_the_tools():
 
 
 def test_the_page_on_pypi():
-    """It installs as README.md and the page on installing say, and leads nowhere else."""
+    """The page has the commands of README.md and of the page on installing, and no links."""
     page = (CHECKOUT / "packaging" / "pypi.md").read_text()
     assert not re.search(r"\]\(|://", page)
     known = README.read_text() + (DOCS / "start" / "install.md").read_text()
@@ -343,7 +343,7 @@ def explained(section: str) -> dict[str, list[re.Pattern[str]]]:
 
 
 def test_debugging_explains_errors_and_warnings():
-    """What it quotes is said; and each message of all but wrong arguments is there."""
+    """All quoted messages exist, and all messages but those of wrong arguments are quoted."""
     page = (DOCS / "how-to" / "debugging.md").read_text()
     phrases = explained(page[page.index("## Errors") : page.index("## How a solve ends")])
     public = {

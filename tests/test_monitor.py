@@ -47,7 +47,7 @@ def test_a_terminal_shows_one_line_for_each_solve(comm, terminal, monkeypatch):
 
 
 def test_newtons_method_has_one_line(comm, terminal):
-    """It shows the part of the load, the step and the residual of the last one while it works."""
+    """The line shows the part of the load, the Newton step, and the residual of the last step."""
     scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.1))
     with scene.problem() as problem:
         scene.push.value[:] = 0.02, -0.1
@@ -70,7 +70,7 @@ def test_the_bar_counts_digits_and_does_not_go_back(terminal):
 
 
 def test_a_line_is_no_longer_than_the_terminal_is_wide(terminal, monkeypatch):
-    """Else each iteration would begin a new one."""
+    """A longer line would be broken, and each iteration would begin a new one."""
     monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((40, 20)))
     ProgressBar()(at(0, 1.0))
     assert len(terminal.getvalue()) == 1 + 39

@@ -53,7 +53,7 @@ def warnings(caplog) -> list[str]:
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["constant", "function"])
 def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
-    """Where values are prescribed too; the log says so, once for each K, and at no other time."""
+    """The log warns once for each K that coefficients of the form have changed since."""
     scene = two_bricks(comm, 4)
     if kind == "constant":
         young = fem.Constant(scene.mesh, YOUNG)
@@ -117,7 +117,7 @@ def test_a_second_solve_costs_less(comm):
 
 
 def test_methods_can_follow_each_other(comm):
-    """Whatever the method, it starts from the last multipliers."""
+    """Each method starts from the last multipliers."""
     with bricks_problem(comm, 4) as problem:
         problem.solve(rtol=RTOL)
         for method in ("gimssn", "imssn", "mssn", "ssn", "projected_newton"):
@@ -213,7 +213,7 @@ def test_only_digits_that_hold_are_printed():
     ],
 )
 def test_a_solve_that_fails_is_logged(caplog, options, status, advice):
-    """One warning with what helps; more iterations do not help against rounding errors."""
+    """The log has one warning with advice, which is another one for rounding errors."""
     with bricks_problem(MPI.COMM_SELF, 3) as problem, caplog.at_level(logging.WARNING):
         problem.solve(rtol=1e-6)
         assert not caplog.records
@@ -296,7 +296,7 @@ def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
 
 
 def test_one_factorisation_for_any_number_of_solves(comm):
-    """Of K, and of the small matrix of the energy bound.
+    """K is factored once, and the small matrix of the energy bound once.
 
     They are counted in a stage of PETSc's log of their own, since PETSc does not count further in
     a stage in which an error has occurred.

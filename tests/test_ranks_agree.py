@@ -568,7 +568,7 @@ def test_no_collective_call_is_left_out():
 
 
 def test_obstacles_are_at_the_same_place(scene):
-    """One that was moved on one rank alone."""
+    """An obstacle that was moved on one rank alone is an error on all ranks."""
     floor = plane(0.0)
     pairs = [ContactPair(scene.block.facet_tags, 1, floor, Tresca(0.01))]
     with ContactProblem(**(scene.given | {"pairs": pairs})) as problem:
@@ -588,7 +588,7 @@ def test_one_rank_is_wrong(scene, name):
 
 
 def test_constants_must_agree(scene):
-    """A load that was changed on one rank alone."""
+    """A load that was changed on one rank alone is an error on all ranks."""
     before = scene.load.value.copy()
     scene.load.value = before * (2.0 if scene.wrong else 1.0)
     for call in (lambda: scene.problem.solve(), lambda: scene.problem.update_stiffness()):

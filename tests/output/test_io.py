@@ -283,7 +283,7 @@ def test_unknown_suffix(folder: Path, solution: ContactSolution, name: str) -> N
 def test_a_folder_in_the_place_of_the_file(
     comm: MPI.Comm, folder: Path, solution: ContactSolution
 ) -> None:
-    """Or a file in the place of the folder: an error on all ranks, or the run hangs."""
+    """A folder in the place of the file, or a file in that of the folder: an error on all ranks."""
     if comm.rank == 0:
         (folder / "taken").touch()
         (folder / "bricks.pvd").mkdir()
@@ -383,7 +383,7 @@ def test_files_that_are_no_series(folder: Path, solution: ContactSolution) -> No
 
 
 def test_fields_of_the_user(folder: Path, solution: ContactSolution) -> None:
-    """Of cells and nodes, of another degree than the displacement; tags of some cells."""
+    """Fields of cells and of nodes, of any degree, and tags of some cells are written."""
     mesh = solution.u.function_space.mesh
     stress = fem.Function(fem.functionspace(mesh, ("DG", 0, (3, 3))), name="stress")
     stress.interpolate(lambda x: np.arange(9.0)[:, None] * x[:1] ** 0)
@@ -433,7 +433,7 @@ def full_disk(kilobytes: int) -> Iterator[None]:
 
 
 def test_full_disk(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
-    """One error on all ranks, and the files of an earlier run stay."""
+    """A full disk is one error on all ranks, and the files of an earlier run stay."""
     path = folder / "bricks.pvd"
     solution.write(path)
     comm.barrier()

@@ -138,7 +138,7 @@ def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> Non
 @pytest.mark.parallel
 @needs_xvfb
 def test_picture_without_a_path(comm: MPI.Comm, folder: Path, flat: ContactSolution) -> None:
-    """It is on the first rank, and the same as in a file; with a path there is none."""
+    """The first rank gets the picture that a file would have; with a path no rank gets one."""
     found = flat.plot()
     assert flat.plot(folder / "flat.png") is None
     if comm.rank == 0:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import logging
 from html.parser import HTMLParser
 
@@ -13,34 +12,20 @@ import pytest
 import ufl
 from dolfinx import fem
 
-import dolfinx_tresca
 from dolfinx_tresca import (
     AdaptiveSolution,
     AdaptiveStatus,
     Bonded,
-    ContactForce,
     ContactPair,
-    ContactState,
     Coulomb,
     Frictionless,
     GuaranteedError,
-    GuaranteedGoal,
-    Iteration,
     Level,
-    MeanPressure,
-    MeanSlip,
-    NewtonOptions,
-    NewtonStep,
     NormalForce,
-    Preload,
-    PressureNorm,
-    ProgressBar,
     RigidCylinder,
     RigidObstacle,
     RigidPlane,
     RigidSphere,
-    SolutionWriter,
-    SolverOptions,
     TaggedMesh,
     Tresca,
     Units,
@@ -51,7 +36,6 @@ from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
 from scenes.patches import SIDES, patch
-from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem, two_bricks
 
 UNITS = Units("mm", "MPa", force="N")
@@ -189,72 +173,28 @@ def test_lines_are_short(comm, caplog, name):
 # repr
 
 
-def test_repr_of_everything_public_is_short(comm):
+def test_repr_is_short(comm):
+    """Objects that hold solutions, long expressions and many tags have a repr of one line."""
     scene = two_bricks(comm, 4)
     x = ufl.SpatialCoordinate(scene.V.mesh)
-    long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
-    rubber = rubber_block(comm, (2, 2))
-    with scene.problem(units=UNITS) as problem, rubber.problem() as nonlinear:
+    law = Tresca(sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100)))
+    with scene.problem(units=UNITS) as problem:
         solution = problem.solve()
-        of_rubber = nonlinear.solve()
         bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
         level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, None, 100, 1 / 3)
-        goal = MeanSlip((0.0, 0.0, 0.0), 10.0, (1.0, 0.0, 0.0))
-        objects = [
-            goal,
-            NormalForce(),
-            ContactForce((1.0, 0.0, 0.0)),
-            MeanPressure((0.0, 0.0, 0.0), 10.0),
-            PressureNorm(8.0),
-            problem.goal_error(NormalForce()),
-            problem,
-            level,
-            AdaptiveSolution(AdaptiveStatus.REACHED, 1 / 3, (level,)),
-            AdaptiveStatus.MAX_DOFS,
-            solution,
-            solution.surface,
-            solution.counts,
-            solution.status,
-            solution.options,
-            ContactState.SLIP,
-            TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags),
-            scene.pair,
-            problem.operators[0],
-            ContactPair(scene.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)),
-            nonlinear,
-            of_rubber,
-            of_rubber.newton,
-            NewtonOptions(1 / 3, 100, 10),
-            NewtonStep(100, 1 / 3, 1 / 3, 1 / 3, 1 / 3, 100, 1000, 1000, "contact 1000"),
-            Tresca(long),
-            Coulomb(long),
-            Coulomb(lambda p, v: 0.1 + 0.0 * p),
-            Frictionless(),
-            Bonded(),
-            Preload(1 / 3),
-            RigidPlane((1 / 3, 1 / 3, 1 / 3), (1, 1, 1)),
-            RigidSphere((1 / 3, 1 / 3, 1 / 3), 1 / 3, hollow=True),
-            RigidCylinder((1 / 3, 1 / 3, 1 / 3), (1, 1, 1), 1 / 3, hollow=True),
-            RigidObstacle(len, "a rigid ring"),
-            SolverOptions(accuracy=1 / 3, rho_sigma=1 / 3),
-            Iteration(100, 1000, 1 / 3, 1 / 3, 1 / 3, -1 / 3),
-            ProgressBar(comm),
-            SolutionWriter("results/steps.pvd"),
-            UNITS,
-            tangent := problem.tangent([scene.data.load], [(0.0, 0.0, 1.0)]),
-            *tangent.surfaces,
-            contacts(bricks, friction=Coulomb(0.3)),
-            GuaranteedError(1 / 3, 1 / 3, solution.u, *[1 / 3] * 5),
-            GuaranteedGoal(1 / 3, 2 / 3, 1 / 2),
-        ]
+        tangent = problem.tangent([scene.data.load], [(0.0, 0.0, 1.0)])
         with problem.record() as tape:
-            objects.append(tape)
-        for one in objects:
-            assert len(repr(one)) < 250 and "\n" not in repr(one)
+            pass
+        for shown in (
+            *(problem, problem.operators[0], problem.goal_error(NormalForce()), tape),
+            *(solution, solution.surface, tangent, *tangent.surfaces, level),
+            *(bricks, scene.pair, law, dataclasses.replace(scene.pair, friction=law)),
+            AdaptiveSolution(AdaptiveStatus.REACHED, 1 / 3, (level,)),
+            GuaranteedError(1 / 3, 1 / 3, solution.u, *[1 / 3] * 5),
+            contacts(bricks, friction=Coulomb(0.3)),
+        ):
+            assert len(repr(shown)) < 250 and "\n" not in repr(shown)
     assert "12 of 16 contact nodes pressed" in repr(solution)
-    public = {getattr(dolfinx_tresca, name) for name in dolfinx_tresca.__all__}
-    classes = {one for one in public if inspect.isclass(one) and not issubclass(one, Exception)}
-    assert classes == {type(one) for one in objects}
 
 
 def test_repr_can_be_had_after_destroy(comm):

@@ -5,25 +5,19 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
-from dolfinx_tresca import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.output.grid import Grid
-from dolfinx_tresca.output.panels import Contact
-from dolfinx_tresca.output.views import (
-    INVISIBLE,
-    SAMPLES,
-    VISIBLE,
-    draw_obstacle,
-    magnification,
-)
+from dolfinx_tresca import Frictionless, RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
+from dolfinx_tresca.output.grid import Grid, gather_grid
+from dolfinx_tresca.output.panels import gather_contact
+from dolfinx_tresca.output.views import INVISIBLE, SAMPLES, draw_obstacle, magnification
+from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.rigid_obstacle import distance_from_ring
 
 pytest.importorskip("pyvista")
-
-AROUND = np.linspace(0.0, 0.5 * np.pi, 7)  #: a quarter
-OVERLAP = 1e-3
 
 KINDS = [
     RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
@@ -62,81 +56,30 @@ def test_an_obstacle_whose_function_fails(caplog: pytest.LogCaptureFixture) -> N
     assert "out of the table" in caplog.text
 
 
-def circle(radius: float) -> np.ndarray:
-    """Return nodes of a quarter of a circle."""
-    return radius * np.stack([np.cos(AROUND), np.sin(AROUND), 0.0 * AROUND], axis=1)
-
-
-def ring_of(inner: np.ndarray, outer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and quadrilaterals between two quarters."""
-    n = len(inner)
-    first = np.arange(n - 1)
-    cells = np.stack([np.full(n - 1, 4), first, first + 1, first + n + 1, first + n], axis=1)
-    return np.concatenate([inner, outer]), cells
-
-
-def shaft_in_hub(part: float) -> tuple[Grid, Contact]:
-    """Return a hub that opens by a part of the overlap, and a shaft that gives the rest."""
-    hub, cells = ring_of(circle(1.0), circle(2.0))
-    shaft, others = ring_of(circle(0.2), circle(1.0 + OVERLAP))
-    others[:, 1:] += len(hub)
-    points = np.concatenate([hub, shaft])
-    outwards = points / np.linalg.norm(points, axis=1, keepdims=True)
-    radius = np.concatenate([np.full(len(hub), part), np.full(len(shaft), part - 1.0)])
-    u = OVERLAP * radius[:, None] * outwards
-    kinds = np.full(len(cells) + len(others), 9)
-    volume = Grid(2, points, np.concatenate([cells, others]), kinds, {"u": u})
-    return volume, contact_at(circle(1.0), np.full(len(AROUND), -OVERLAP))
-
-
-def contact_at(points: np.ndarray, initial_gap: np.ndarray, gap: float = 0.0) -> Contact:
-    """Return a curve whose nodes have these gaps, and are pressed if the gap is zero."""
-    n = len(points)
-    cells = np.stack([np.full(n - 1, 2), np.arange(n - 1), np.arange(1, n)], axis=1)
-    values = {"initial_gap": initial_gap, "gap": np.full(n, gap), "pressed": np.full(n, gap == 0.0)}
-    return Contact(Grid(1, points, cells, np.full(n - 1, 3), values))
-
-
-@pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
-def test_pressed_pin_is_not_loose(part: float) -> None:
-    """Both sides of the contact are drawn on one circle, as near as one sees."""
-    volume, contact = shaft_in_hub(part)
-    scale = magnification(volume, [contact])
-    points = volume.points + scale * volume.values["u"]
-    n, length = len(AROUND), np.linalg.norm(np.ptp(volume.points, axis=0))
-    hub, shaft = np.linalg.norm(points[:n], axis=1), np.linalg.norm(points[3 * n :], axis=1)
-    np.testing.assert_allclose(shaft, hub, atol=INVISIBLE * length)
-    assert scale >= 1.0
-
-
-def block_over_plane(gap: float, closed: float, sink: float) -> tuple[Grid, Contact]:
-    """Return a square at a distance of a plane, part of which it closes while its top sinks."""
-    x = np.linspace(0.0, 1.0, 5)
-    bottom = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
-    points, cells = ring_of(bottom, bottom + np.array([0.0, 1.0, 0.0]))
-    n = len(x)
-    u = np.zeros_like(points)
-    u[:n, 1], u[n:, 1] = -closed, -sink
-    volume = Grid(2, points, cells, np.full(n - 1, 9), {"u": u})
-    return volume, contact_at(bottom, np.full(n, gap), gap - closed)
-
-
-@pytest.mark.parametrize(("gap", "limited"), [(0.0, False), (0.003, True), (0.5, True)])
-def test_obstacles_that_are_met(gap: float, limited: bool) -> None:
-    """They stay where they are, so the scale is limited by gaps that have closed."""
-    volume, contact = block_over_plane(gap, gap, max(gap, 1e-3))
+@pytest.mark.parametrize(
+    ("gap", "down"), [(0.0, 1e-3), (0.003, 0.004), (0.5, 0.501), (-0.003, 0.0), (0.05, 1e-3)]
+)
+def test_bodies_are_drawn_on_the_obstacles_that_they_touch(gap: float, down: float) -> None:
+    """Obstacles are drawn where they are; so displacements are magnified less if gaps close."""
+    scene = block(
+        MPI.COMM_SELF,
+        (4, 4),
+        load=(0.0, 0.0, 0.0),
+        held=[ABOVE],
+        moved=lambda x: np.outer([0.0, -down], np.ones(x.shape[1])),
+        friction=Frictionless(),
+        obstacles=[(BELOW, floor(2, -gap))],
+    )
+    with scene.problem() as problem:
+        solution = problem.solve()
+    volume, contact = gather_grid([solution.u]), gather_contact(solution.surface)
+    assert volume is not None and contact is not None
     scale, length = magnification(volume, [contact]), np.sqrt(2.0)
-    assert (scale - 1.0) * gap <= INVISIBLE * length
-    if not limited:
-        assert 0.4 * VISIBLE * length < scale * 1e-3 <= VISIBLE * length
-
-
-def test_obstacles_that_are_not_met() -> None:
-    """What is open is not drawn in them."""
-    gap, closed = 0.05, 1e-3
-    volume, contact = block_over_plane(gap, closed, closed)
-    scale = magnification(volume, [contact])
-    assert 1.0 < scale and scale * closed <= gap + INVISIBLE * np.sqrt(2.0)
+    lowest = (volume.points + scale * volume.values["displacement"])[:, 1].min()
+    assert scale >= 1.0
+    assert lowest >= -gap - 1.001 * INVISIBLE * length
+    if solution.counts.contact:
+        assert lowest <= -gap + 1.001 * INVISIBLE * length
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import Bonded, ContactState, ContactStatus
-from scenes.assembled import direct_solver
+from scenes.assembled import linear_solution
 from scenes.patches import KINDS, UPPER, patch
 from scenes.scene import Scene
 
@@ -30,26 +29,6 @@ def loaded(scene: Scene):
     return ufl.inner(ufl.as_vector(force), ufl.TestFunction(scene.V)) * ufl.dx
 
 
-def plain_solution(scene: Scene, L) -> fem.Function:
-    """Return the solution of K u = f without contact."""
-    a, L = fem.form(scene.a), fem.form(L)
-    K = dolfinx.fem.petsc.assemble_matrix(a, scene.bcs)
-    K.assemble()
-    f, u = fem.Function(scene.V), fem.Function(scene.V)
-    fem.assemble_vector(f.x.array, L)
-    fem.apply_lifting(f.x.array, [a], [scene.bcs])
-    f.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    for bc in scene.bcs:
-        bc.set(f.x.array)
-    f.x.scatter_forward()
-    ksp = direct_solver(K)
-    ksp.solve(f.x.petsc_vec, u.x.petsc_vec)
-    u.x.scatter_forward()
-    ksp.destroy()
-    K.destroy()
-    return u
-
-
 def by_point(comm, scene: Scene, u: fem.Function) -> dict[tuple, np.ndarray]:
     """Return point -> displacement of a node at this point, for the nodes of all ranks."""
     dim, count = scene.mesh.geometry.dim, scene.V.dofmap.index_map.size_local
@@ -65,7 +44,8 @@ def test_bonded_blocks_equal_a_body_meshed_as_one(comm, kind):
     blocks = {"upper": (3, 2), "lower": (3, 3), "distort": 0.0, "young": (1000.0, 300.0)}
     single = patch(comm, kind, **blocks, merge=lambda x: np.ones(len(x), dtype=bool))
     assert comm.allreduce(len(single.facet_tags.find(UPPER))) == 0
-    expected = by_point(comm, single, plain_solution(single, loaded(single)))
+    alone = linear_solution(single.a, loaded(single), single.bcs)
+    expected = by_point(comm, single, alone)
     scene = patch(comm, kind, **blocks, friction=Bonded())
     with scene.problem(L=loaded(scene)) as problem:
         assert "bonded" in str(problem)

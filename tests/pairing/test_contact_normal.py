@@ -173,7 +173,7 @@ def test_a_chamfered_block_moves_along_a_wall(comm, folder, angle, size, sliding
 @pytest.mark.parametrize("angle", [10, 45])
 @pytest.mark.parametrize("sides", [("side", "inner"), ("inner", "side")])
 def test_a_chamfered_slab_moves_along_a_wall(comm, folder, size, angle, sides):
-    """As in the plane: kinks at the rim of a surface are kinks, also if there is but the rim."""
+    """Kinks count at the rim of a surface, too, here where all facets are at the rim."""
     tagged = read(comm, folder, CHAMFERED_SLAB, angle=angle, h=size)
     V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (3,)))
     held = [

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-from types import SimpleNamespace
-
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from rotations import rotation
-from sheets import nodes_of, sheet
 
-from dolfinx_tresca import PairingError
-from dolfinx_tresca.pairing.pair_surfaces import _surface_nodes
+import basix.ufl
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, PairingError, RigidPlane
 from dolfinx_tresca.pairing.search.facets import EDGE_ANGLE, smooth_patches
+from scenes.elasticity import elasticity, no_load
 
 
 def fan(angles: np.ndarray) -> np.ndarray:
@@ -51,35 +50,26 @@ def test_patch_is_a_chain_of_normals(angles, patches):
         assert (patch[:, None] == patch)[near & (node[:, None] == node)].all()
 
 
-def test_a_rank_without_facets_has_no_patches():
-    patch, of_patch = smooth_patches(np.zeros(0, dtype=np.intp), np.zeros((0, 3)))
-    assert len(patch) == len(of_patch) == 0
-
-
-def test_error_names_a_node_whose_normals_cancel():
-    """The triangles all contain the same axis, like a needle."""
-    count = 12
-    turn = 2.0 * np.pi * np.arange(count) / count
-    spokes = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
-    side = np.stack([-spokes[:, 1], spokes[:, 0], spokes[:, 2]], axis=1)
-    tip = np.array([0.0, 0.0, 1.0])
-    points = np.stack([0 * spokes, tip + 0 * spokes, tip + side], axis=1)
-    one = sheet("triangle", 1)
-    needle = dataclasses.replace(
-        one,
-        nodes=np.array([[0, 1, 2 + k] for k in range(count)]),
-        points=points,
-        free=np.ones((count, 3, 3), dtype=bool),
-        file_numbers=np.array([[0, 1, 2 + k] for k in range(count)]),
-        outward=np.ones(count),
+@pytest.mark.parallel
+def test_a_node_whose_normals_cancel_is_an_error(comm):
+    """Two slender cones share their tips, and their sides are nearly parallel there."""
+    k, angle = np.arange(8), 0.25 * np.pi * np.arange(8)
+    ring = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)])
+    x, cells = [np.zeros((1, 3))], []
+    for start, height in ((1, -1.0), (10, 1.0)):
+        x += [[[0.0, 0.0, height]], np.column_stack([ring, np.full(8, height)])]
+        cells.append(
+            np.column_stack([0 * k, 0 * k + start, start + 1 + k, start + 1 + (k + 1) % 8])
+        )
+    rows = slice(None) if comm.rank == 0 else slice(0)
+    element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
+    cones = dolfinx.mesh.create_mesh(
+        comm=comm, cells=np.vstack(cells)[rows], x=np.vstack(x)[rows], e=ufl.Mesh(element)
     )
-    nodes = nodes_of(needle)
-    assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
-    assert np.isfinite(nodes.normals).all()
-    pair = SimpleNamespace(side=lambda name: "tag 1")
-    space = SimpleNamespace(
-        mesh=SimpleNamespace(comm=MPI.COMM_SELF),
-        dofmap=SimpleNamespace(index_map=SimpleNamespace(local_range=(1, count + 2))),
-    )
-    with pytest.raises(PairingError, match=r"no normal at \[0\. 0\. 1\.\].*Repair the mesh"):
-        _surface_nodes(space, pair, "secondary", needle, needle, moved=False)
+    cones.topology.create_connectivity(2, 3)
+    facets = dolfinx.mesh.exterior_facet_indices(cones.topology)
+    tags = dolfinx.mesh.meshtags(cones, 2, facets, np.full(len(facets), 1, dtype=np.int32))
+    V = fem.functionspace(cones, ("Lagrange", 1, (3,)))
+    pair = ContactPair(tags, 1, RigidPlane((-0.2, 0.0, 0.0), (1.0, 0.0, 0.0)), Frictionless())
+    with pytest.raises(PairingError, match=r"no normal at .*Repair the mesh"):
+        ContactProblem(elasticity(V, 1.0), no_load(V), [pair], [])

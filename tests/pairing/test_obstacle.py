@@ -80,9 +80,18 @@ def test_centre_of_round_obstacles_has_a_unit_normal(hollow):
     [
         (lambda: RigidPlane((0, 0, 0), (0, 0, 0)), "normal must have a direction"),
         (lambda: RigidPlane((0,), (0, 0, 1)), "point must be 2 or 3 finite numbers"),
+        (lambda: RigidSphere((0,), 1.0), "center must be 2 or 3 finite numbers"),
+        (lambda: RigidCylinder((0, 0, 0), (0, 0, 1), 0), "radius must be a positive number"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 0), 1.0), "axis must have a direction"),
         (lambda: RigidCylinder((0, 0), (0, 1), 1.0), r"3 components.*in 2D .* RigidSphere"),
-        (lambda: RigidCylinder((0, 0, 0), (0, 0, 1), 0), "radius must be a positive number"),
+        *(
+            (lambda point=point: RigidPlane(point, (0, 0, 1)), "point must be 2 or 3 ")
+            for point in ((1j, 0, 0), ("1", "2", "3"), None, "abc", (np.nan, 0, 0))
+        ),
+        *(
+            (lambda radius=radius: RigidSphere((0, 0, 0), radius), "radius must be a positive")
+            for radius in (0, -1, np.nan, np.inf, None, "1", 1j)
+        ),
         (lambda: RigidObstacle(3.0), r"needs a function of points .*found 3\.0"),
         (lambda: RigidObstacle(None), "needs a function of points .*found None"),
     ],
@@ -105,6 +114,7 @@ FAULTS = {
     "two components": (lambda x: (x[2], (UP + 0 * x)[:2]), r"normals of shape \(3, "),
     "long normals": (lambda x: (x[2], 2 * UP + 0 * x), "length 1.*length 2"),
     "no normals": (lambda x: (x[2], 0 * x), "length 1.*length 0"),
+    "complex": (lambda x: (x[2] + 0j, UP + 0 * x), "expected real numbers, found complex128"),
     "NaN at a point": (lambda x: (np.where(x[0] < 0.1, np.nan, x[2]), UP + 0 * x), "distance nan"),
     "inf at a point": (lambda x: (np.where(x[0] < 0.1, np.inf, x[2]), UP + 0 * x), "distance inf"),
     "NaN normals": (lambda x: (x[2], UP + np.nan * x), "length nan"),
@@ -123,18 +133,6 @@ def test_invalid_signed_distance_raises_on_all_ranks(comm, name):
     assert comm.allreduce(1) == comm.size
     with scene.problem() as problem:
         assert problem.contact_nodes > 0
-
-
-@pytest.mark.parallel
-def test_exception_of_the_users_function_is_raised(comm):
-    scene = patch(comm, "triangle")
-
-    def broken(x):
-        raise ZeroDivisionError("my own")
-
-    pair = ContactPair(scene.facet_tags, UPPER, RigidObstacle(broken), Frictionless())
-    with pytest.raises(ZeroDivisionError, match="my own"):
-        scene.problem(pairs=[pair])
 
 
 def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> ContactPair:

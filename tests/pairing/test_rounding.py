@@ -52,7 +52,7 @@ def test_rows_have_the_same_entries_wherever_the_bodies_are(comm, kind, part):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("scale", "far"), PLACES[1::2])
 def test_bodies_that_contact_holds_are_found_wherever_they_are(comm, kind, scale, far):
-    """And carry their load, which balances up to the rounding of the coordinates."""
+    """Such bodies carry their load, and forces balance up to the rounding of the coordinates."""
     dim = dim_of(kind)
     young = {1e-6: 2e11, 1.0: 1e3, 1e6: 1e-6}[scale]
     scene = patch(comm, kind, scale=scale, shift=[0.7 * far, 0.9 * far, -far * (dim == 3)])

@@ -50,7 +50,7 @@ def test_transfer_to_the_secondary_side_is_exact_for_linear_fields(comm, kind, d
 
 @pytest.mark.parametrize(("kind", "degree"), KINDS)
 def test_transfer_of_loads_conserves_their_sum(comm, kind, degree):
-    """It is the transpose of the transfer of values, for scalars and vectors."""
+    """The transfer of loads is the transpose of that of values, for scalars and vectors."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     transfer = ContactOperators(scene.V, scene.operators(), scene.pair)
     secondary, primary = sides(scene)
@@ -99,7 +99,7 @@ def test_pressure_on_the_mesh_integrates_to_the_force_on_both_sides(comm, kind, 
 
 
 def test_force_on_both_sides_of_a_partial_overlap(comm):
-    """It is the sum of pressures times areas, and the integral of pressure times area_fraction."""
+    """The force is the sum of p times areas, and the integral of p times `area_fraction`."""
     span = [(0.25, 1.4)] * 2
     scene = patch(comm, "tetrahedron", upper=(2, 1), lower=(2, 1), span=span)
     with scene.problem() as problem:

@@ -78,7 +78,7 @@ def test_same_multipliers_with_as_many_products_as_the_real_method(seed):
 
 
 def test_gradient_projection_steps_of_the_page_are_enough(monkeypatch):
-    """Where the model is of no use the rate is the one of Theorem 38.1."""
+    """Without the model the energy falls at the rate of Theorem 38.1."""
     problem = random_problem(3, nodes=10, decades=1)
     lam = problem.feasible_set
     problem.feasible_set = replace(lam, radius=np.where(lam.radius > 0.0, lam.radius, 1.0))

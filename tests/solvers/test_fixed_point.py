@@ -68,7 +68,7 @@ def test_the_default_method_finds_the_fixed_point(problem):
     ("number", "least"), [(40, 3.0), pytest.param(300, 0.0, marks=pytest.mark.long)]
 )
 def test_fixed_points_that_exist_are_found(number, least):
-    """In at least 95 % of problems with F up to 3 at all nodes, and condition numbers up to 1e4.
+    """At least 95 % of problems with F up to 3 and condition numbers up to 1e4 are solved.
 
     A fixed point exists in all of them: Tresca's solution depends continuously on the bounds, and
     its pressures are bounded whatever the bounds are, so that Brouwer's theorem applies.
@@ -89,7 +89,7 @@ def test_fixed_points_that_exist_are_found(number, least):
 @FEW
 @given(cone_problems(most=30.0))
 def test_converged_means_what_it_says(problem):
-    """Whatever the coefficient: the status is that of the recomputed residual."""
+    """The status agrees with the recomputed residual, whatever the coefficient is."""
     found = run(problem, rtol=RTOL, max_iterations=60)
     actual = problem.natural_residual(found.multipliers, found.rho)
     assert actual == pytest.approx(found.residuals[-1], rel=1e-3, abs=1e4 * EPS)
@@ -103,7 +103,7 @@ def test_converged_means_what_it_says(problem):
 
 
 def test_methods_of_the_paper_are_refused():
-    """They are for slip bounds that are given."""
+    """The algorithms of the paper are for slip bounds that are given."""
     problem = random_cone_problem(3, 6, 0.5, 0.3)
     for method in METHODS[1:]:
         with pytest.raises(InputError, match=f"method='{method}' needs slip bounds that are given"):

@@ -1,4 +1,4 @@
-"""Cones of friction that grows with the pressure: projection, derivative, sections."""
+"""Cones of friction that grows with the pressure: projection and sections."""
 
 from __future__ import annotations
 
@@ -62,34 +62,13 @@ def brute_nearest(cones: FrictionCones, y: np.ndarray) -> np.ndarray:
 @BOUNDED
 @given(cases())
 def test_projection_is_the_nearest_point(case):
-    """To the square root of rounding, with which a search for a minimum ends."""
+    """The search for the minimum, a reference, ends with the square root of rounding."""
     cones, rng = case
     y = rng.standard_normal(cones.size) * rng.choice([0.01, 1.0, 100.0])
     found, wanted = cones.project(y), brute_nearest(cones, y)
     size = np.linalg.norm(y)
     assert np.linalg.norm(found - wanted) <= 10 * np.sqrt(EPS) * size
     assert np.linalg.norm(y - found) <= np.linalg.norm(y - wanted) + ROUNDING * size
-
-
-@BOUNDED
-@given(cases())
-def test_derivative_of_the_projection_agrees_with_differences(case):
-    cones, rng = case
-    y = 2 * rng.standard_normal(cones.size)
-    v = rng.standard_normal(cones.size)
-    v /= np.linalg.norm(v)
-    h = 1e-6
-    ahead, here, behind = (cones.project(y + part * h * v) for part in (1.0, 0.0, -1.0))
-    shortest = cones.norms(y)[cones.node].min(initial=np.inf)
-    # rounding of the difference, and its curvature: that of circles
-    tolerance = 1e-8 + 10 * h / min(shortest, 1.0)
-    if np.linalg.norm(ahead - 2 * here + behind) / h > tolerance:
-        return  # a kink lies between
-    difference = (ahead - behind) / (2 * h)
-    derivative = cones.projection_derivative(y)
-    assert np.linalg.norm(derivative(v) - difference) <= tolerance
-    both = derivative(np.column_stack([v, 2 * v]))
-    assert np.allclose(both, np.column_stack([derivative(v), 2 * derivative(v)]), atol=10 * EPS)
 
 
 @BOUNDED

@@ -19,7 +19,6 @@ class NoisyProblem(DenseProblem):
     """Gradients with an error as large as is allowed, in a random direction."""
 
     seed: int = 0
-    exact: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,41 +50,8 @@ def check_residual(problem: DenseProblem, seed: int) -> None:
 @settings(max_examples=60)
 @given(problems(), st.integers(0, 100))
 def test_the_residual_is_reached_in_truth(problem, seed):
-    """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
+    """The exact residual is as small as requested, though the method sees gradients with errors."""
     check_residual(problem, seed)
-
-
-@dataclass
-class RoughLoadProblem(NoisyProblem):
-    """b is off by so much, and gradients are not."""
-
-    b_error: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._b = self.b
-        error = self._rng.standard_normal(len(self.b))
-        self.b = self._b + self._factor @ error * (self.b_error / np.linalg.norm(error))
-
-    def gradient(
-        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
-    ) -> tuple[np.ndarray, float]:
-        """Return A x - b with the b that is right."""
-        r, error = super().gradient(x, accuracy, origin)
-        return r + self.b - self._b, error
-
-
-def test_what_b_lacks_is_no_product():
-    """Where it is all that a start differs from b by, sigma_max would be anything."""
-    problem = random_problem(3, 20, 2.0)
-    length = np.sqrt(problem.b @ np.linalg.solve(problem.A, problem.b))
-    rough = RoughLoadProblem(problem.A, problem.b, problem.feasible_set, b_error=1e-6 * length)
-    for seed in range(6):
-        start = 1e-15 * np.random.default_rng(seed).standard_normal(len(problem.b))
-        solution = run(rough, start=start, accuracy=1e-2)
-        assert solution.status is ContactStatus.CONVERGED
-        # a pair that is resolved is longer than its error
-        assert 2.0**2 * solution.rho * np.linalg.eigvalsh(problem.A)[-1] >= 1.0
 
 
 @pytest.mark.long

@@ -81,16 +81,6 @@ def test_stagnates_below_what_double_precision_gives(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_multiplier_at_all(method):
-    """A rank, or a scene, may have none."""
-    empty = np.zeros(0, dtype=np.intp)
-    problem = DenseProblem(
-        np.zeros((0, 0)), np.zeros(0), FeasibleSet(0, empty, empty, empty, np.zeros(0))
-    )
-    assert run(problem, method).status is ContactStatus.CONVERGED
-
-
-@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("stiffness", "load"), [(1.0, 4.0**20), (1.0, 4.0**-20), (4.0**15, 1.0), (4.0**-15, 1.0)]
 )

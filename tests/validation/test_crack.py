@@ -24,7 +24,7 @@ from dolfinx_tresca import (
     SolverOptions,
 )
 from scenes.elasticity import elasticity, fixed, no_load
-from scenes.patches import block, dim_of
+from scenes.patches import KINDS, block, dim_of
 from scenes.rubber_block import neo_hookean
 
 LOWER, UPPER, BOTTOM, TOP = 1, 2, 3, 4
@@ -101,9 +101,6 @@ def nodes(scene, secondary, primary):
     found = np.concatenate(scene.comm.allgather(found))
     order = np.lexsort(np.round(found[:, :3], 9).T)
     return found[order]
-
-
-KINDS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 @pytest.mark.parallel(kind=["triangle", "tetrahedron"])

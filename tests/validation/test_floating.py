@@ -213,7 +213,7 @@ def test_a_load_that_overcomes_friction(comm):
 
 @pytest.mark.parallel
 def test_a_pull_out_of_a_clamp(comm):
-    """What is pressed from two sides might be pressed harder: only pressures show that it slides.
+    """A clamped block might be pressed harder: only the pressures show that it slides.
 
     They fall with the pull, by Poisson's effect; it slides where friction is used up.
     """

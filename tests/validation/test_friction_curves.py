@@ -172,11 +172,6 @@ def test_wrong_curves(curve, message):
         problem.solve()
 
 
-def test_wrong_arguments():
-    with pytest.raises(InputError, match="a direction needs two values"):
-        Coulomb(lambda p, v: 0.1, direction=(1, 0, 0))
-
-
 @pytest.mark.parametrize(
     ("curve", "words"),
     [

@@ -111,7 +111,7 @@ def test_a_block_on_springs(comm, dim):
     [("triangle", 2), ("quadrilateral", 1), ("tetrahedron", 1), ("hexahedron", 1)],
 )
 def test_energy_balance_of_each_step(comm, kind, degree):
-    """What the bodies do not keep of the work is dissipated: to the last digit, and by what else.
+    """Work is stored or dissipated, but for terms of the implicit method that are given here.
 
     Two blocks are pressed, tilted and dragged to and fro, so that nodes open and close again. From
     K u = f - B'lambda at both ends of a step, with D = lambda_tau'(T u - T u_0):

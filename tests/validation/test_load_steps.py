@@ -76,7 +76,7 @@ def reversals(comm: MPI.Comm, cells: int, steps: int, *, accepts: bool) -> list[
     ],
 )
 def test_many_reversals(comm, cells, steps, accepts):
-    """What a step costs does not grow with what was kept before."""
+    """Later steps need no more products than the first ones."""
     products = reversals(comm, cells, steps, accepts=accepts)
     part = max(4, steps // 4)
     assert np.mean(products[-part:]) <= GROWTH * np.mean(products[:part])

@@ -22,7 +22,7 @@ WITHIN = {
     ("name", "case"), [(name, case) for name in WITHIN for case in list(PARTS[name])[::2]]
 )
 def test_statics_of_a_machine_part(comm, name, case):
-    """Also the greatest load before a body slides off or tips over, to 0.1 %."""
+    """Forces are right, and the greatest load before a body slides off or tips over."""
 
     def solve(problem):
         solution = problem.solve()

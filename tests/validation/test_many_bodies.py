@@ -95,7 +95,7 @@ def test_loose_stones_that_nothing_holds_are_named(comm, loose):
     [(1, 0.25, False), (4, 0.08, True), (3, 0.25, False), (20, 0.08, True), (20, 0.25, False)],
 )
 def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
-    """What is above a joint is pushed off it by F W, and tipped by W b / (2 h) at a height h."""
+    """The part above a joint slides at a push of F W, and tips at W b / (2 h) at a height h."""
     scene = tower(comm, blocks, width)
     weights = np.cumsum(scene.data.weights)[::-1]  # above each joint
     heights = HEIGHT * (np.arange(blocks, 0, -1) - 0.5)

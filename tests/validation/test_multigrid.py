@@ -54,7 +54,7 @@ def contrast(ratio: float):
     ids=["contrast 1e3", "poisson 0.49", "poisson 0.499"],
 )
 def test_poor_preconditioners(comm, size, arguments):
-    """What is returned is good enough by the same measure as what was judged."""
+    """The bound holds for what is returned, and not only for the iterate that was judged."""
     model = plate(comm, size, **arguments)
     exact = reference(model)
     with model.problem(stiffness="multigrid") as problem:
@@ -85,7 +85,7 @@ def test_layers_of_any_contrast(comm, ratio):
 
 
 def test_the_dual_energy_is_a_lower_bound(comm):
-    """Also where K is solved roughly; the primal one is none, since what is returned penetrates."""
+    """The bound holds with rough solves of K; the primal energy is none, as bodies penetrate."""
     scene = two_bricks(comm, 6)
     exact = reference(scene)
     # of the reference: the square of its error, and rounding

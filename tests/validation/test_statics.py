@@ -1,22 +1,14 @@
-"""Scenes whose forces follow from statics: a wedge, and a belt round a drum."""
+"""A wedge that friction locks or not: its forces follow from statics."""
 
 from __future__ import annotations
-
-import dataclasses
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
-from dolfinx import fem
-
-from dolfinx_tresca import (
-    Coulomb,
-    RigidPlane,
-    RigidSphere,
-)
-from scenes.blocks import LEFT, RIGHT, YOUNG, block
+from dolfinx_tresca import Coulomb, RigidPlane
+from scenes.blocks import LEFT, RIGHT, block
 from scenes.scene import Scene
 
 #: Half of the angle of the wedge, the force that drives it in, and the requested residual.
@@ -42,7 +34,7 @@ def wedge(comm: MPI.Comm, friction: float) -> Scene:
 @pytest.mark.parallel
 @pytest.mark.parametrize(("friction", "asked"), [(0.3, {"rtol": RTOL}), (0.05, {})])
 def test_what_is_left_of_a_wedge_without_load(comm, friction, asked):
-    """Without a load no pressure anywhere is a solution as well, but none that a process leads to.
+    """No pressure anywhere is a solution without load, too, but no process leads to it.
 
     So is it with loads that are nearly nothing. It takes cos(a) (F - tan(a)) of the normal force, a
     fifth, to bring the wedge out.
@@ -68,54 +60,3 @@ def test_what_is_left_of_a_wedge_without_load(comm, friction, asked):
                 assert solution.counts.contact_stick > 0
             else:
                 assert normal < 1e-6 * driven
-
-
-#: Coefficient, angle of contact, cells along it, thickness of the belt over the drum's radius.
-BELT_FRICTION, ANGLE, CELLS, THICKNESS = 0.3, np.pi, 24, 0.05
-
-#: Force on the free end, which goes to the right at the top.
-FREE_FORCE = 0.1
-
-
-def test_slip_spreads_over_a_belt():
-    """The forces of a belt are those of Euler and Eytelwein, before and after its slip has turned.
-
-    The drum takes the moment of friction about its axis.
-    """
-    scene = block(
-        MPI.COMM_SELF,
-        (CELLS, 1),
-        size=(ANGLE, THICKNESS),
-        load=(0.0, 0.0, 0.0),
-        poisson=0.0,
-        pull=FREE_FORCE / THICKNESS,
-        boxes=True,
-    )
-    x = scene.mesh.geometry.x
-    along, radius = x[:, 0].copy(), 1.0 + x[:, 1]
-    x[:, 0], x[:, 1] = -radius * np.sin(along), -radius * np.cos(along)
-    part, _ = scene.V.sub(0).collapse()
-    end = fem.Function(part)  # turns round the axis with the drum
-    held = fem.locate_dofs_topological((scene.V.sub(0), part), 1, scene.facet_tags.find(LEFT))
-    pair = dataclasses.replace(
-        scene.pair, primary=RigidSphere((0, 0), 1.0), friction=Coulomb(BELT_FRICTION)
-    )
-    middle = 1.0 + 0.5 * THICKNESS
-    spread = ANGLE / CELLS
-    # nothing rubs at the end that is held, which has half a cell
-    exponent = BELT_FRICTION * (ANGLE - 0.5 * spread) / middle
-    stretch = FREE_FORCE / (THICKNESS * YOUNG * BELT_FRICTION) * np.expm1(exponent)
-    logarithms = []
-    with scene.problem(pairs=[pair], bcs=[fem.dirichletbc(end, held, scene.V.sub(0))]) as problem:
-        for pull in (0.0, 0.2, 0.5, 1.5):
-            end.interpolate(lambda x, pull=pull: -pull * stretch * x[1])
-            solution = problem.solve(rtol=RTOL)
-            solution.raise_if_failed()
-            problem.accept()
-            (moment,) = solution.resultants((0, 0))[0].moment
-            logarithms.append(np.log1p(-moment / middle / FREE_FORCE))
-    # the trapezoidal rule
-    tolerance = exponent * spread**2
-    assert abs(logarithms[0] + exponent) < tolerance
-    assert (np.diff(logarithms) > 0.0).all()
-    assert abs(logarithms[-1] - exponent) < tolerance

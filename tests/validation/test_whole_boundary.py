@@ -142,18 +142,55 @@ def test_nothing_pairs_through_a_plate_that_touches_both(comm, kind, divisions):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_of_two_layers_the_nearer_one_is_paired(comm, kind):
-    """Two plates lie apart below a block, with the tag of their upper faces in common."""
+@pytest.mark.parametrize("sunk", [False, True])
+def test_of_two_layers_the_nearer_one_is_paired(comm, kind, sunk):
+    """Two plates with one tag lie apart below a block, which may be sunk into the upper one.
+
+    Then the lower plate is nearer, but behind the lower face of the upper plate, and both plates
+    have the tag on all sides; else on their upper faces only.
+    """
+    upper, lower, gap = (
+        ((0.98, 1.04), (0.3, 0.97), -0.04) if sunk else ((0.85, 0.9), (0.3, 0.5), 0.1)
+    )
     dim = dim_of(kind)
-    heights = {0: (1.0, 2.0), 1: (0.85, 0.9), 2: (0.3, 0.5)}
-    wider = {0: (0.0, 1.0), 1: (-0.13, 1.08), 2: (-0.07, 1.19)}
-    bodies = [Body((3 + k, 1), box(dim, *heights[k], *wider[k])) for k in heights]
+    layers = [((1.0, 2.0), (0.0, 1.0)), (upper, (-0.13, 1.08)), (lower, (-0.07, 1.19))]
+    bodies = [
+        Body((3 + k, 1), box(dim, *heights, *across)) for k, (heights, across) in enumerate(layers)
+    ]
     stack = boxes(comm, kind, bodies, turn=rotation(4, dim))
-    upper = [(PRIMARY, [k], near(dim - 1, heights[k][1])) for k in (1, 2)]
-    tags = stack.tags((SECONDARY, [0], near(dim - 1, 1.0)), *upper)
-    found = stack.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless()))
-    assert comm.allreduce(found.weights.sum()) == pytest.approx(1.0, rel=ROUNDING)
-    assert np.abs(found.gap - 0.1).max(initial=0.0) <= ROUNDING
+    plates = [
+        (PRIMARY, [k], None if sunk else near(dim - 1, heights[1]))
+        for k, heights in ((1, upper), (2, lower))
+    ]
+    tags = stack.tags((SECONDARY, [0], near(dim - 1, 1.0)), *plates)
+    operators = stack.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless()))
+    assert comm.allreduce(operators.weights.sum()) == pytest.approx(1.0, rel=ROUNDING)
+    assert np.abs(operators.gap - gap).max(initial=0.0) <= ROUNDING
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("secondary", "primary"),
+    [  # each body is a layer: its heights, and the heights of its faces that have the tag
+        ([((0.0, 0.3), [0.0, 0.3])], [((0.35, 0.5), [0.5])]),
+        ([((0.0, 1.0), [0.0])], [((0.2, 0.5), [0.2, 0.5])]),
+        ([((0.0, 1.0), [0.0])], [((-0.2, -0.1), [-0.2]), ((-1.0, -0.5), [-0.5])]),
+        ([((0.0, 1.0), [0.0]), ((-0.2, -0.1), [-0.1])], [((-1.0, -0.5), [-0.5])]),
+    ],
+)
+def test_what_lies_behind_a_body_is_not_paired(comm, kind, secondary, primary):
+    """Faces are opposed, but between them is a body, or they overlap by more than a whole body."""
+    dim = dim_of(kind)
+    layers = [*secondary, *primary]
+    bodies = [Body((2 + k, 1), box(dim, *heights)) for k, (heights, _) in enumerate(layers)]
+    stack = boxes(comm, kind, bodies, turn=rotation(4, dim))
+    marks = [
+        (SECONDARY if k < len(secondary) else PRIMARY, [k], near(dim - 1, height))
+        for k, (_, faces) in enumerate(layers)
+        for height in faces
+    ]
+    with pytest.raises(PairingError, match="do not face each other"):
+        stack.operators(ContactPair(stack.tags(*marks), SECONDARY, PRIMARY, Frictionless()))
 
 
 def bent_round(radius: float, dim: int):
