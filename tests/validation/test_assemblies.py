@@ -112,6 +112,66 @@ def bearing(occ):
     occ.cut([(2, occ.addDisk(0, 0, 0, 14, 14))], [(2, occ.addDisk(0, 0, 0, 10, 10))])
 
 
+def bored(occ, body, *tools):
+    """Cut copies of tools: in OpenCASCADE a cut shares its new faces with a tool that stays."""
+    return occ.cut([(3, body)], occ.copy([(3, tool) for tool in tools]))[0]
+
+
+def hinge(occ):
+    pin = occ.addCylinder(0, 0, -1, 0, 0, 11, 3)
+    for heights, spaces, side in (((0, 6), (3,), 1), ((3,), (0, 6), -1)):
+        leaf = occ.addBox(min(0, 24 * side), -6, 0, 24, 4, 9)
+        knuckles = [(3, occ.addCylinder(0, 0, z, 0, 0, 3, 6)) for z in heights]
+        cut(occ, leaf, *(occ.addCylinder(0, 0, z, 0, 0, 3, 6.5) for z in spaces))
+        bored(occ, occ.fuse([(3, leaf)], knuckles)[0][0][1], pin)
+
+
+def clamp(occ):
+    frame = cut(occ, occ.addBox(0, 0, 0, 40, 12, 50), occ.addBox(12, -1, 12, 40, 14, 26))
+    bored(occ, frame, occ.addCylinder(28, 6, 22, 0, 0, 32, 4))
+    occ.addBox(16, 0, 12, 24, 12, 10)
+
+
+def flange(occ):
+    for z in (0, 10):
+        holes = [occ.addCylinder(x, 0, z, 0, 0, 10, 5) for x in (-18, 18)]
+        cut(occ, occ.addCylinder(0, 0, z, 0, 0, 10, 30), *holes)
+    for x in (-18, 18):
+        shank, nut, head = (
+            (3, occ.addCylinder(x, 0, z, 0, 0, height, radius))
+            for z, height, radius in ((-5, 30, 4), (-5, 5, 8), (20, 5, 8))
+        )
+        occ.fuse([shank], [nut, head])
+
+
+def snap_fit(occ):
+    occ.fuse([(3, occ.addBox(0, 0, 0, 40, 4, 10))], [(3, occ.addBox(34, 4, 0, 6, 3, 10))])
+    occ.addBox(20, 4.05, -3, 14, 10, 16)
+
+
+def pin_with_clearance(occ):
+    cut(occ, occ.addBox(-10, -10, 0, 20, 20, 5), occ.addCylinder(0, 0, 0, 0, 0, 5, 5))
+    occ.addCylinder(0, 0, -2, 0, 0, 9, 4.98)
+
+
+def lattice(occ):
+    for layer in range(5):
+        for k in range(4):
+            if layer % 2:
+                occ.addBox(0, 12 * k, 4 * layer, 40, 4, 4)
+            else:
+                occ.addBox(12 * k, 0, 4 * layer, 4, 40, 4)
+
+
+def between(low: float, high: float, face: tuple[Where, Any]) -> tuple[Where, Any]:
+    """The part of a face between two heights."""
+    return lambda p: face[0](p) & (p[2] > low - 1e-6) & (p[2] < high + 1e-6), face[1]
+
+
+def level(z: float) -> tuple[Where, None]:
+    return plane(0, 0, 1, z)
+
+
 ROOT2 = np.sqrt(0.5)
 ROLLERS = [(8 * np.cos(0.5 * np.pi * k), 8 * np.sin(0.5 * np.pi * k)) for k in range(4)]
 ASSEMBLIES = {
@@ -163,7 +223,81 @@ ASSEMBLIES = {
         (0.0, 0.0, -0.02),
         {"body 1": 5, "body 2": 3},
     ),
+    "hinge": Assembly(
+        hinge,
+        {
+            **{1: (0, cylinder(3)), 2: (1, between(0, 3, cylinder(3)))},
+            **{3: (1, between(6, 9, cylinder(3))), 4: (2, cylinder(3))},
+            **{5: (1, level(3)), 6: (1, level(6)), 7: (2, level(3)), 8: (2, level(6))},
+        },
+        [(1, 2), (1, 3), (1, 4), (5, 7), (6, 8)],
+        lambda p: p[0] < -23.9,
+        lambda p: p[0] > 23.9,
+        (0.0, 0.02, 0.0),
+        9,
+    ),
+    "clamp": Assembly(
+        clamp,
+        {
+            **{1: (0, cylinder(4, 28, 6)), 2: (1, cylinder(4, 28, 6)), 3: (1, level(22))},
+            **{4: (2, level(22)), 5: (2, level(12)), 6: (0, level(12))},
+        },
+        [(1, 2), (3, 4), (5, 6)],
+        lambda p: p[0] < 0.1,
+        lambda p: p[2] > 53.9,
+        (0.0, 0.0, -0.02),
+        9,
+    ),
+    "flange": Assembly(
+        flange,
+        {
+            **{1: (0, level(0)), 2: (0, level(10)), 3: (1, level(10)), 4: (1, level(20))},
+            **{5: (2, level(0)), 6: (2, level(20)), 7: (3, level(0)), 8: (3, level(20))},
+        },
+        [(2, 3), (1, 5), (1, 7), (4, 6), (4, 8)],
+        lambda p: (np.hypot(p[0], p[1]) > 29.9) & (p[2] < 0.1),
+        lambda p: (np.hypot(p[0], p[1]) > 29.9) & (p[2] > 19.9),
+        (0.0, 0.0, 0.02),
+        12,
+    ),
+    "snap-fit": Assembly(
+        snap_fit,
+        {
+            **{1: (0, plane(1, 0, 0, 34)), 2: (1, plane(1, 0, 0, 34))},
+            **{3: (0, plane(0, 1, 0, 4)), 4: (1, plane(0, 1, 0, 4.05))},
+        },
+        [(1, 2), (3, 4)],
+        lambda p: p[0] < 0.1,
+        lambda p: p[1] > 14.0,
+        (0.05, 0.0, 0.0),
+        5,
+    ),
+    "pin with clearance": Assembly(
+        pin_with_clearance,
+        {1: (0, cylinder(5)), 2: (1, cylinder(4.98))},
+        [(1, 2)],
+        lambda p: abs(p[0]) > 9.9,
+        lambda p: abs(p[2] - 2.5) > 4.4,
+        (0.03, 0.0, 0.0),
+        6,
+    ),
+    "lattice of 20 parts": Assembly(
+        lattice,
+        {
+            **{1 + bar: (bar, level(4 * (bar // 4))) for bar in range(20)},
+            **{21 + bar: (bar, level(4 + 4 * (bar // 4))) for bar in range(20)},
+        },
+        [(21 + 4 * n + i, 5 + 4 * n + k) for n in range(4) for i in range(4) for k in range(4)],
+        lambda p: p[2] < 0.1,
+        lambda p: p[2] > 19.9,
+        (0.0, 0.0, -0.01),
+        12,
+    ),
 }
+
+
+#: They take 5 to 40 seconds of processor time, or are much like others.
+SLOW = ("hinge", "clamp", "flange", "snap-fit", "pin with clearance", "lattice of 20 parts")
 
 
 def write(shapes, path):
@@ -221,7 +355,9 @@ def tags_by_hand(tagged, assembly):
 
 
 @pytest.mark.parallel(name=["press fit", "ball in a groove"])
-@pytest.mark.parametrize("name", ASSEMBLIES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in ASSEMBLIES]
+)
 def test_forces_are_those_of_tags_by_hand(comm, tmp_path, name):
     assembly = ASSEMBLIES[name]
     tagged = read(comm, tmp_path, assembly.shapes, size=assembly.size)
@@ -233,7 +369,15 @@ def test_forces_are_those_of_tags_by_hand(comm, tmp_path, name):
         for both in assembly.pairs
     ]
     geometry = {k: project for k, (_, (_, project)) in assembly.faces.items() if project}
-    by_hand = [ContactPair(tags, *both, FRICTION, geometry=geometry) for both in ordered]
+    by_hand = [
+        ContactPair(
+            tags,
+            *both,
+            FRICTION,
+            geometry=geometry,
+        )
+        for both in ordered
+    ]
     (_, solution), (_, wanted) = (solve(tagged, pairs, assembly) for pairs in (found, by_hand))
     solution.raise_if_failed()
     forces = np.array([one.normal_force for one in (solution, wanted)])
