@@ -96,7 +96,7 @@ def test_any_displacement_and_admissible_multipliers(comm, kind):
     with scene.problem() as problem:
         problem.solve(rtol=1e-8)
         solved, linear = problem._contact.solved, problem._contact.linear
-        bodies = Bodies(linear, problem.pairs, solved.dual)
+        bodies = Bodies(linear, solved.dual)
         rng = np.random.default_rng(1)
         for size in (1e-3, 1e-2):
             u = solved.fields.u.copy()
