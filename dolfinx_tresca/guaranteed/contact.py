@@ -251,7 +251,7 @@ class ContactSurface:
         room = room @ axes.T
         steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
         values -= self._free * self._carried(steps @ axes)
-        if self._middles.size:
+        if self._middles.shape[1]:  # degree 2
             i, j = np.triu_indices(d, 1)
             ends = self._corners[:, i], self._corners[:, j]
             gaps = 0.5 * (self._gaps[ends[0]] + self._gaps[ends[1]])
