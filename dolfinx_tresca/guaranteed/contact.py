@@ -14,7 +14,7 @@ from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import mean_products
 from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require, spread
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
+from dolfinx_tresca.pairing.operators import as_petsc, joined
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
@@ -70,7 +70,14 @@ class ContactSurface:
         self.bonded = isinstance(pair.friction, Bonded)
         V, d, comm = owned.V, owned.cells.d, owned.V.mesh.comm
         rigid = isinstance(pair.primary, RigidPlane)
-        self._check_law(rows.operators, bounds[rows.nodes])
+        finite = self.bonded or np.isfinite(bounds[rows.nodes]).all()
+        alike = all(member.friction == pair.friction for member in group.pairs)
+        require(
+            comm,
+            alike and finite and (rows.operators.semi_axes == 1.0).all(),
+            "surfaces of one law with one finite slip bound for all directions, unlike those "
+            f"of contact pair {pair}. Leave a gap between surfaces of different laws",
+        )
         matching = (
             "rigid planes, or bodies of degree 1 whose meshes match on flat surfaces, and those of "
             f"contact pair {pair} do not. Mesh both alike, and make a pair of each flat side"
@@ -98,64 +105,53 @@ class ContactSurface:
         self._gaps = self._at_nodes(gaps[:, None])[:, 0]
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
-        cell, facet, nodes = self._facets_of("secondary")
-        keep = touching[nodes[:, :d]].all(axis=1)
-        self.cell, self.facet = cell[keep], facet[keep]
-        self._corners, self._middles = np.split(nodes[keep], [d], axis=1)
+        self.cell, self.facet, nodes, outside = self._facets_of("secondary", touching)
+        self._corners, self._middles = np.split(nodes, [d], axis=1)
         normals = owned.cells.normals[self.cell, self.facet]
         if rigid:
             self.normal = -pair.primary.at(np.zeros((1, 3)))[1][0, :d]
         else:
             total = reduce_array(comm, normals.sum(axis=0))
             self.normal = total / np.linalg.norm(total)
+        self._axes = np.eye(d) if self.bonded else self.normal[None]
         tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
         require(
             comm,
-            not tractions[nodes[~keep, :d]].any(),
+            not tractions[outside].any(),
             f"multipliers at all nodes of pressed facets, and contact pair {pair} has pressed "
             "facets at a rim",
+        )
+        require(
+            comm,
+            not prescribed[nodes].all(axis=1).any(),
+            "contact surfaces without prescribed displacements, and some facets of contact pair "
+            f"{pair} have them",
         )
         self.tractions = tractions[self._corners]
         self.sides = [(self.cell, self.facet, self.tractions)]
         if not rigid:
-            cell, facet, nodes = self._facets_of("primary")
-            keep = touching[nodes].all(axis=1)
-            cell, facet, nodes = cell[keep], facet[keep], nodes[keep]
+            cell, facet, nodes, _ = self._facets_of("primary", touching)
             turned = np.vstack([normals, -owned.cells.normals[cell, facet]]) - self.normal
             require(comm, np.abs(turned).max(initial=0.0) < FLATNESS, matching)
             require(comm, comm.allreduce(len(cell) - len(self.cell)) == 0, matching)
             self.sides.append((cell, facet, tractions[nodes]))
 
-    def _check_law(self, operators: PairOperators, bounds: Array) -> None:
-        """Check the law of friction. Collective.
+    def _facets_of(
+        self, side: SideName, touching: Mask
+    ) -> tuple[Indices, Indices, Indices, Indices]:
+        """Return the facets of a side whose vertices all touch.
 
-        Raises:
-            InputError: the bound does not cover it.
-        """
-        comm, pair, group = self._owned.V.mesh.comm, self.pair, operators.undeformed.group
-        finite = self.bonded or np.isfinite(bounds).all()
-        require(
-            comm,
-            finite and (operators.semi_axes == 1.0).all(),
-            f"one finite slip bound for all directions, and contact pair {pair} has two, or an "
-            "infinite one",
-        )
-        require(
-            comm,
-            all(member.friction == pair.friction for member in group.pairs),
-            f"the same law for all pairs of the surface of contact pair {pair}. Leave a gap "
-            "between surfaces of different laws",
-        )
-
-    def _facets_of(self, side: SideName) -> tuple[Indices, Indices, Indices]:
-        """Return the cells (m,) of a side's facets, their numbers (m,), and their nodes (m, k).
-
-        The nodes are those at the vertices, then those in the middles of the edges.
+        Returns:
+            their cells (m,), their numbers (m,) in these, and their nodes (m, k), those at the
+            vertices before those in the middles of edges; and the vertices of the other facets.
         """
         tags, numbers = self.pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._owned.facets, facets))
-        return cell, facet, self._owned.nodes[cell[:, None], self._owned.on_facets[facet]]
+        nodes = self._owned.nodes[cell[:, None], self._owned.on_facets[facet]]
+        vertices = nodes[:, : self._owned.cells.d]
+        keep = touching[vertices].all(axis=1)
+        return cell[keep], facet[keep], nodes[keep], vertices[~keep]
 
     def _nodal_tractions(
         self, dual: DualProgram, rows: RowsOfPair, multipliers: Array, bounds: Array
@@ -242,29 +238,30 @@ class ContactSurface:
         Args:
             v: the displacement, which changes.
         """
-        d = self._owned.cells.d
+        d, axes = self._owned.cells.d, self._axes.sum(axis=0)
         values = v.x.array.reshape(-1, d)
-        axes = np.eye(d) if self.bonded else self.normal[None]
-        room = self._jumps(self._free * self._carried(np.tile(axes.sum(axis=0), (len(values), 1))))
-        excess = self._jumps(values) @ axes.T - self._gaps[:, None]
-        excess = np.where(self._pressed[:, None], excess, np.maximum(excess, 0.0))
-        room = room @ axes.T
-        steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
-        values -= self._free * self._carried(steps @ axes)
+        room = self._jumps(self._free * self._carried(np.tile(axes, (len(values), 1))))
+        steps = self._steps(self._jumps(values), self._gaps, self._pressed, room)
+        values -= self._free * self._carried(steps)
         if self._middles.shape[1]:  # degree 2
             i, j = np.triu_indices(d, 1)
-            ends = self._corners[:, i], self._corners[:, j]
-            gaps = 0.5 * (self._gaps[ends[0]] + self._gaps[ends[1]])
-            excess = self._coefficients(values)[:, d:] @ axes.T - gaps[:, :, None]
-            pressed = (self._pressed[ends[0]] & self._pressed[ends[1]])[:, :, None]
-            excess = np.where(pressed, excess, np.maximum(excess, 0.0))
-            room = (self._free[self._middles] * axes.sum(axis=0)) @ axes.T
-            steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
+            start, end = self._corners[:, i], self._corners[:, j]
+            gaps = 0.5 * (self._gaps[start] + self._gaps[end])
+            pressed = self._pressed[start] & self._pressed[end]
+            jumps = self._coefficients(values)[:, d:]
             # a coefficient moves twice as far as the middle; a node takes the mean of its facets
-            moves = np.concatenate([0.5 * steps @ axes, np.ones((*steps.shape[:2], 1))], axis=2)
-            index_map = self._owned.V.dofmap.index_map
-            sums = summed_at_nodes(index_map, self._middles, moves)
+            moves = 0.5 * self._steps(jumps, gaps, pressed, self._free[self._middles] * axes)
+            moves = np.concatenate([moves, np.ones((*moves.shape[:2], 1))], axis=2)
+            sums = summed_at_nodes(self._owned.V.dofmap.index_map, self._middles, moves)
             values -= self._free * sums[:, :d] / np.maximum(sums[:, d:], 1.0)
+
+    def _steps(self, jumps: Array, gaps: Array, pressed: Mask, room: Array) -> Array:
+        """Return moves (..., d) by which jumps (..., d) become admissible, where there is room."""
+        excess = jumps @ self._axes.T - gaps[..., None]
+        excess = np.where(pressed[..., None], excess, np.maximum(excess, 0.0))
+        room = room @ self._axes.T
+        steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
+        return np.asarray(steps @ self._axes)
 
     def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
         """Return by how much tractions and jumps miss the law of contact. Collective.
@@ -275,9 +272,6 @@ class ContactSurface:
         """
         d = self._owned.cells.d
         jumps = self._coefficients(v.x.array.reshape(-1, d))
-        if self.bonded:
-            nothing = np.zeros(len(jumps))
-            return nothing, nothing, float(np.abs(jumps).max(initial=0.0))
         # integrals of products of the hats of vertices and Bernstein's quadratic functions
         i, j = np.triu_indices(d, 1)
         products, hats = mean_products(d, 3), np.eye(d)
@@ -293,4 +287,5 @@ class ContactSurface:
         complementarity = np.einsum("mk,kl,ml->m", pressure, mass, openings)
         lack = np.einsum("mk,kl,ml->m", bounds, mass, np.linalg.norm(slips, axis=2))
         lack += np.einsum("mkd,kl,mld->m", friction, mass, slips)
-        return areas * complementarity, areas * lack, float((-openings).max(initial=0.0))
+        depth = np.abs(jumps) if self.bonded else -openings
+        return areas * complementarity, areas * lack, float(depth.max(initial=0.0))

@@ -39,19 +39,18 @@ def elasticity(a: ufl.Form, owned: OwnedCells, maps: EntityMaps | None) -> Array
     """
     mesh, d = owned.V.mesh, owned.cells.d
     integrals = apply_derivatives(apply_algebra_lowering(a)).integrals()
-    over_cells = all(integral.integral_type() == "cell" for integral in integrals)
-    require(mesh.comm, over_cells, "a form a of integrals over cells alone")
-    of_values = any(
-        isinstance(child, Argument) and not isinstance(node, Grad)
+    of_strain = all(
+        integral.integral_type() == "cell"
+        and (isinstance(node, Grad) or not isinstance(child, Argument))
         for integral in integrals
         for node in unique_pre_traversal(integral.integrand())
         for child in node.ufl_operands
     )
     require(
         mesh.comm,
-        not of_values,
-        "a form a of the strain alone; this one also depends on the displacement itself, as "
-        "springs do, or on a volume's mean",
+        of_strain,
+        "a form a of integrals over cells, of the strain alone; this one also has integrals over "
+        "facets, or depends on the displacement itself, as springs do, or on a volume's mean",
     )
     constant, linear = (fem.functionspace(mesh, ("DG", k, (d, d))) for k in (0, 1))
     gradient = fem.Function(constant)

@@ -7,7 +7,7 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import bsr_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
@@ -96,21 +96,18 @@ class Stars:
         weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
         size = weights.shape[-1]
         weights = weights.reshape(-1, size, size)
-        count = self._incidence.shape[0]
-        diagonal = abs(self._incidence) @ weights.reshape(len(weights), -1)
-        entries = diagonal[:, :: size + 1]
-        entries += np.where(entries > 0.0, LOOSE * entries, 1.0)
-        columns = self._incidence.tocsc()
-        uses = np.diff(columns.indptr)
-        pairs = columns.indices[np.repeat(uses == 2, uses)].reshape(-1, 2)
-        between = -weights[uses == 2]
-        blocks = np.concatenate([diagonal.reshape(-1, size, size), between, between])
-        row, column = np.concatenate([np.indices((count,)).T.repeat(2, 1), pairs, pairs[:, ::-1]]).T
-        order = coo_array((np.arange(len(blocks)), (row, column)), shape=(count, count)).tocsr()
-        pattern = (array.astype(PETSc.IntType) for array in (order.indptr, order.indices))
-        rows = (*pattern, blocks[order.data].ravel())
-        shape = count * size, count * size
-        matrix = PETSc.Mat().createBAIJ(shape, size, csr=rows, comm=PETSc.COMM_SELF)
+        entries = abs(self._incidence) @ np.einsum("nii->ni", weights)
+        loose = np.where(entries > 0.0, LOOSE * entries, 1.0)[:, :, None] * np.eye(size)
+        rows = np.arange(len(loose) + 1)
+        signs = self._incidence.data[:, None, None]
+        facets, starts = self._incidence.indices, self._incidence.indptr
+        weighted = bsr_array((signs * weights[facets], facets, starts))
+        incidence = bsr_array((signs * np.eye(size), facets, starts))
+        blocks = weighted @ incidence.T + bsr_array((loose, rows[:-1], rows))
+        blocks.sort_indices()
+        pattern = (array.astype(PETSc.IntType) for array in (blocks.indptr, blocks.indices))
+        csr = (*pattern, blocks.data.ravel())
+        matrix = PETSc.Mat().createBAIJ(blocks.shape, size, csr=csr, comm=PETSc.COMM_SELF)
         factor = PETSc.PC().create(PETSc.COMM_SELF)
         factor.setType("lu")  # in blocks faster than "cholesky"
         factor.setFactorSolverType("petsc")
