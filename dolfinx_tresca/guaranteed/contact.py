@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from typing import Any
+
 import numpy as np
 from scipy.sparse import kron
 
@@ -14,7 +17,8 @@ from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import mean_products
 from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require, spread
-from dolfinx_tresca.pairing.operators import as_petsc, joined
+from dolfinx_tresca.pairing.group import PairGroup
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
@@ -82,15 +86,10 @@ class ContactSurface:
             "rigid planes, or bodies of degree 1 whose meshes match on flat surfaces, and those of "
             f"contact pair {pair} do not. Mesh both alike, and make a pair of each flat side"
         )
-        require(
-            comm, rigid or (isinstance(pair.primary, int) and not pair.touches_itself), matching
-        )
-
-        # paired as if nothing were prescribed, all nodes have jumps and distances
-        nothing = np.zeros(d * V.dofmap.index_map.size_local, dtype=np.bool_)
-        every = joined(pair_group(V, nothing, group))
+        every = _with_all_nodes(V, group)
         every = every.at_nodes(every.shares[:, member] > 0.0)
-        nodewise = (np.diff(every.primary.indptr) == 1).all()
+        nodewise = pair.obstacle is None and not pair.touches_itself
+        nodewise = nodewise and (np.diff(every.primary.indptr) == 1).all()
         nodewise = nodewise and (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         require(comm, rigid or nodewise, matching)
         self.nodes, self._jump = every.nodes, None
@@ -132,8 +131,8 @@ class ContactSurface:
         if not rigid:
             cell, facet, nodes, _ = self._facets_of("primary", touching)
             turned = np.vstack([normals, -owned.cells.normals[cell, facet]]) - self.normal
-            require(comm, np.abs(turned).max(initial=0.0) < FLATNESS, matching)
-            require(comm, comm.allreduce(len(cell) - len(self.cell)) == 0, matching)
+            unpaired = comm.allreduce(len(cell) - len(self.cell))
+            require(comm, not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
             self.sides.append((cell, facet, tractions[nodes]))
 
     def _facets_of(
@@ -289,3 +288,18 @@ class ContactSurface:
         lack += np.einsum("mkd,kl,mld->m", friction, mass, slips)
         depth = np.abs(jumps) if self.bonded else -openings
         return areas * complementarity, areas * lack, float(depth.max(initial=0.0))
+
+
+def _with_all_nodes(V: Any, group: PairGroup) -> PairOperators:
+    """Pair surfaces as if nothing were prescribed: all nodes have jumps and distances. Collective.
+
+    The log has the pairing of the problem already.
+    """
+    logger = logging.getLogger("dolfinx_tresca")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
+        return joined(pair_group(V, nothing, group))
+    finally:
+        logger.setLevel(level)

@@ -129,19 +129,16 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
     off = ufl.FacetNormal(mesh) - normal
     on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
     (argument,) = L.arguments()
+    kinds = {integral.integral_type() for integral in L.integrals()}
     require(
         mesh.comm,
-        not has_stresses(L),
-        "a form L of the displacement itself; this one depends on its gradient, as an initial "
-        "stress does",
+        kinds <= {"cell", "exterior_facet"} and not has_stresses(L),
+        "a form L of integrals over cells and the boundary, of the displacement itself; this one "
+        f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
+        "displacement, as an initial stress does",
     )
     for integral in L.integrals():
         kind, integrand = integral.integral_type(), integral.integrand()
-        require(
-            mesh.comm,
-            kind in ("cell", "exterior_facet"),
-            f"loads on cells and on the boundary, found an integral of the kind '{kind}' in L",
-        )
         indicator = 1.0 if kind == "cell" else on_facet
         axes = [ufl.replace(integrand, {argument: ufl.as_vector(axis)}) for axis in np.eye(d)]
         square = sum((load - projection[i]) ** 2 for i, load in enumerate(axes))
