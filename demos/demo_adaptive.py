@@ -22,8 +22,8 @@
 # mark the fewest cells that together have 0.7 of the squared error (Doerfler's marking); bisect
 # their edges.
 #
-# It takes ten seconds and 600 MB. A number after the name of this script sets another accuracy, in
-# percent.
+# It takes twenty seconds and 770 MB. A number after the name of this script sets another accuracy,
+# in percent.
 
 # %%
 import logging

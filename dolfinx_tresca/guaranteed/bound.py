@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 
@@ -16,20 +15,19 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import zero_like
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.errors import ContactError
 from dolfinx_tresca.guaranteed.cells import (
     StressEnergies,
     rigid_motions,
     stress_data,
-    stress_element,
+    symmetric_basis,
 )
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
-from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, spread
+from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require, spread
 from dolfinx_tresca.guaranteed.stars import Stars
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Force that a cell lacks, relative to the largest force on a cell, above which the displacement is
@@ -124,32 +122,53 @@ class Distance:
 class Bodies:
     """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium."""
 
-    def __init__(self, linear: LinearSystem, pairs: list[ContactPair], dual: DualProgram) -> None:
+    def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
         """Check what the bound covers, and factor the equations of all stars. Collective.
 
         Raises:
             InputError: the bound does not cover the problem.
         """
-        a, _ = _checked_forms(linear, dual)
-        self.linear, self.pairs, self.V = linear, pairs, linear.V
-        self.comm = self.V.mesh.comm
+        mesh, self.linear, self.V = linear.V.mesh, linear, linear.V
+        self.comm, cell = mesh.comm, mesh.topology.cell_name()
+        plain = linear.component is None and not linear.axisymmetric
+        for holds, needed in (
+            (plain, "displacements in a plane or in space, not mixed spaces or revolution"),
+            (
+                cell in ("triangle", "tetrahedron"),
+                f"triangles or tetrahedra, found {cell} cells. Divide them into simplices",
+            ),
+            (geometry_degree(mesh) == 1, "cells with straight edges"),
+            (
+                dual.equilibrium is None,
+                "Dirichlet conditions that hold each body; here contact alone holds a body "
+                "against some motion",
+            ),
+        ):
+            require(self.comm, holds, needed)
         self.owned = owned = OwnedCells.from_space(self.V)
-        self.stiffness = elasticity(a, owned, linear.entity_maps)
-        self.moduli = np.asarray(np.linalg.eigvalsh(self.stiffness))
-        self.energies = StressEnergies(owned.cells, np.asarray(np.linalg.inv(self.stiffness)))
-        prescribed = linear.prescribed.reshape(-1, owned.cells.d)
-        self.prescribed = spread(self.V, prescribed) > 0.0
-        exterior = dolfinx.mesh.exterior_facet_indices(self.V.mesh.topology)
-        self.inside = ~np.isin(owned.facets, exterior)[:, :, None]
-        self.held = self.prescribed[owned.nodes[:, owned.on_facets]].all(axis=2) & ~self.inside
-        self.stars = Stars(owned, self.energies.facet_stiffness(), self.held | self.inside)
+        self.cells = cells = owned.cells
+        self.stiffness = elasticity(linear.ufl_forms[0], owned, linear.entity_maps)
+        self.energies = StressEnergies(cells, np.asarray(np.linalg.inv(self.stiffness)))
+        self.prescribed = spread(self.V, linear.prescribed.reshape(-1, cells.d)) > 0.0
+        exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+        inside = ~np.isin(owned.facets, exterior)[:, :, None]
+        held = self.prescribed[owned.nodes[:, owned.on_facets]].all(axis=2) & ~inside
+        self.unknown = held | inside
+        self.stars = Stars(owned, self.energies.facet_stiffness(), self.unknown)
+        # facets that are held take any load
+        traces = cells.trace_factors * ~held.all(axis=2)
+        factors = np.hstack([cells.poincare_factors[:, None], traces])
+        self.factors = factors / np.sqrt(np.linalg.eigvalsh(self.stiffness)[:, :1])
+
+    def stress_data(self, w: fem.Function) -> Array:
+        """Return the data of the stresses of a displacement, see `StressEnergies`."""
+        return stress_data(self.cells, self.stresses(w))
 
     def stresses(self, w: fem.Function) -> Array:
         """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of cells."""
-        owned = self.owned
+        owned, tensors = self.owned, symmetric_basis(self.cells.d)
         values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
         slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
-        tensors = stress_element(owned.cells.d).basis
         strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
         return np.asarray(np.tensordot(strains @ self.stiffness, tensors, axes=1))
 
@@ -167,13 +186,13 @@ class Bodies:
         Raises:
             InputError: the bound does not cover the contact pairs, or the load.
         """
-        given = loads(L, self.owned, self.linear.entity_maps)
+        given = loads(L, self.owned, self.factors, self.linear.entity_maps)
         at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
-        areas = np.concatenate([on.weights for on in dual.jump.pairs])
+        areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
         surfaces = [
-            ContactSurface(self.owned, dual, pair, rows, multipliers, bounds, self.prescribed)
-            for pair, rows in zip(self.pairs, dual.jump.by_pair, strict=True)
+            ContactSurface(self.owned, dual, number, multipliers, bounds, self.prescribed)
+            for number in range(len(dual.jump.pairs))
         ]
         v, right, balanced = u.copy(), zero_like(u, "force"), zero_like(u, "balanced")
         for surface in surfaces:
@@ -200,50 +219,39 @@ class Bodies:
             gain: part of the distance by which a step must lower it, or the steps end.
 
         Raises:
-            InputError: displacements are prescribed on contact surfaces, or penetrate.
+            InputError: prescribed displacements penetrate.
             ContactError: the displacement is not in equilibrium.
         """
-        cells, given = self.owned.cells, candidate.loads
-        defects = np.zeros((2, len(self.held)))
-        largest = float(reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX))
+        defects = np.zeros((2, len(self.unknown)))
+        largest = reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX)
         for surface in candidate.surfaces:
             *lacking, deepest = surface.defects(v)
             for total, lack in zip(defects, lacking, strict=True):
                 np.add.at(total, surface.cell, lack)
-            with errors_on_all_ranks(self.comm):
-                if self.held[surface.cell, surface.facet].any():
-                    raise InputError(
-                        "a guaranteed bound needs contact surfaces without prescribed "
-                        f"displacements, and some facets of contact pair {surface.pair} have them."
-                    )
-                if deepest > PENETRATION * largest:
-                    raise InputError(
-                        f"prescribed displacements penetrate at contact pair {surface.pair}, by "
-                        f"{deepest:.2e}: there is no exact solution."
-                    )
+            require(
+                self.comm,
+                deepest <= PENETRATION * largest,
+                "an exact solution, and prescribed displacements penetrate at contact pair "
+                f"{surface.pair}",
+            )
         difference = self._equilibrated(candidate, target) - target
         self._shorten(difference, gain)
-        loaded = given.traction_distance * ~self.held.all(axis=2)
-        oscillation = cells.poincare_factors * given.load_distance
-        oscillation += (cells.trace_factors * loaded).sum(axis=1)
-        oscillation /= np.sqrt(self.moduli[:, 0])
         stress = np.sqrt(self.energies.squared_norms(difference))
-        return Distance(difference, stress, oscillation, *defects)
+        return Distance(difference, stress, candidate.loads.oscillation, *defects)
 
     def _equilibrated(self, candidate: Candidate, target: Array) -> Array:
         """Return data of a stress in equilibrium, see `StressEnergies`. Collective."""
-        cells, d, load = self.owned.cells, self.owned.cells.d, candidate.loads.load
-        n, count = len(load), d * (d + 1)
-        discrete = stress_data(cells, candidate.balanced)[:, :count].reshape(n, d + 1, d, d)
-        free = (self.held | self.inside)[:, :, None]
-        near = np.where(free, discrete, candidate.loads.traction)
-        flux = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / (d + 1)
+        cells, count, load = self.cells, self.energies.count, candidate.loads.load
+        given, shape = candidate.loads.traction, candidate.loads.traction.shape
+        discrete = stress_data(cells, candidate.balanced)[:, :count].reshape(shape)
+        near = np.where(self.unknown[:, :, None], discrete, given)
+        flux = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / shape[1]
         loaded = cells.volume_forces(load)
         tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * flux - loaded)
 
         forces = cells.facet_forces(tractions)
         # a body may be free of forces where the target, of another load, is not
-        aimed = cells.facet_forces(target[:, :count].reshape(tractions.shape))
+        aimed = cells.facet_forces(target[:, :count].reshape(shape))
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
         largest = [np.abs(field).max(initial=0.0) for field in (lacking, forces, aimed)]
@@ -254,18 +262,18 @@ class Bodies:
                 f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
-        return np.concatenate([tractions.reshape(n, count, d), -load], axis=1)
+        return np.concatenate([tractions.reshape(len(load), count, -1), -load], axis=1)
 
     def _shorten(self, difference: Array, gain: float) -> None:
         """Add tractions without resultants that shorten a stress, in place. Collective."""
-        n, count, d = len(difference), self.energies.count, self.owned.cells.d
+        count, shape = self.energies.count, self.unknown.shape
         derivative = self.energies.derivative(difference)
         square = float(reduce_array(self.comm, (difference * derivative).sum()))
         descent = -derivative[:, :count]
         direction, previous, lowered, total = np.zeros_like(descent), np.inf, square, 0.0
         # for goals the distance is large by itself, and its decrease tells more
         while lowered > gain * min(total, 2.0 * square) and square > 0.0:
-            step = self.stars.preconditioned(descent.reshape(n, d + 1, d, d)).reshape(descent.shape)
+            step = self.stars.preconditioned(descent.reshape(*shape, -1)).reshape(descent.shape)
             slope = float(reduce_array(self.comm, (step * descent).sum()))
             if not slope > 0.0:
                 break
@@ -294,7 +302,7 @@ class Bodies:
             ContactError: the displacement is not in equilibrium.
         """
         candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
-        of_u, of_v = (stress_data(self.owned.cells, self.stresses(w)) for w in (u, candidate.v))
+        of_u, of_v = self.stress_data(u), self.stress_data(candidate.v)
         distance = self.distance(candidate, candidate.v, of_v, gain)
         moved = self.energies.squared_norms(of_u - of_v)
         # the mean of both stresses is the centre of a ball that contains the exact stress
@@ -325,25 +333,3 @@ class Bodies:
             friction=float(friction),
             lift=lift,
         )
-
-
-def _checked_forms(linear: LinearSystem, dual: DualProgram) -> tuple[Any, Any]:
-    mesh = linear.V.mesh
-    if linear.component is not None or linear.axisymmetric:
-        raise InputError(
-            "a guaranteed bound is for displacements of plane or three-dimensional bodies, not for "
-            "mixed spaces or bodies of revolution."
-        )
-    if mesh.topology.cell_name() not in ("triangle", "tetrahedron"):
-        raise InputError(
-            f"a guaranteed bound needs triangles or tetrahedra, found {mesh.topology.cell_name()} "
-            "cells. Divide them into simplices."
-        )
-    if geometry_degree(mesh) != 1:
-        raise InputError("a guaranteed bound needs cells with straight edges.")
-    if dual.equilibrium is not None:
-        raise InputError(
-            "a guaranteed bound needs Dirichlet conditions that hold each body; here contact alone "
-            "holds a body against some motion."
-        )
-    return linear.ufl_forms

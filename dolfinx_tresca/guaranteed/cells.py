@@ -162,9 +162,24 @@ class Simplices:
         return np.asarray(self.stretches[:, None] * np.sqrt(ratios) * TRACE[self.d])
 
 
-@dataclass(frozen=True)
-class StressElement:
-    """The stress element on the regular simplex with edges of length 1.
+@cache
+def symmetric_basis(d: int) -> Array:
+    """Return an orthonormal basis (d (d + 1) / 2, d, d) of the symmetric matrices."""
+    axes = np.eye(d)
+    i, j = np.triu_indices(d)
+    outer = axes[i][:, :, None] * axes[j][:, None]
+    scales = np.where(i == j, 0.5, np.sqrt(0.5))
+    return np.asarray(scales[:, None, None] * (outer + np.swapaxes(outer, 1, 2)))
+
+
+def _regular_frame(d: int) -> Array:
+    """Return the matrix (d, d) whose columns are the edges at a vertex of the regular simplex."""
+    return np.asarray(np.linalg.cholesky(0.5 * (np.eye(d) + 1.0)).T)
+
+
+@cache
+def stress_products(d: int) -> Array:
+    """Return products of stresses of the stress element on the regular simplex of edge length 1.
 
     The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
     Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the vertices
@@ -174,31 +189,14 @@ class StressElement:
     stress; of all, that of the least norm is taken. It depends linearly on these data, and
     reproduces linear stresses.
 
-    Attributes:
-        basis: (nsym, d, d) orthonormal basis of the symmetric matrices, nsym = d (d + 1) / 2.
-        products: (nsym (nsym + 1) / 2, m, m) means over the simplex of products of two components
-            of stresses, in the order of `triu_indices`, twice if the components differ. The m data
-            are (facet i, vertex of this facet, component) S grad lambda_i with the stress S, then
-            (vertex, component) the divergence.
+    Returns:
+        (nsym (nsym + 1) / 2, m, m) means over the simplex of products of two components of stresses
+        in `symmetric_basis`, in the order of `triu_indices`, twice if the components differ. The m
+        data are (facet i, vertex of this facet, component) S grad lambda_i with the stress S, then
+        (vertex, component) the divergence.
     """
-
-    basis: Array
-    products: Array
-
-
-def _regular_frame(d: int) -> Array:
-    """Return the matrix (d, d) whose columns are the edges at a vertex of the regular simplex."""
-    return np.asarray(np.linalg.cholesky(0.5 * (np.eye(d) + 1.0)).T)
-
-
-@cache
-def stress_element(d: int) -> StressElement:
-    """Return the reference element in dimension d."""
-    n, nsym = d + 1, d * (d + 1) // 2
-    basis = np.zeros((nsym, d, d))
-    components = [(k, k) for k in range(d)] + list(combinations(range(d), 2))
-    for k, (i, j) in enumerate(components):
-        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    n, basis = d + 1, symmetric_basis(d)
+    nsym = len(basis)
     nodal = basis_products(n, 2)
     size = len(nodal)
     # barycentric coordinates of the nodes
@@ -243,7 +241,7 @@ def stress_element(d: int) -> StressElement:
     products = np.einsum("pax,pby->abxy", least, least, optimize=True)
     products = products[rows, columns] + products[columns, rows]
     products[rows == columns] *= 0.5
-    return StressElement(basis, products)
+    return np.asarray(products)
 
 
 class StressEnergies:
@@ -259,10 +257,10 @@ class StressEnergies:
         Args:
             cells: the cells.
             compliance: (n, nsym, nsym) the inverse of the elasticity tensor in
-                `StressElement.basis`.
+                `symmetric_basis`.
         """
         d, self.cells = cells.d, cells
-        element = stress_element(d)
+        basis, products = symmetric_basis(d), stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
         self.count = d * (d + 1)  # of tractions
         inner = np.swapaxes(np.linalg.inv(frames), 1, 2)
@@ -270,12 +268,12 @@ class StressEnergies:
         scales[:, : self.count] = np.repeat(-1.0 / cells.heights, d, axis=1)
         self._to_reference, self._scales = inner, scales[:, :, None]
         # the stress is B S B' with the reference stress S
-        stresses = frames[:, None] @ element.basis @ np.swapaxes(frames, 1, 2)[:, None]
-        rows = np.tensordot(stresses, element.basis, axes=([2, 3], [1, 2]))
+        stresses = frames[:, None] @ basis @ np.swapaxes(frames, 1, 2)[:, None]
+        rows = np.tensordot(stresses, basis, axes=([2, 3], [1, 2]))
         pulled = rows @ compliance @ np.swapaxes(rows, 1, 2) * cells.volumes[:, None, None]
-        i, j = np.triu_indices(len(element.basis))
-        matrices = pulled[:, i, j] @ element.products.reshape(len(i), -1)
-        self._matrices = matrices.reshape(len(frames), *element.products.shape[1:])
+        i, j = np.triu_indices(len(basis))
+        matrices = pulled[:, i, j] @ products.reshape(len(i), -1)
+        self._matrices = matrices.reshape(len(frames), *products.shape[1:])
 
     def derivative(self, data: Array) -> Array:
         """Return half the derivative (n, k, d) of the energy; data may be tractions alone."""

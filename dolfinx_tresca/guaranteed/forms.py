@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -17,11 +16,9 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.mesh_error import with_gradient
-from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.guaranteed.cells import mean_products, opposite, stress_element
-from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells
+from dolfinx_tresca.guaranteed.cells import mean_products, opposite, symmetric_basis
+from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that
@@ -31,157 +28,137 @@ STIFFNESS_ROUNDING = 1e-9
 #: Square of the difference of two unit normals that counts as rounding.
 NORMAL_ROUNDING = 1e-8
 
-NEEDED = "a guaranteed bound needs "
-
 
 def elasticity(a: ufl.Form, owned: OwnedCells, maps: EntityMaps | None) -> Array:
-    """Return the elasticity tensors (n, nsym, nsym) of owned cells in `StressElement.basis`.
+    """Return the elasticity tensors (n, nsym, nsym) of owned cells in `symmetric_basis`.
 
     Collective.
 
     Raises:
         InputError: a depends on more than the symmetric gradient, or a tensor varies in a cell.
     """
+    mesh, d = owned.V.mesh, owned.cells.d
     integrals = apply_derivatives(apply_algebra_lowering(a)).integrals()
-    kinds = {integral.integral_type() for integral in integrals} - {"cell"}
-    if kinds:
-        raise InputError(
-            f"{NEEDED}a form a of integrals over cells alone, found one of the kind "
-            f"'{kinds.pop()}'."
-        )
-    if any(
-        isinstance(child, Argument) and not isinstance(node, Grad)
+    of_strain = all(
+        integral.integral_type() == "cell"
+        and (isinstance(node, Grad) or not isinstance(child, Argument))
         for integral in integrals
         for node in unique_pre_traversal(integral.integrand())
         for child in node.ufl_operands
-    ):
-        raise InputError(
-            f"{NEEDED}a form a of the strain alone; this one also depends on the displacement "
-            "itself, as springs do, or on a volume's mean."
-        )
-    mesh, d = owned.V.mesh, owned.cells.d
-    tensors, at_vertices = (fem.functionspace(mesh, ("DG", k, (d, d))) for k in (0, 1))
-    gradient = fem.Function(tensors)
-    form = with_gradient(a, gradient, 0.5)
-    for direction in (ufl.TestFunction(tensors), ufl.TrialFunction(at_vertices)):
-        form = ufl.derivative(form, gradient, direction)
-    matrix = fem.assemble_matrix(_compiled(form, maps)).to_scipy().tobsr((d * d, d * d))
-    n = len(owned.order)
-    values = matrix.data.reshape(-1, d + 1, d * d, d * d)[tensors.dofmap.list[:n, 0]]
-    values *= (d + 1) / owned.cells.volumes[:, None, None, None]
-    basis = stress_element(d).basis.reshape(-1, d * d)
-    every = basis @ values @ basis.T
+    )
+    require(
+        mesh.comm,
+        of_strain,
+        "a form a of integrals over cells, of the strain alone; this one also has integrals over "
+        "facets, or depends on the displacement itself, as springs do, or on a volume's mean",
+    )
+    constant, linear = (fem.functionspace(mesh, ("DG", k, (d, d))) for k in (0, 1))
+    gradient = fem.Function(constant)
+    energy = with_gradient(a, gradient, 0.5)
+    work = fem.form(ufl.derivative(energy, gradient, ufl.TestFunction(linear)), entity_maps=maps)
+    basis = symmetric_basis(d)
+    rotations = [np.outer(i, j) - np.outer(j, i) for i, j in combinations(np.eye(d), 2)]
+    dofs, stresses = linear.dofmap.list[: len(owned.order)], []
+    for tensor in [*basis, *rotations]:
+        gradient.x.array.reshape(-1, d * d)[:] = tensor.ravel()
+        stresses.append(fem.assemble_vector(work).array.reshape(-1, d * d)[dofs])
+    scale = (d + 1) / owned.cells.volumes[:, None, None]
+    values = np.stack(stresses, axis=2) * scale[:, :, None]  # (n, d + 1, d * d, d * d)
+    every = values[:, :, : len(basis)] @ basis.reshape(-1, d * d).T
     result: Array = every.mean(axis=1)
-    size = np.trace(result, axis1=1, axis2=2)
-    rotations = np.array([np.outer(i, j) - np.outer(j, i) for i, j in combinations(np.eye(d), 2)])
-    turned = np.abs(rotations.reshape(-1, d * d) @ values).max(axis=(1, 2, 3), initial=0.0)
-    with errors_on_all_ranks(mesh.comm):  # the cells of one rank may be at fault
-        if (turned > STIFFNESS_ROUNDING * size).any():
-            raise InputError(
-                f"{NEEDED}a form a of the symmetric gradient; this one gives rotations an energy."
-            )
-        spread = np.abs(every - result[:, None]).max(axis=(1, 2, 3), initial=0.0)
-        if (spread > STIFFNESS_ROUNDING * size).any():
-            raise InputError(
-                f"{NEEDED}a stiffness that is constant in each cell. Interpolate the moduli into a "
-                'space ("DG", 0).'
-            )
-        if not (np.linalg.eigvalsh(result)[:, 0] > 0.0).all():
-            raise InputError(f"{NEEDED}a stiffness in every cell, and positive moduli.")
+    rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2)[:, None, None, None]
+    turned = np.abs(values[:, :, len(basis) :]) <= rounding
+    require(
+        mesh.comm,
+        turned.all(),
+        "a form a of the symmetric gradient; this one gives rotations an energy",
+    )
+    require(
+        mesh.comm,
+        (np.abs(every - result[:, None]) <= rounding).all(),
+        'a stiffness that is constant in each cell. Interpolate the moduli into a space ("DG", 0)',
+    )
+    positive = (np.linalg.eigvalsh(result) > 0.0).all()
+    require(mesh.comm, positive, "a stiffness in every cell, and positive moduli")
     return result
 
 
 @dataclass(frozen=True)
 class Loads:
-    """The linear projections of the loads of owned cells, and their distances from the loads.
+    """The linear projections of the loads of owned cells, and bounds of their distances.
 
     Attributes:
         load: (n, d + 1, d) load at the vertices.
         traction: (n, d + 1, d, d) tractions on the boundary, facet by facet at its vertices.
-        load_distance: (n,) bound of the norm of the load minus its projection.
-        traction_distance: (n, d + 1) bound of the same norm on each facet.
+        oscillation: (n,) bound of what the loads minus their projections do.
     """
 
     load: Array
     traction: Array
-    load_distance: Array
-    traction_distance: Array
+    oscillation: Array
 
 
-def loads(L: ufl.Form | None, owned: OwnedCells, maps: EntityMaps | None) -> Loads:
+def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMaps | None) -> Loads:
     """Return the loads of a linear form. Collective.
 
     Integrals have the degree that UFL estimates: exact for polynomials.
+
+    Args:
+        L: the form.
+        owned: the cells.
+        factors: (n, d + 2) bounds of the work of a load of norm 1 that is orthogonal to linear
+            functions, relative to the energy norm: in the cell, and on each facet.
+        maps: entity maps of Functions on other meshes.
 
     Raises:
         InputError: L has integrals over interior facets, or depends on the gradient.
     """
     mesh, cells = owned.V.mesh, owned.cells
     n, corners, d = cells.points.shape
-    result = Loads(
-        np.zeros((n, corners, d)),
-        np.zeros((n, corners, d, d)),
-        np.zeros(n),
-        np.zeros((n, corners)),
-    )
+    result = Loads(np.zeros((n, corners, d)), np.zeros((n, corners, d, d)), np.zeros(n))
     if L is None:
         return result
-    constant = fem.functionspace(mesh, ("DG", 0))
-    linear = fem.functionspace(mesh, ("DG", 1, (d,)))
+    constant, linear = fem.functionspace(mesh, ("DG", 0)), fem.functionspace(mesh, ("DG", 1, (d,)))
     weight, moments = ufl.TestFunction(constant), ufl.TestFunction(linear)
-    projection = fem.Function(linear)
+    projection, normal = (
+        fem.Function(linear),
+        fem.Function(fem.functionspace(mesh, ("DG", 0, (d,)))),
+    )
     dofs = np.take_along_axis(linear.dofmap.list[:n], owned.order, axis=1)
-    normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
+    cell_dofs = constant.dofmap.list[:n, 0]
     off = ufl.FacetNormal(mesh) - normal
     on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
     (argument,) = L.arguments()
-    if has_stresses(L):
-        raise InputError(
-            f"{NEEDED}a form L of the displacement itself; this one depends on its gradient, as an "
-            "initial stress does."
-        )
+    kinds = {integral.integral_type() for integral in L.integrals()}
+    require(
+        mesh.comm,
+        kinds <= {"cell", "exterior_facet"} and not has_stresses(L),
+        "a form L of integrals over cells and the boundary, of the displacement itself; this one "
+        f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
+        "displacement, as an initial stress does",
+    )
     for integral in L.integrals():
-        kind = integral.integral_type()
-        if kind not in ("cell", "exterior_facet"):
-            raise InputError(
-                f"{NEEDED}loads on cells and on the boundary, found an integral of the kind "
-                f"'{kind}' in L."
-            )
+        kind, integrand = integral.integral_type(), integral.integrand()
         indicator = 1.0 if kind == "cell" else on_facet
-        load = [ufl.replace(integral.integrand(), {argument: axis}) for axis in _axes(d)]
-        distance = sum((load[i] - projection[i]) ** 2 for i in range(d))
-        forms = [
-            _compiled(
-                ufl.Form([integral.reconstruct(integrand=indicator * integrand, metadata={})]), maps
+        axes = [ufl.replace(integrand, {argument: ufl.as_vector(axis)}) for axis in np.eye(d)]
+        square = sum((load - projection[i]) ** 2 for i, load in enumerate(axes))
+        forces, squares = (
+            fem.form(
+                ufl.Form([integral.reconstruct(indicator * values, metadata={})]), entity_maps=maps
             )
-            for integrand in (
-                ufl.replace(integral.integrand(), {argument: moments}),
-                distance * weight,
-            )
-        ]
-        for j in range(1 if kind == "cell" else corners):
-            vertices = np.arange(corners) if kind == "cell" else opposite(d)[j]
-            sizes = cells.volumes if kind == "cell" else cells.areas[:, j]
-            normal.x.array.reshape(-1, d)[constant.dofmap.list[:n, 0]] = cells.normals[:, j]
-            forces = fem.assemble_vector(forms[0]).array.reshape(-1, d)[dofs[:, vertices]]
-            inverse = np.linalg.inv(mean_products(len(vertices), 2))
-            values = inverse @ forces / sizes[:, None, None]
+            for values in (ufl.replace(integrand, {argument: moments}), square * weight)
+        )
+        places = [(range(corners), cells.volumes, result.load)]
+        if kind != "cell":
+            tractions = np.moveaxis(result.traction, 1, 0)
+            places = [*zip(opposite(d), cells.areas.T, tractions, strict=True)]
+        for j, (vertices, sizes, load) in enumerate(places):
+            normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, j]
+            values = fem.assemble_vector(forces).array.reshape(-1, d)[dofs[:, vertices]]
+            values = np.linalg.inv(mean_products(len(vertices), 2)) @ values / sizes[:, None, None]
             projection.x.array[:] = 0.0
             projection.x.array.reshape(-1, d)[dofs[:, vertices]] = values
-            squares = fem.assemble_vector(forms[1]).array[constant.dofmap.list[:n, 0]]
-            norms = np.sqrt(np.maximum(squares, 0.0))
-            if kind == "cell":
-                result.load[:] += values
-                result.load_distance[:] += norms
-            else:
-                result.traction[:, j] += values
-                result.traction_distance[:, j] += norms
+            norms = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
+            load += values
+            result.oscillation[:] += factors[:, 0 if kind == "cell" else 1 + j] * norms
     return result
-
-
-def _axes(d: int) -> list[Any]:
-    return [ufl.as_vector(row) for row in np.eye(d)]
-
-
-def _compiled(form: ufl.Form, maps: EntityMaps | None) -> fem.Form:
-    return fem.form(form, **({} if maps is None else {"entity_maps": maps}))

@@ -12,14 +12,14 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.functions import assembled
+from dolfinx_tresca._base.functions import assembled, owned_values
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.guaranteed.bound import Bodies, Candidate
-from dolfinx_tresca.guaranteed.cells import stress_data
-from dolfinx_tresca.scene.friction import Bonded, Frictionless, Tresca
+from dolfinx_tresca.guaranteed.mesh_cells import require
 from dolfinx_tresca.scene.goal import ContactForce, NormalForce, checked_goal
+from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
 #: Factor by which the size of the change of the load is varied as long as the interval shrinks, and
 #: largest power of it.
@@ -71,34 +71,33 @@ class Functional:
             InputError: the goal is neither a force nor a linear form, or slip bounds depend on
                 pressures.
         """
-        for pair in bodies.pairs:
-            if not isinstance(pair.friction, Tresca | Frictionless | Bonded):
-                raise InputError(
-                    "guaranteed bounds of a goal need slip bounds that do not depend on the "
-                    f"pressure, and contact pair {pair} has {pair.friction!r}."
-                )
-        a, _ = bodies.linear.ufl_forms
-        test, trial = a.arguments()
+        fixed_bounds = not isinstance(dual.admissible, FrictionCones)
+        require(
+            bodies.comm,
+            fixed_bounds,
+            "slip bounds that do not depend on the pressure if it is of a goal",
+        )
+        linear, pairs = bodies.linear, dual.jump.by_pair
+        test, trial = linear.ufl_forms[0].arguments()
         if isinstance(goal, ufl.Form):
             if [argument.ufl_function_space() for argument in goal.arguments()] != [bodies.V]:
                 raise InputError("a goal must be a linear form on the space of the displacement.")
             form = ufl.replace(goal, {goal.arguments()[0]: test})
-            return cls(form, assembled(form, bodies.V, bodies.linear.entity_maps))
+            return cls(form, assembled(form, bodies.V, linear.entity_maps))
         if not isinstance(goal, ContactForce | NormalForce):
             raise InputError(
                 "a goal with guaranteed bounds must be a NormalForce, a ContactForce or a linear "
                 f"form such as ufl.inner(direction, ufl.TestFunction(V)) * ds, found {shown(goal)}."
             )
-        d = bodies.owned.cells.d
-        goal = checked_goal(goal, len(bodies.pairs), d)
-        on, w = dual.jump.by_pair[goal.pair].operators, fem.Function(bodies.V)
-        direction = -on.normals if isinstance(goal, NormalForce) else np.asarray(goal.direction)
-        w.x.array.reshape(-1, d)[on.nodes] = direction
-        w.x.array[: len(bodies.linear.prescribed)][bodies.linear.prescribed] = 0.0
+        pair = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
+        w = fem.Function(bodies.V)
+        direction = -pair.normals if isinstance(goal, NormalForce) else goal.direction
+        w.x.array.reshape(-1, bodies.cells.d)[pair.nodes] = direction
+        w.x.array[: len(linear.prescribed)][linear.prescribed] = 0.0
         w.x.scatter_forward()
-        form = ufl.replace(a, {trial: w})
-        derivative = assembled(form, bodies.V, bodies.linear.entity_maps)
-        return cls(form, derivative, w, _product(bodies.linear.assemble_forces(), w))
+        form = ufl.replace(linear.ufl_forms[0], {trial: w})
+        derivative = assembled(form, bodies.V, linear.entity_maps)
+        return cls(form, derivative, w, _work(linear.assemble_forces(), w))
 
     def response(self, bodies: Bodies, dual: DualProgram) -> fem.Function:
         """Return the displacement that the goal causes as a load, without contact. Collective."""
@@ -113,14 +112,13 @@ class Functional:
 
     def value(self, v: fem.Function) -> float:
         """Return the value for a displacement. Collective."""
-        return _product(self.derivative, v) - self.constant
+        return _work(self.derivative, v) - self.constant
 
 
-def _product(f: fem.Function, v: fem.Function) -> float:
-    """Return the work of forces f on a displacement v. Collective."""
-    dofmap = v.function_space.dofmap
-    owned = slice(dofmap.index_map.size_local * dofmap.index_map_bs)
-    return float(reduce_array(v.function_space.mesh.comm, f.x.array[owned] @ v.x.array[owned]))
+def _work(force: fem.Function, v: fem.Function) -> float:
+    """Return the work of forces on a displacement. Collective."""
+    work = (owned_values(force) * owned_values(v)).sum()
+    return float(reduce_array(v.function_space.mesh.comm, work))
 
 
 def guaranteed_goal(
@@ -150,23 +148,18 @@ def guaranteed_goal(
         InputError: the bound does not cover the problem.
         ContactError: a displacement is not in equilibrium.
     """
-
-    def data(v: fem.Function) -> Array:
-        return stress_data(bodies.owned.cells, bodies.stresses(v))
-
-    of_w = 0.0 if functional.w is None else data(functional.w)
+    of_w = 0.0 if functional.w is None else bodies.stress_data(functional.w)
 
     def limits_at(t: float) -> Array:
         """Return upper limits (2,) of J and -J."""
-        candidates = {sign: solve(sign * t) for sign in (1.0, -1.0)}
-        result = []
+        candidates, result = {sign: solve(sign * t) for sign in (1.0, -1.0)}, []
         for sign, candidate in candidates.items():
             v = candidates[-sign].v
-            distance = bodies.distance(candidate, v, data(v) - sign * t * of_w, gain)
+            target = bodies.stress_data(v) - sign * t * of_w
+            distance = bodies.distance(candidate, v, target, gain)
             eta = distance.stress + distance.oscillation
             lack = distance.complementarity + distance.friction
-            sums = [0.25 * (eta**2).sum(), lack.sum()]
-            square, gap = reduce_array(bodies.comm, sums)
+            square, gap = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), lack.sum()])
             result.append(sign * functional.value(v) + (square + max(gap, 0.0)) / t)
         return np.array(result)
 

@@ -1,4 +1,4 @@
-"""The cells of a mesh that a rank owns, and copies of rows of arrays on other ranks."""
+"""The cells of a mesh that a rank owns, values at their nodes, and checks on all ranks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import basix
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.parallel import exchange, summed_at_nodes
+from dolfinx_tresca._base.parallel import summed_at_nodes
+from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, mean_products, opposite
 
 
@@ -101,40 +102,11 @@ def spread(V: Any, owned: Array) -> Array:
     return summed_at_nodes(V.dofmap.index_map, np.arange(len(owned)), owned)
 
 
-class Copies:
-    """Sends rows of arrays to other ranks, in a fixed order, and adds up what comes back."""
+def require(comm: MPI.Comm, holds: Any, needed: str) -> None:
+    """Check what the bound needs on all ranks. Collective.
 
-    def __init__(self, comm: MPI.Comm, rows: Indices, ranks: Indices) -> None:
-        """Say which rows (m,) of this rank go to which ranks (m,). Collective."""
-        order = np.argsort(ranks, kind="stable")  # the order in which `exchange` sends
-        self._comm, self._rows, self._ranks = comm, rows[order], ranks[order]
-        _, self._sources = exchange(comm, self._rows, self._ranks)
-
-    @classmethod
-    def around_vertices(cls, owned: OwnedCells) -> tuple[Copies, Indices]:
-        """Return copies of cells for all ranks that own a vertex of the cell. Collective.
-
-        The second result are the ranks (n, d + 1) that own the vertices of the owned cells.
-        """
-        topology, comm = owned.V.mesh.topology, owned.V.mesh.comm
-        index_map = topology.index_map(0)
-        owners = np.full(index_map.size_local + index_map.num_ghosts, comm.rank)
-        owners[index_map.size_local :] = index_map.owners
-        count, corners = owned.order.shape
-        local = topology.connectivity(topology.dim, 0).array.reshape(-1, corners)[:count]
-        owner = owners[np.take_along_axis(local, owned.order, axis=1)]
-        rows = np.repeat(np.arange(count), corners)
-        pairs = np.unique(np.column_stack([owner.ravel(), rows]), axis=0)
-        return cls(comm, pairs[:, 1], pairs[:, 0]), owner
-
-    def spread(self, values: Any) -> Any:
-        """Return the copies that this rank has of the rows of all ranks. Collective."""
-        rows = np.ascontiguousarray(values[self._rows])
-        return exchange(self._comm, rows, self._ranks)[0]
-
-    def summed(self, values: Array, size: int) -> Array:
-        """Return sums (size, ...) of values of the copies, at the rows of this rank. Collective."""
-        returned, _ = exchange(self._comm, values, self._sources)
-        result = np.zeros((size, *values.shape[1:]))
-        np.add.at(result, self._rows, returned)
-        return result
+    Raises:
+        InputError: it does not hold on a rank.
+    """
+    if not comm.allreduce(bool(holds), op=MPI.LAND):
+        raise InputError(f"a guaranteed bound needs {needed}.")

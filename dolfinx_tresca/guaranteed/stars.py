@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import bsr_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
 from dolfinx_tresca.guaranteed.cells import Simplices, mean_products, opposite, rigid_motions
-from dolfinx_tresca.guaranteed.mesh_cells import Copies, OwnedCells
+from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells
 
 #: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
 #: are solved up to this number.
@@ -24,9 +26,9 @@ class Stars:
     tractions on the facets at the vertex (docs/theory/guaranteed.md).
 
     Arguments and results are of the cells that this rank owns. Inside are the copies of all cells
-    around the vertices that this rank owns, and tractions as arrays (unknowns, d, d): vertex,
-    component, for each facet of each star. The first cell of a facet has them with the sign 1, the
-    second with -1.
+    around the vertices that this rank owns, and tractions as arrays (facets, d * d): vertex,
+    component. The first cell of a facet has them with the sign 1, the second with -1. A facet is in
+    the stars of its d vertices, in which it has the same stiffness.
     """
 
     def __init__(self, owned: OwnedCells, stiffness: Array, free: Mask) -> None:
@@ -37,37 +39,45 @@ class Stars:
             stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
             free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
         """
-        mesh, d = owned.V.mesh, owned.cells.d
-        self._size = len(free)
+        mesh, d, self._size = owned.V.mesh, owned.cells.d, len(free)
+        self._comm = mesh.comm
+        starts = mesh.comm.allgather(mesh.topology.index_map(0).local_range[0])
+        owner = np.searchsorted(starts, owned.vertices, side="right") - 1
+        # a copy of each cell for each rank that owns vertices of it
+        ranks = np.sort(owner, axis=1)
+        row, column = np.nonzero(np.diff(ranks, axis=1, prepend=-1))
+        ranks = ranks[row, column]
+        order = np.argsort(ranks, kind="stable")  # the order in which `exchange` sends
+        self._rows, self._ranks = row[order], ranks[order]
+        _, self._sources = exchange(mesh.comm, self._rows, self._ranks)
         numbers = mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
-        self._copies, owner = Copies.around_vertices(owned)
-        data = owned.cells.points, owned.vertices, numbers.reshape(owned.facets.shape), owner
-        points, vertices, numbers, owner = map(self._copies.spread, data)
-        stiffness, free = map(self._copies.spread, (stiffness, free))
-        self._cells, self._owned = Simplices(points), owner == mesh.comm.rank
+        data = owned.cells.points, owner, numbers.reshape(owned.facets.shape), stiffness, free
+        points, owner, numbers, stiffness, free = map(self._copies, data)
+        self._cells = Simplices(points)
+
         _, uses, facets = np.unique(numbers, return_index=True, return_inverse=True)
         facets = facets.reshape(numbers.shape)
         signs = np.full(numbers.shape, -1.0)
         signs.flat[uses] = 1.0
         shape = numbers.size, len(uses)
         self._sides = csr_array((signs.ravel(), facets.ravel(), np.arange(shape[0] + 1)), shape)
-
-        self._cell, self._corner = cell, corner = np.nonzero(self._owned)
-        sides = opposite(d)[corner]  # (rows, d) the facets at the vertex
-        keys = vertices[cell, corner][:, None] * shape[1] + facets[cell[:, None], sides]
-        keys, uses, unknown = np.unique(keys, return_index=True, return_inverse=True)
-        self._on_cells = csr_array(self._sides.tocsc()[:, keys % shape[1]])
-        self._softness = self._softnesses(stiffness, free)[keys % shape[1]]
-        # work of tractions on the rigid motions about the vertex: the same for both cells
-        row, side = np.divmod(uses, d)
-        cells, facet = cell[row], sides[row, side]
-        arms = points[cells[:, None], opposite(d)[facet]] - points[cells, corner[row], None]
+        self._softness = self._softnesses(stiffness, free)
+        cell, facet = np.divmod(uses, d + 1)
+        vertices = cell[:, None], opposite(d)[facet]
+        self._on_this_rank = (owner == mesh.comm.rank)[vertices]  # the stars of a facet's vertices
+        # work of tractions on the rigid motions about each vertex: the same for both cells
+        arms = points[vertices][:, None] - points[vertices][:, :, None]
         work = mean_products(d, 2) @ rigid_motions(arms)
-        work *= self._cells.areas[cells, facet, None, None, None]
-        self._work = work.reshape(len(keys), -1, d * d)
+        work *= self._cells.areas[cell, facet, None, None, None, None]
+        self._work = work.reshape(*arms.shape[:2], -1, d * d)
+
+        self._cell, self._corner = np.nonzero(owner == mesh.comm.rank)
+        sides, corner = opposite(d)[self._corner], self._corner[:, None]
+        places = self._cell[:, None], sides
+        unknown = d * facets[places] + corner - (corner > sides)
         starts = np.arange(0, unknown.size + 1, d)
-        values = signs[cell[:, None], sides].ravel(), unknown.ravel(), starts
-        self._incidence = csr_array(values, (len(cell), len(keys)))
+        values = signs[places].ravel(), unknown.ravel(), starts
+        self._incidence = csr_array(values, (len(corner), d * shape[1]))
         with errors_on_all_ranks(mesh.comm):
             self._factor = self._factored()
 
@@ -83,22 +93,21 @@ class Stars:
 
     def _factored(self) -> PETSc.PC:
         """Return the factors of the equations of all stars: a graph's, with blocks as weights."""
-        weights = self._work @ self._softness @ np.swapaxes(self._work, 1, 2)
-        count, size = self._incidence.shape[0], weights.shape[1]
-        diagonal = abs(self._incidence) @ weights.reshape(len(weights), -1)
-        entries = diagonal[:, :: size + 1]
-        entries += np.where(entries > 0.0, LOOSE * entries, 1.0)
-        columns = self._incidence.tocsc()
-        uses = np.diff(columns.indptr)
-        pairs = columns.indices[np.repeat(uses == 2, uses)].reshape(-1, 2)
-        between = -weights[uses == 2]
-        blocks = np.concatenate([diagonal.reshape(-1, size, size), between, between])
-        row, column = np.concatenate([np.indices((count,)).T.repeat(2, 1), pairs, pairs[:, ::-1]]).T
-        order = coo_array((np.arange(len(blocks)), (row, column)), shape=(count, count)).tocsr()
-        pattern = (array.astype(PETSc.IntType) for array in (order.indptr, order.indices))
-        rows = (*pattern, blocks[order.data].ravel())
-        shape = count * size, count * size
-        matrix = PETSc.Mat().createBAIJ(shape, size, csr=rows, comm=PETSc.COMM_SELF)
+        weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
+        size = weights.shape[-1]
+        weights = weights.reshape(-1, size, size)
+        entries = abs(self._incidence) @ np.einsum("nii->ni", weights)
+        loose = np.where(entries > 0.0, LOOSE * entries, 1.0)[:, :, None] * np.eye(size)
+        rows = np.arange(len(loose) + 1)
+        signs = self._incidence.data[:, None, None]
+        facets, starts = self._incidence.indices, self._incidence.indptr
+        weighted = bsr_array((signs * weights[facets], facets, starts))
+        incidence = bsr_array((signs * np.eye(size), facets, starts))
+        blocks = weighted @ incidence.T + bsr_array((loose, rows[:-1], rows))
+        blocks.sort_indices()
+        pattern = (array.astype(PETSc.IntType) for array in (blocks.indptr, blocks.indices))
+        csr = (*pattern, blocks.data.ravel())
+        matrix = PETSc.Mat().createBAIJ(blocks.shape, size, csr=csr, comm=PETSc.COMM_SELF)
         factor = PETSc.PC().create(PETSc.COMM_SELF)
         factor.setType("lu")  # in blocks faster than "cholesky"
         factor.setFactorSolverType("petsc")
@@ -107,21 +116,30 @@ class Stars:
         factor.setUp()
         return factor
 
+    def _copies(self, values: Any) -> Any:
+        """Return the rows of all copies of cells on this rank. Collective."""
+        return exchange(self._comm, np.ascontiguousarray(values[self._rows]), self._ranks)[0]
+
+    def _on_cells(self, tractions: Array) -> Array:
+        """Return the sums (n, d + 1, d, d) of tractions on facets, of all ranks. Collective."""
+        d = self._cells.d
+        on_copies = (self._sides @ tractions).reshape(-1, d + 1, d, d)
+        returned, _ = exchange(self._comm, on_copies, self._sources)
+        result = np.zeros((self._size, *returned.shape[1:]))
+        np.add.at(result, self._rows, returned)
+        return result
+
     def _balancing(self, missing: Array) -> Array:
-        """Return the least tractions (unknowns, d * d) with the forces and moments (rows, r)."""
+        """Return the least tractions with the forces and moments (rows, r), of all stars."""
         supports = np.zeros_like(missing)
         right, result = (
             PETSc.Vec().createWithArray(array.ravel(), comm=PETSc.COMM_SELF)
             for array in (np.ascontiguousarray(missing), supports)
         )
         self._factor.apply(right, result)
-        differences = self._incidence.T @ supports
-        return np.asarray((differences[:, None] @ self._work @ self._softness)[:, 0])
-
-    def _summed(self, tractions: Array) -> Array:
-        """Return the sums (n, d + 1, d, d) of tractions on the sides of copies. Collective."""
-        d = self._cells.d
-        return self._copies.summed(tractions.reshape(-1, d + 1, d, d), self._size)
+        differences = (self._incidence.T @ supports).reshape(*self._work.shape[:3])
+        forces = (differences[:, :, None] @ self._work).sum(axis=1)
+        return np.asarray((forces @ self._softness)[:, 0])
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return tractions without resultants that decrease a quadratic function. Collective.
@@ -132,12 +150,11 @@ class Stars:
         Args:
             gradient: (n, d + 1, d, d) minus its derivative by the tractions on the cells.
         """
-        gradient = self._copies.spread(gradient).reshape(self._sides.shape[0], -1)
-        forces = self._on_cells.T @ gradient
+        forces = self._sides.T @ self._copies(gradient).reshape(self._sides.shape[0], -1)
         tractions = (self._softness @ forces[:, :, None])[:, :, 0]
-        resultants = (self._work @ tractions[:, :, None])[:, :, 0]
-        tractions -= self._balancing(self._incidence @ resultants)
-        return self._summed(self._on_cells @ tractions)
+        resultants = (self._work @ tractions[:, None, :, None]).reshape(-1, self._work.shape[2])
+        stars = self._on_this_rank.sum(axis=1, keepdims=True)
+        return self._on_cells(stars * tractions - self._balancing(self._incidence @ resultants))
 
     def equilibrated(self, traction: Array, force: Array) -> Array:
         """Return tractions (n, d + 1, d, d) in equilibrium. Collective.
@@ -151,15 +168,13 @@ class Stars:
             force: (n, d + 1, d) forces at the vertices of cells, which the tractions are to
                 balance. Their sums around vertices are those of the given tractions.
         """
-        traction, force = map(self._copies.spread, (traction, force))
-        shape, d = traction.shape, self._cells.d
-        counts = abs(self._sides).sum(axis=0)
-        means = self._sides.T @ traction.reshape(self._sides.shape[0], -1) / counts[:, None]
-        traction = (self._sides @ means).reshape(shape)
-        missing = (force - self._cells.facet_forces(traction))[self._cell, self._corner]
+        d = self._cells.d
+        means = self._sides.T @ self._copies(traction).reshape(self._sides.shape[0], -1)
+        means /= abs(self._sides).sum(axis=0)[:, None]
+        on_copies = (self._sides @ means).reshape(-1, d + 1, d, d)
+        missing = self._copies(force) - self._cells.facet_forces(on_copies)
         # a force at the vertex itself has no moment about it
-        missing = np.pad(missing, ((0, 0), (0, d * (d - 1) // 2)))
+        missing = np.pad(missing[self._cell, self._corner], ((0, 0), (0, d * (d - 1) // 2)))
         # the traction at a vertex counts on the rank that owns the vertex
-        traction *= self._owned[:, opposite(d), None]
-        corrections = self._on_cells @ self._balancing(missing)
-        return self._summed(traction.reshape(corrections.shape) + corrections)
+        means *= np.repeat(self._on_this_rank, d, axis=1)
+        return self._on_cells(means + self._balancing(missing))

@@ -415,7 +415,7 @@ class ContactProblem(ContactProcess):
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."
             )
-        return Bodies(contact.linear, self.pairs, solved.dual), solved, number
+        return Bodies(contact.linear, solved.dual), solved, number
 
     @contextmanager
     def record(self) -> Iterator[ProcessTape]:

@@ -9,7 +9,14 @@ import pytest
 
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import create_unit_cube, create_unit_square, locate_entities_boundary, meshtags
+from dolfinx.mesh import (
+    compute_midpoints,
+    create_unit_cube,
+    create_unit_square,
+    exterior_facet_indices,
+    locate_entities_boundary,
+    meshtags,
+)
 
 from dolfinx_tresca import (
     Bonded,
@@ -96,7 +103,7 @@ def test_any_displacement_and_admissible_multipliers(comm, kind):
     with scene.problem() as problem:
         problem.solve(rtol=1e-8)
         solved, linear = problem._contact.solved, problem._contact.linear
-        bodies = Bodies(linear, problem.pairs, solved.dual)
+        bodies = Bodies(linear, solved.dual)
         rng = np.random.default_rng(1)
         for size in (1e-3, 1e-2):
             u = solved.fields.u.copy()
@@ -245,6 +252,39 @@ def test_supports_along_axes(comm, law, dim):
     assert bound_of_fine < bound_of_coarse
     if not isinstance(law, Coulomb):  # whose meshes have different bounds
         assert 0.1 * bound_of_coarse**2 < 2.0 * (coarse - fine) <= bound_of_coarse**2
+
+
+@pytest.mark.parametrize("law", [Frictionless(), Tresca(0.003)], ids=str)
+def test_a_body_with_an_edge_on_a_plane(comm, law):
+    """Its facets are not parallel to the plane; the energy on a finer mesh is from above."""
+    energies, bounds = [], []
+    for n in (4, 8):
+        mesh = create_unit_square(comm, n, n)
+        x = mesh.geometry.x
+        x[:, 1] += 0.2 * np.abs(x[:, 0] - 0.5) * (1.0 - x[:, 1])
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        mesh.topology.create_connectivity(1, 2)
+        exterior = exterior_facet_indices(mesh.topology)
+        middle = compute_midpoints(mesh, 1, exterior)
+        bottom = exterior[(middle[:, 1] < 0.15) & (np.abs(middle[:, 0] - 0.5) < 0.499)]
+        top = exterior[middle[:, 1] > 1.0 - 1e-9]
+        tags = meshtags(mesh, 1, bottom, np.full(len(bottom), 7, np.int32))
+        a = elasticity(V, 1.0)
+        L = ufl.inner(fem.Constant(mesh, (0.02, 0.0)), ufl.TestFunction(V)) * ufl.dx
+        pair = ContactPair(tags, 7, RigidPlane((0, 0, 0), (0, 1, 0)), law)
+        bcs = [fixed(V, top, 0.0, 0), fixed(V, top, -0.04, 1)]
+        with ContactProblem(a, L, [pair], bcs=bcs) as problem:
+            u = problem.solve(rtol=1e-9).u
+            bounds.append(problem.guaranteed_error())
+        energy = 0.5 * ufl.action(ufl.action(a, u), u) - ufl.action(L, u)
+        if isinstance(law, Tresca):
+            ds = ufl.Measure("ds", subdomain_data=tags, metadata={"quadrature_degree": 6})
+            energy += law.slip_bound * ufl.sqrt(u[0] ** 2 + 1e-30) * ds(7)
+        energies.append(comm.allreduce(fem.assemble_scalar(fem.form(energy))))
+    square = total(bounds[0].cell_errors) ** 2
+    assert 0.1 * square <= 2.0 * (energies[0] - energies[1]) <= square
+    assert bounds[1].error < bounds[0].error
+    assert bounds[0].oscillation <= 1e-6 * bounds[0].error
 
 
 @pytest.mark.parallel
