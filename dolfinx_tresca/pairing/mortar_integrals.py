@@ -51,7 +51,7 @@ FACET_LENGTH = 2.0
 RESOLVED_ANGLE = math.radians(10.0)
 
 #: Height over its nearest point up to which an obstacle is seen, relative to its height over the
-#: end of a facet whose middle it touches. With half of it a cylinder as small as the facets is
+#: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets is
 #: pressed with up to 1.5 times the force; with 1.5 times of it, with half the force.
 SEEN_HEIGHT = 1.0 / 3.0
 
@@ -433,9 +433,9 @@ def _see_between_nodes(
     facets around it: with its hat function times exp(-(g - least) / height) as weight, where g is
     the distance and `least` its least value on these facets. So the force acts where the obstacle
     touches, and moments are balanced. The height is a part (`SEEN_HEIGHT`) of the height of the
-    obstacle over the end of a facet whose middle it touches: with the nearest point alone bodies
-    are too stiff, and the mean over whole facets is positive though the obstacle enters them. Not
-    collective.
+    obstacle over the corners of a facet whose middle it touches: with the nearest point alone,
+    bodies are too stiff, and the mean over whole facets is positive though the obstacle enters
+    them. Not collective.
 
     Args:
         obstacle: the obstacle.
@@ -472,7 +472,7 @@ def _see_between_nodes(
 
     sizes = (np.linalg.norm(facets.area_vectors(x)[near], axis=2) @ w) ** (1.0 / facets.dim)
     height, least = np.zeros(count), np.full(count, np.inf)
-    np.maximum.at(height, corners, (SEEN_HEIGHT / 8.0 * turns * sizes)[:, None])
+    np.maximum.at(height, corners, (SEEN_HEIGHT / 8.0 * facets.dim * turns * sizes)[:, None])
     np.minimum.at(least, corners, distance.min(axis=1)[:, None])
     height[share == 0.0] = 1.0
     excess = (distance[:, None] - least[corners][:, :, None]) / height[corners][:, :, None]
