@@ -47,7 +47,8 @@ FACET_LENGTH = 2.0
 
 #: Angle [rad] by which an obstacle's normal turns over a facet (10 degrees). Up to this angle the
 #: mesh resolves the obstacle, and nodes see it; from three times the angle on, it is seen all over
-#: the facets around the node (`_see_between_nodes`).
+#: the facets around the node (`_see_between_nodes`). With twice instead of three times, the force
+#: on a cylinder with cells of a third of its radius is 9 to 18 % too large, instead of 0 to 7 %.
 RESOLVED_ANGLE = math.radians(10.0)
 
 #: Height over its nearest point up to which an obstacle is seen, relative to its height over the
@@ -58,8 +59,8 @@ SEEN_HEIGHT = 1.0 / 3.0
 #: Degree of exactness of the quadrature over facets on which an obstacle is seen.
 SEEN_DEGREE = 16
 
-#: Part of the depth by which an obstacle enters facets, unseen, that is warned of. (With cells as
-#: large as the radius of a cylinder it is 0.3 to 0.4, and the force is right to a quarter.)
+#: Part of the depth by which an obstacle enters facets, unseen, that is warned of. (With cells of
+#: 4/3 of the radius of a cylinder it was 0.54, and the force right to 16 %.)
 UNSEEN_PART = 0.3
 
 
