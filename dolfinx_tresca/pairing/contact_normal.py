@@ -122,54 +122,77 @@ class SmoothSurface:
 
         The result is valid for facets around which two rings of neighbours are on this rank.
         """
-        facets, corner_nodes = nodes.facets, nodes.facet_nodes
-        self._facets = facets
+        facets, corner_nodes, rim = nodes.facets, nodes.facet_nodes, _rim_nodes(nodes)
+        self._facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)
-        self._facet_normals, rim = facets.mean_normals, _rim_nodes(nodes)
         self.corner_normals = fitted_normals(nodes)[corner_nodes]
         smooth = self._smoothness(corner_nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        cosines = self._cosines()
-        turns_at_kinks = turned_angles(cosines)
-        start, end = self._slopes()
-        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle.
-        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        self._heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        is_kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
-        self.corner_normals += is_kinked[:, None, None] * (
-            self._facet_normals[:, None] - self.corner_normals
-        )
-        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
+        turns_at_kinks = turned_angles(self._cosines())
+        self._heights = self._fitted_heights(smooth)
+        self.nonzero = bool(self._heights.any())
+        self._straighten_beside_kinks(smooth, turns_at_kinks)
         self.turns = turned_angles(self._cosines())
-        size = np.ptp(self._corners, axis=1).max(axis=1)
-        rounding = (MESH_ROUNDING + facets.rounding) * size
-        above = np.abs(self._heights).max(axis=1, initial=0.0) > rounding
-        self.nonzero = not facets.bent and bool(above.any())
-        self._heights *= self.nonzero
         self.across = _normals_across_edges(nodes)
-        sharp = self.across.any(axis=(1, 2))
+        at_edge = self.across.any(axis=(1, 2))
         if facets.dim == 1:
             ahead = self._corners - self._corners[:, ::-1]
             ahead *= (rim[corner_nodes] / np.linalg.norm(ahead, axis=2))[:, :, None]
             self.across = np.concatenate([self.across, ahead], axis=1)
         # in 3D flat slabs of one layer of cells have no facets but at the rim
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        ends = sharp | rim[corner_nodes].any(axis=1) & ~flat
+        at_end = rim[corner_nodes].any(axis=1) & ~flat
         self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
-        if facets.offsets.shape[1]:
+        if facets.offsets.shape[1]:  # the geometry of some facets is known, which goes on at rims
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
-            facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
-            x = np.tile(lagrange_points(facets.cell, 1), (len(facet) // facets.corners, 1))
-            normals = normals_at(facets, facet, x)
-            cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
-            exact_turns = turned_angles(cosines.reshape(-1, facets.corners))
-            self.turns[self._exact] = turns_at_kinks[self._exact] = exact_turns
-            ends &= sharp | ~self._exact
+            self.turns[self._exact] = turns_at_kinks[self._exact] = self._exact_turns()
+            at_end &= ~self._exact
         self.turning = self.nonzero or bool((self.turns > FLAT_ANGLE).any())
-        self.turns_to_ends = np.where(ends, np.maximum(turns_at_kinks, 0.5 * np.pi), turns_at_kinks)
+        to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
+        self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
+
+    def _fitted_heights(self, smooth: Array) -> Array:
+        """Return the factors (n, pairs) of products of two hat functions in heights [length].
+
+        They are all zero if facets are bent, or if no height of this rank is above rounding.
+
+        Args:
+            smooth: (n,) factor of `_smoothness`.
+        """
+        facets, (start, end) = self._facets, self._slopes()
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        cosines = self._cosines()
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        size = np.ptp(self._corners, axis=1).max(axis=1)
+        rounding = (MESH_ROUNDING + facets.rounding) * size
+        above = np.abs(heights).max(axis=1, initial=0.0) > rounding
+        return np.asarray(heights * (not facets.bent and bool(above.any())))
+
+    def _straighten_beside_kinks(self, smooth: Array, turns: Array) -> None:
+        """Give the corners of facets beside kinks the facet's normal, see `KINK_ANGLE`.
+
+        Args:
+            smooth: (n,) factor of `_smoothness`.
+            turns: (n,) angle by which the fitted normal turns over each facet [rad].
+        """
+        is_kinked = (1.0 - smooth) * np.clip(turns / KINK_ANGLE - 1.0, 0.0, 1.0)
+        self.corner_normals += is_kinked[:, None, None] * (
+            self._facet_normals[:, None] - self.corner_normals
+        )
+        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
+
+    def _exact_turns(self) -> Array:
+        """Return the angles by which known surfaces turn over the facets in `_exact` [rad]."""
+        facets = self._facets
+        facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
+        x = np.tile(lagrange_points(facets.cell, 1), (len(facet) // facets.corners, 1))
+        normals = normals_at(facets, facet, x)
+        cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
+        return turned_angles(cosines.reshape(-1, facets.corners))
 
     def _cosines(self) -> Array:
         """Return the cosines (n, corners) between the normals at corners and of the facet."""

@@ -77,7 +77,6 @@ def couple(
     carries: Mask,
     shared: Mask,
     moved: bool,
-    measured: Array | None = None,
     bodies: Indices | None = None,
 ) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
@@ -98,8 +97,6 @@ def couple(
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
             penetration is an error of the displacement.
-        measured: (n, 3) unit vectors along which the distances in `integrals` are measured; None:
-            along the contact normals.
         bodies: (n,) number of the body that a node faces; None if all face the same body. Smooth
             patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies are
             treated like different nodes.
@@ -115,11 +112,12 @@ def couple(
     scale: Array = 1.0 / np.where(weights > 0.0, weights, 1.0)
     means *= scale[:, None]
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
-    kept = np.linalg.norm(means[:, 3:6], axis=1) <= CANCELLED
-    normals = free_normals(np.where(kept[:, None], nodes.normals, means[:, 3:6]), nodes.free)
-    if measured is not None:
-        cosine = np.maximum(np.einsum("ni,ni->n", measured, normals), FACING_COSINE)
-        means[:, :3] /= cosine[:, None]
+    length = np.linalg.norm(means[:, 3:6], axis=1)
+    vectors = np.where((length <= CANCELLED)[:, None], nodes.normals, means[:, 3:6])
+    normals = free_normals(vectors, nodes.free)
+    if primary is None:  # measured along the mean normal, also where a component is prescribed
+        cosine = np.einsum("ni,ni->n", vectors, normals) / np.linalg.norm(vectors, axis=1)
+        means[:, :3] /= np.maximum(cosine, FACING_COSINE)[:, None]
     gap, secondary_sagitta, sagitta = means[:, :3].T
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:

@@ -98,13 +98,11 @@ def _pair(
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
     owned = sides[pair.secondary]
-    primary, bodies, measured = None, None, None
+    primary, bodies = None, None
     if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
-        nodes, integrals, carries, measured = obstacle_integrals(
-            comm, str(pair), pair.obstacle, nodes, moved
-        )
-        shared: Mask = np.zeros(len(measured), dtype=np.bool_)
+        nodes, integrals, carries = obstacle_integrals(comm, str(pair), pair.obstacle, nodes, moved)
+        shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
         partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
@@ -132,9 +130,7 @@ def _pair(
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
         without = nodes_without_multiplier(V, nodes, integrals, shared)
         carries = ~without[nodes.facet_nodes]
-    together = couple(
-        V, undeformed, nodes, primary, integrals, carries, shared, moved, measured, bodies
-    )
+    together = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved, bodies)
     if pair.pairing == "nodes" and primary is not None and not moved:
         _check_meshes_match(V, pair, together, nodes)
     if not moved and len(group.pairs) > 1:

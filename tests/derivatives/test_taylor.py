@@ -257,7 +257,10 @@ def obstacle(mesh: Any, shape: str, dim: int) -> tuple[RigidObstacle, list[fem.C
     # its top is not below a node, so that the nodes next to it are pressed differently
     c = fem.Constant(mesh, np.array([0.56, 0.41, -2.0])[across])
     radius = fem.Constant(mesh, 2.0)
-    if shape == "sphere":
+    if shape == "small sphere":  # as small as facets, and seen between nodes
+        c.value[-1] = -0.2
+        radius.value = 0.2
+    if shape.endswith("sphere"):
         return RigidSphere(c, radius), [c, radius]
     if shape == "cylinder":
         axis = fem.Constant(mesh, (0.2, 1.0, 0.05))
@@ -279,7 +282,7 @@ def obstacle(mesh: Any, shape: str, dim: int) -> tuple[RigidObstacle, list[fem.C
 
 OBSTACLES = [
     (shape, dim, degree, law)
-    for shape in ("sphere", "plane", "cylinder", "own")
+    for shape in ("sphere", "small sphere", "plane", "cylinder", "own")
     for dim in (2, 3)
     for degree in (1, 2)
     for law in ("coulomb", "tresca", "frictionless", "ellipse")
@@ -290,7 +293,12 @@ OBSTACLES = [
 @pytest.mark.parallel(case=[("sphere", 3, 1, "coulomb")])
 @pytest.mark.parametrize(
     "case",
-    [("sphere", 3, 1, "coulomb"), ("plane", 2, 2, "tresca"), ("own", 2, 1, "coulomb")],
+    [
+        ("sphere", 3, 1, "coulomb"),
+        ("small sphere", 2, 1, "coulomb"),
+        ("plane", 2, 2, "tresca"),
+        ("own", 2, 1, "coulomb"),
+    ],
 )
 def test_obstacles(comm, case, after_slip=False):
     """The place, direction and radius of obstacles that a block is pressed and dragged on."""

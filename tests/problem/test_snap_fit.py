@@ -33,11 +33,11 @@ def forces(problem_of_hook, path):
 def test_an_edge_that_slides_off_a_corner_snaps(comm):
     """Without friction the tip leaves the flat face of the block, and slides over its round edge.
 
-    There is no equilibrium on the edge: Newton's method fell back to the flat face for ever.
+    On cells a third as large the tip reaches the edge between 6.3 and 6.45.
     """
-    path = [0.9, 1.8, 2.7, 3.6, 4.5, 5.4, 6.075, 6.15]
+    path = [0.9, 1.8, 2.7, 3.6, 4.5, 5.4, 6.0, 6.15, 6.6]
     found, steps = forces(snap_fit(comm, Frictionless()), path)
-    assert found[-2] == pytest.approx([0.0, -29.1], abs=0.1)
+    assert np.allclose(found[-4:-1], [0.0, -29.1], atol=0.1)
     assert found[-1][0] > 10.0  # the steep side of the nose pushes the block out
     assert max(steps) <= 20
 
@@ -81,7 +81,7 @@ def test_a_failure_shows_where_contact_changes(comm):
             problem.accept()
         held = problem.prescribed
         hook.push(3.75)
-        solution = problem.solve(newton=NewtonOptions(max_iterations=6, max_halvings=0))
+        solution = problem.solve(newton=NewtonOptions(max_iterations=4, max_halvings=0))
     assert solution.status is ContactStatus.NO_EQUILIBRIUM
     flips, unbalanced = solution.newton.flips, solution.newton.unbalanced
     x = flips.function_space.tabulate_dof_coordinates()[flips.x.array > 0]

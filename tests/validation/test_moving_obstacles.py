@@ -254,7 +254,7 @@ def test_other_nodes_face_an_obstacle_on_its_way(comm, monkeypatch):
     """A part that fails leaves neither tractions nor the obstacle where it had moved it."""
     monkeypatch.setattr(newtons_method, "MAX_ITERATIONS_FACTOR", 1)
     forces, failed = [], []
-    for limit in (30, 6):
+    for limit in (30, 8):
         pin = RigidSphere((1.0, -0.3), 0.3)
         scene = rubber_block(comm, (24, 3), size=(6.0, 0.5), clamped=True, obstacle=pin)
         options = SolverOptions(rtol=1e-7)

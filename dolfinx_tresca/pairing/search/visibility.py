@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -13,6 +15,29 @@ from dolfinx_tresca.pairing.search.facets import (
     NEGLIGIBLE,
     SHALLOW_DEPTH,
 )
+
+
+class Occluders(NamedTuple):
+    """Facets of one side that may cross segments from secondary pieces to primary points.
+
+    There is a row for each pair of an occluder and a piece whose projections onto the plane of the
+    piece overlap.
+
+    Attributes:
+        piece: (n,) index of the occluder among the pieces of its side.
+        target: (n,) index of the secondary piece in the list that was asked for, ascending.
+        corners: (n, corners, d) corners of the occluder, projected onto the plane [length].
+        height: (n,) height of the centre of the occluder over the plane [length].
+        slope: (n, d) gradient of the height of the occluder over the plane.
+        outward: (n,) whether the normals of both are on the same side of the plane.
+    """
+
+    piece: Indices
+    target: Indices
+    corners: Array
+    height: Array
+    slope: Array
+    outward: Mask
 
 
 class Visibility:
@@ -80,25 +105,24 @@ class Visibility:
         targets, starts, target = np.unique(piece[apart], return_index=True, return_inverse=True)
         reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], starts)
         for own in (True, False):
-            occluders, occluder_target, corners, height, slope = self._occluders(
-                own, targets, reach
-            )
-            begin = np.searchsorted(occluder_target, target)
-            numbers = np.searchsorted(occluder_target, target, side="right") - begin
+            occluders = self._occluders(own, targets, reach)
+            begin = np.searchsorted(occluders.target, target)
+            numbers = np.searchsorted(occluders.target, target, side="right") - begin
             block = np.cumsum(numbers) // (50 * AT_ONCE)
             for chunk in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
                 owner, occluder = expanded_ranges(begin[chunk], numbers[chunk])
                 place = apart[chunk[owner]]
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
-                    passed = occluders[occluder] != end_piece[place]
+                    passed = occluders.piece[occluder] != end_piece[place]
                     occluder, place = occluder[passed], place[passed]
-                around = corners[occluder] - places[place][:, None]
+                around = occluders.corners[occluder] - places[place][:, None]
                 crosses = _around_origin(around)
                 occluder, place, middle = occluder[crosses], place[crosses], around[crosses]
                 middle = middle.mean(axis=1)
-                crossing = height[occluder] - np.einsum("nd,nd->n", slope[occluder, :-1], middle)
-                outward = slope[occluder, -1] > 0.0
+                crossing = occluders.height[occluder]
+                crossing = crossing - np.einsum("nd,nd->n", occluders.slope[occluder], middle)
+                outward = occluders.outward[occluder]
                 gap = end[place] > start[place]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
                 matters = leaves | gap if own else leaves == gap
@@ -138,9 +162,7 @@ class Visibility:
         result[deep[point[within]]] = True
         return result
 
-    def _occluders(
-        self, own: bool, targets: Indices, reach: Array
-    ) -> tuple[Indices, Indices, Array, Array, Array]:
+    def _occluders(self, own: bool, targets: Indices, reach: Array) -> Occluders:
         """Return the facets of one side that may cross segments from pieces to primary points.
 
         Args:
@@ -148,49 +170,61 @@ class Visibility:
             targets: (m,) secondary pieces, along whose normals the segments run.
             reach: (m,) largest distance of the segments' ends from the plane of each piece
                 [length].
-
-        Returns:
-            For each pair (n,) of an occluder and a piece whose bounding boxes overlap in the plane
-            of the piece: the index of the occluder among the pieces of its side; the index in
-            `targets`, ascending; the corners (n, corners, d) of the occluder in the plane, and the
-            height (n,) of its centre over it [length]; and (n, d + 1) the gradient of its height
-            over the plane, followed by the cosine between the normals of both.
         """
         pieces, side = self._pieces, self._pieces if own else self._others
-        # segments end at primary facets with opposed normals; such facets hide nothing
         target, occluder = side.balls.on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             reach + pieces.radii[targets],
         )  # fmt: skip
-        piece = targets[target]
-        normal, their_normal = pieces.normals[piece], side.normals[occluder]
-        cosine = np.einsum("ni,ni->n", normal, their_normal)
-        if own:
-            offset = side.centres[occluder] - pieces.centres[piece]
-            height = np.abs(np.einsum("ni,ni->n", offset, normal))
-            height += side.radii[occluder] * np.linalg.norm(normal - their_normal, axis=1)
-            apart = height > NEGLIGIBLE * pieces.radii[piece]
-            keep = (cosine < -NEGLIGIBLE) | (cosine > NEGLIGIBLE) & apart
-        else:
-            keep = cosine > NEGLIGIBLE
-        if self._body is not None:
-            keep &= (self._body[occluder] == self._body[piece]) == own
+        keep = self._may_hide(own, targets[target], occluder)
         target, occluder = target[keep], occluder[keep]
-        piece, cosine = piece[keep], cosine[keep]
-        if own:  # a line crosses a facet with a common node and a similar normal at its own start
-            common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
-            keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
-            target, occluder, piece = target[keep], occluder[keep], piece[keep]
+        # whose projection onto the plane of the piece overlaps the piece
+        piece = targets[target]
         corners = pieces.local_coordinates(piece, side.points[occluder])
         flat = corners[:, :, :-1]
         own_flat = pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1]
         low = np.maximum(flat.min(axis=1), own_flat.min(axis=1))
         high = np.minimum(flat.max(axis=1), own_flat.max(axis=1))
         keep = (high - low > MISMATCH * np.ptp(own_flat, axis=1)).all(axis=1)
-        occluder, target, corners = occluder[keep], target[keep], corners[keep]
-        slope = np.einsum("ni,ndi->nd", side.normals[occluder], pieces.frames[piece[keep]])
-        slope[:, :-1] /= -slope[:, -1:]
-        return occluder, target, corners[:, :, :-1], corners[:, :, -1].mean(axis=1), slope
+        target, occluder, piece, corners = target[keep], occluder[keep], piece[keep], corners[keep]
+        normals = np.einsum("ni,ndi->nd", side.normals[occluder], pieces.frames[piece])
+        return Occluders(
+            occluder,
+            target,
+            corners[:, :, :-1],
+            corners[:, :, -1].mean(axis=1),
+            -normals[:, :-1] / normals[:, -1:],
+            normals[:, -1] > 0.0,
+        )
+
+    def _may_hide(self, own: bool, piece: Indices, occluder: Indices) -> Mask:
+        """Return whether facets (n,) of one side, near the normal of a piece, may hide its points.
+
+        Segments end at primary facets whose normals are opposed, so these hide nothing. Of the
+        secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
+        common node and a similar normal, which a segment crosses at its own start.
+
+        Args:
+            own: whether the occluders are on the secondary side.
+            piece: (n,) the secondary piece.
+            occluder: (n,) the facet among the pieces of its side.
+        """
+        pieces, side = self._pieces, self._pieces if own else self._others
+        normal, their_normal = pieces.normals[piece], side.normals[occluder]
+        cosine = np.einsum("ni,ni->n", normal, their_normal)
+        result: Mask = cosine > NEGLIGIBLE
+        if own:
+            offset = side.centres[occluder] - pieces.centres[piece]
+            height = np.abs(np.einsum("ni,ni->n", offset, normal))
+            height += side.radii[occluder] * np.linalg.norm(normal - their_normal, axis=1)
+            result &= height > NEGLIGIBLE * pieces.radii[piece]
+            similar = np.flatnonzero(result)
+            nodes = pieces.nodes[piece[similar]], side.nodes[occluder[similar]]
+            result[similar] = ~(nodes[0][:, :, None] == nodes[1][:, None]).any(axis=(1, 2))
+            result |= cosine < -NEGLIGIBLE
+        if self._body is not None:
+            result &= (self._body[occluder] == self._body[piece]) == own
+        return result
 
 
 def _around_origin(corners: Array) -> Mask:
