@@ -23,7 +23,6 @@ from dolfinx_tresca import (
     ContactError,
     ContactPair,
     ContactProblem,
-    ContactTangent,
     Coulomb,
     InputError,
     MeanPressure,
@@ -136,11 +135,6 @@ def build(block: TaggedMesh) -> ContactProblem:
 
 def fails(*_: Any) -> Any:
     raise InputError("fails on the last rank")
-
-
-def tangent_by_load(scene: SimpleNamespace) -> ContactTangent:
-    scene.problem.solve()
-    return scene.problem.tangent([scene.load], [scene.load.value])
 
 
 def changed(scene: SimpleNamespace, **changes: Any) -> ContactProblem:
@@ -264,9 +258,9 @@ CASES: dict[str, Case] = {
         ".",
     ),
     # methods of ContactProblem
-    "solve rtol": (lambda s, x: s.problem.solve(rtol=x), 1e-8, 1e-6, "rtol differs"),
-    "solve wrong": (lambda s, x: s.problem.solve(rtol=x), -1.0, 1e-6, "rtol differs"),
-    "solve method": (lambda s, x: s.problem.solve(method=x), "ssn", None, "method differs"),
+    "solve rtol": (lambda s, x: s.problem.solve(rtol=x), 1e-8, 1e-6, "rtol.* differs"),
+    "solve wrong": (lambda s, x: s.problem.solve(rtol=x), -1.0, 1e-6, "rtol.* differs"),
+    "solve method": (lambda s, x: s.problem.solve(method=x), "ssn", None, "method.* differs"),
     "solve observer": (lambda s, x: s.problem.solve(observer=x), 3, None, "observer must be"),
     "observer raises": (lambda s, x: s.problem.solve(observer=x), fails, None, "fails"),
     "goal": (lambda s, x: s.problem.goal_error(x), OTHER_FORCE, FORCE, "goal.pair"),
@@ -295,19 +289,6 @@ CASES: dict[str, Case] = {
         None,
         "controls differs",
     ),
-    "tangent, controls": (
-        lambda s, x: s.problem.tangent(x * [s.load], x * [s.load.value]),
-        2,
-        1,
-        "controls differs",
-    ),
-    "tangent, directions": (
-        lambda s, x: s.problem.tangent([s.load], [x * s.load.value]),
-        2.0,
-        1.0,
-        r"directions\[0\] differs",
-    ),
-    "tangent of a goal": (lambda s, x: tangent_by_load(s).of(x), OTHER_FORCE, FORCE, "goal.pair"),
     "tape, goals": (lambda s, x: s.tape.gradient({x: FORCE}, [s.load]), 1, 0, "goals"),
     "tape, controls": (
         lambda s, x: s.tape.gradient_by_step({}, x * [s.load]),

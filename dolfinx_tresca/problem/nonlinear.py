@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 import ufl
 from dolfinx import fem
 
@@ -22,7 +20,7 @@ from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, St
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
-from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
+from dolfinx_tresca.problem.process import ContactProcess, check_type, problem_to_agree
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.result import ContactSolution
@@ -61,20 +59,16 @@ class NonlinearContactSolution(ContactSolution):
         steps = self.newton.steps
         newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
-        result = [rows[0], ("Newton", newton), *rows[1:]]
-        if self.newton.snaps:
-            result.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
-        return result
+        return [rows[0], ("Newton", newton), *rows[1:]]
 
 
 def _check_options(options: Any, newton: Any) -> None:
-    """Check the types of the options.
+    """Check the options.
 
     Raises:
         InputError: an option has a wrong type, or is not available for nonlinear bodies.
     """
-    if not isinstance(options, SolverOptions):
-        raise InputError(f"options must be SolverOptions(...), found {shown(options)}.")
+    check_type(options)
     if options.balanced:
         raise InputError(
             "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "
@@ -353,18 +347,6 @@ class NonlinearContactProblem(ContactProcess):
             self._contact.end_load()
         state = self._contact.surfaces.state
         self._contact.surfaces.state = replace(state, end=state.unknowns)
-        released, snaps = np.nan, False
-        if run.solution is not None and run.fraction == 1.0:
-            released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
-        if snaps:
-            log(
-                self._contact.comm,
-                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
-                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
-                "to this equilibrium",
-                *(self._solves, released),
-                level=logging.WARNING,
-            )
         if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
             log(
                 self._contact.comm,
@@ -394,8 +376,6 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
-        record = NewtonRecord(
-            tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
-        )
+        record = NewtonRecord(tuple(run.steps), run.fraction, message, run.unbalanced)
         values = vars(solution) | run.cost | {"status": status, "newton": record}
         return self._contact.checked(NonlinearContactSolution(**values), linear=False)

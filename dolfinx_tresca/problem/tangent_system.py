@@ -186,11 +186,7 @@ class TangentSystem(LinearSystem):
             self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def internal_forces(self) -> Array:
-        """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
-        return np.where(self.prescribed, 0.0, self.all_forces())
-
-    def all_forces(self) -> Array:
-        """Return R(u_k) [force] at all owned degrees of freedom. Collective.
+        """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective.
 
         Nothing is assembled at the u of the last call: a step begins where the one before ended.
         """
@@ -200,8 +196,9 @@ class TangentSystem(LinearSystem):
             self.update_material()
             forces = fem.Function(self.space)
             self._assemble_L(forces.x)
-            self._forces = u.copy(), np.array(forces.x.array[: len(self.prescribed)])
-        return self._forces[1].copy()
+            owned = forces.x.array[: len(self.prescribed)]
+            self._forces = u.copy(), np.where(self.prescribed, 0.0, owned)
+        return self._forces[1]
 
     def prescribed_values(self) -> Array:
         """Return the prescribed values of the present `fraction`. Collective."""
@@ -217,8 +214,6 @@ class TangentSystem(LinearSystem):
     @property
     def _remaining_load(self) -> Array:
         """The part h [force] of the change of load that is not applied yet. Not collective."""
-        if self.fraction == 1.0:
-            return np.zeros_like(self._initial_residual)
         return (1.0 - self.fraction) * self._initial_residual
 
     def residual(self, contact_forces: Array) -> Array:
@@ -231,15 +226,11 @@ class TangentSystem(LinearSystem):
 
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
-        free = ~self.prescribed
         values = self.prescribed_values()
-        u = np.array(self.u.x.array[: len(free)])
-        moved = self.forces_of(u[self.prescribed] - values)
-        inside, load = self.K.createVecs()
-        inside.array = np.where(free, u, 0.0)
-        self.K.mult(inside, load)
-        owned = self.f.x.array[: len(free)]
-        owned[:] = load.array + moved.array - self.internal_forces() + self._remaining_load
+        u = np.array(self.u.x.array[: len(self.prescribed)])
+        u[self.prescribed] -= values
+        owned = self.f.x.array[: len(u)]
+        owned[:] = self.product(u).array - self.internal_forces() + self._remaining_load
         if self.added_forces is not None:
             owned += self.added_forces
         owned[self.prescribed] = values
